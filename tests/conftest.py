@@ -3,25 +3,41 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 from tests.ground.mesh.mesh_samples import boxes, grey_mesh
+from tests.left_behind import none_left_behind
 from tests.quick_training import REFINING
 
 from rendezview.cli.compiling import compile_ahead
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.io.bundled import find_target
+from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.beacons import Rig, Spots
 from rendezview_ground.learn.job import train
 from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.projection import Window
 from rendezview_ground.render.rasterizer import NumbaRenderer
+from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
+
+# The same examples in every run, however slow the machine is.
+settings.register_profile(
+    "repeatable",
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("repeatable")
 
 SERVICE = "tests/service/"
 Draw = Callable[..., np.ndarray]
@@ -63,12 +79,20 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return Scheduling(config, log)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The service's tests first: they take a third of the time, and what comes last is short."""
-    items.sort(key=lambda item: not item.nodeid.startswith(SERVICE))
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Of several workers one begins with the service's tests: they take a third of the time."""
+    if hasattr(config, "workerinput"):
+        items.sort(key=lambda item: not item.nodeid.startswith(SERVICE))
     for item in items:  # into the JUnit file, which `make evidence` reads
         for marker in item.iter_markers("requirement"):
             item.user_properties += [("requirement", name) for name in marker.args]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_process_is_left_behind() -> Iterator[None]:
+    """Set up before all others of the session, it ends after them."""
+    with none_left_behind():
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -140,3 +164,29 @@ def draw() -> Draw:
         return np.clip(np.rint(frame), 0, 255).astype(np.uint8)
 
     return frame_of
+
+
+@pytest.fixture(scope="session")
+def scole() -> Target:
+    return find_target("scole")
+
+
+@pytest.fixture(scope="session")
+def leds(scole: Target) -> np.ndarray:
+    return np.array([led.position_m for led in scole.leds])
+
+
+@pytest.fixture(scope="session")
+def laboratory(leds: np.ndarray) -> Laboratory:
+    """Perfect lens and detectors, so that its own rig reads it without bias."""
+    return Laboratory(leds, LaboratoryOptions(distorted=False), seed=1)
+
+
+@pytest.fixture(scope="session")
+def read():
+    """Currents (C, L, 4) of one reading → spots of each camera."""
+
+    def of(rig: Rig, currents: np.ndarray) -> list[Spots]:
+        return [c.photodiode.read(row) for c, row in zip(rig.cameras, currents, strict=True)]
+
+    return of

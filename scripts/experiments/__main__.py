@@ -49,6 +49,7 @@ EXPERIMENTS = {
         "evidence": ("evidence", "requirements, their tests and results, from a JUnit file"),
     },
     "benchmark and pictures": {
+        "golden": ("golden.command", "answers of all sensors, stored and compared, bit for bit"),
         "benchmark": ("benchmark.command", "everything beside its peers and floors"),
         "pictures": ("pictures", "the drawings of the README and the docs"),
     },

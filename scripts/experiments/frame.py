@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 import importlib
 import inspect
-import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -26,15 +25,13 @@ CLIENT = MODELS_CAD / "client"
 PICTURES = ROOT / "docs" / "pictures"
 
 PeerPython = Annotated[Path | None, "an interpreter with opencv-contrib"]
-Log = Annotated[Path | None, "every answer, JSON lines"]
 
 
 def run(name: str, experiment: Callable[..., object], words: Sequence[str]) -> object:
     """Call an experiment with the arguments of a command line.
 
     Positional parameters are positional arguments, keyword-only ones are options. Their types
-    are those of the signature; ``Annotated[type, "help"]`` adds the help, and a dictionary after
-    it more settings of `argparse`.
+    are those of the signature; ``Annotated[type, "help"]`` adds the help.
     """
     parser = argparse.ArgumentParser(
         prog=f"python -m experiments {name}",
@@ -62,9 +59,7 @@ def _settings(hint: Any) -> dict[str, Any]:
     """What `argparse` needs to know of a type."""
     settings: dict[str, Any] = {}
     if get_origin(hint) is Annotated:
-        hint, settings["help"], *more = get_args(hint)
-        for extra in more:
-            settings |= extra
+        hint, settings["help"] = get_args(hint)
     if isinstance(hint, UnionType):  # X | None
         hint = next(kind for kind in get_args(hint) if kind is not type(None))
     if hint is bool:
@@ -83,7 +78,7 @@ def _settings(hint: Any) -> dict[str, Any]:
 def table_of(title: str, columns: str | Sequence[str], *, left: int = 1) -> Table:
     """An empty table; all columns but the first ``left`` ones are on the right.
 
-    ``columns`` is a sequence, or one string with " | " between the names.
+    Columns may be one string with " | " between the names.
     """
     made = Table(title=title)
     for k, column in enumerate(columns.split(" | ") if isinstance(columns, str) else columns):
@@ -95,12 +90,6 @@ def show(*tables: Table, width: int | None = None) -> None:
     """Print tables, in as many columns as they need."""
     for one in tables:
         Console(width=width).print(one)
-
-
-def write_log(path: Path | None, records: Iterable[dict[str, Any]]) -> None:
-    """Records as JSON lines, where a path is given."""
-    if path is not None:
-        path.write_text("".join(json.dumps(record) + "\n" for record in records))
 
 
 def two(values: npt.ArrayLike, high: float = 95, form: str = "{:.3f} / {:.3f}") -> str:

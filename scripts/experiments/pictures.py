@@ -6,7 +6,7 @@ import json
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import cv2
 import matplotlib
@@ -53,19 +53,12 @@ FRAMES = 4
 CROP = (slice(50, 410), slice(110, 530))  # the target, without the report's status bar
 
 
-def readme(demo: Path | None) -> None:
+def readme(demo: Path) -> None:
     """Four frames of a finished demo, side by side: a folder that ``rendezview demo -o`` wrote."""
-    paths = sorted(needed(demo, "the folder that rendezview demo wrote").glob("frame_*.png"))
+    paths = sorted(demo.glob("frame_*.png"))
     chosen = [paths[k] for k in np.linspace(0, len(paths) - 1, FRAMES).round().astype(int)]
     strip = np.hstack([cv2.imread(str(path))[CROP] for path in chosen])
     cv2.imwrite(str(PICTURES / "approach.png"), strip)
-
-
-def needed(source: Path | None, what: str) -> Path:
-    """The source of a picture that is drawn from one."""
-    if source is None:
-        raise SystemExit(f"this picture needs a source: {what}")
-    return source
 
 
 PHOTOGRAPHS = {
@@ -78,7 +71,7 @@ PHOTOGRAPHS = {
 }
 
 
-def simulation(_: Path | None) -> None:
+def simulation(_: Path) -> None:
     """One frame with each option that photographs need."""
     target = Target.load(MODELS_CAD / "hubble")
     mesh = load_mesh(target.mesh_path, target.unit)
@@ -91,11 +84,8 @@ def simulation(_: Path | None) -> None:
     for caption, options in PHOTOGRAPHS.items():
         changed = dict(options)
         bent = deformed(mesh, changed.pop("mesh_error", 0.0), np.random.default_rng(4))
-        sensor = SensorOptions(
-            noise_sigma_grey=1.0,
-            **{k: changed.pop(k) for k in ("overexposure", "bloom") if k in changed},
-        )
-        scene = SceneOptions(sensor=sensor, **changed)
+        light = {k: changed.pop(k) for k in ("overexposure", "bloom") if k in changed}
+        scene = SceneOptions(sensor=SensorOptions(noise_sigma_grey=1.0, **light), **changed)
         tile = render_frame(bent, camera, pose, sun, scene, np.random.default_rng(4))
         cv2.putText(tile, caption, (6, 172), cv2.FONT_HERSHEY_SIMPLEX, 0.4, 255, 1, cv2.LINE_AA)
         tiles.append(tile)
@@ -103,7 +93,7 @@ def simulation(_: Path | None) -> None:
     cv2.imwrite(str(PICTURES / "simulation.png"), sheet)
 
 
-def ring(_: Path | None) -> None:
+def ring(_: Path) -> None:
     """The client's ring as the sensor reads it."""
     target = Target.load(CLIENT)
     ring = target.docking_ring
@@ -127,7 +117,7 @@ def ring(_: Path | None) -> None:
 ORANGE, GREY = "#f0922b", "#9a9a9a"
 
 
-def reflectors(_: Path | None) -> None:
+def reflectors(_: Path) -> None:
     """Pair, spots, triplet, windows and pose.
 
     A simulated pair of the far target at 5 m with crumpled foil and false spots. Left: the lit
@@ -151,23 +141,19 @@ def reflectors(_: Path | None) -> None:
     three = reading.spots.centroids_px
     figure, axes = plt.subplots(1, 3, figsize=(10.0, 2.9), constrained_layout=True)
     difference = np.clip(frames.lit.astype(int) - frames.dark, 0, 255)
-    for panel, image, title in zip(
-        axes, (frames.lit, difference, difference),
-        (f"lit ({reading.six.range_m:.2f} m)", f"lit − dark: {len(spots)} spots, the triplet",
-         "the windows it looked into, and the pose"), strict=True,
-    ):  # fmt: skip
+    shown = {f"lit ({reading.six.range_m:.2f} m)": frames.lit,
+             f"lit − dark: {len(spots)} spots, the triplet": difference,
+             "the windows it looked into, and the pose": difference}  # fmt: skip
+    for panel, (title, image) in zip(axes, shown.items(), strict=True):
         panel.imshow(image, cmap="gray", vmin=0, vmax=200, interpolation="nearest")
         panel.set_title(title, fontsize=9)
-        panel.set_xticks([])
-        panel.set_yticks([])
+        panel.set(xticks=[], yticks=[])
     for place, size in zip(spots.centroids_px, spots.size_px, strict=True):
         axes[1].add_patch(Circle(place, 3.0 * size + 5.0, fill=False, color=GREY, lw=0.8))
     axes[1].add_patch(Polygon(three, fill=False, color=ORANGE, lw=0.9))
-    looked = sensor._fit
-    windows = zip(looked.expected[:, :2], looked.half, strict=True)
-    for (middle, half), place, size, name in zip(
-        windows, three, reading.spots.size_px, reading.reflectors, strict=True
-    ):
+    looked, named = sensor._fit, (reading.spots.size_px, reading.reflectors)
+    windows = zip(looked.expected[:, :2], looked.half, three, *named, strict=True)
+    for middle, half, place, size, name in windows:
         axes[1].add_patch(Circle(place, 3.0 * size + 5.0, fill=False, color=ORANGE, lw=1.2))
         corner = middle - half
         axes[2].add_patch(Rectangle(corner, 2 * half, 2 * half, fill=False, color=ORANGE, lw=1.2))
@@ -176,10 +162,9 @@ def reflectors(_: Path | None) -> None:
     face = CAMERA.project((reading.pose @ pattern.target_from_face).apply(tips))
     for tip, colour in zip(face[1:], ("#ff5050", "#50dc50", "#50a0ff"), strict=True):
         axes[2].plot(*np.transpose([face[0], tip]), color=colour, lw=1.3)
-    shown = predict_spots(CAMERA, pattern, reading.pose)
-    middle, reach = shown.mean(axis=0), 0.9 * np.ptp(shown, axis=0).max()
-    axes[2].set_xlim(middle[0] - 1.33 * reach, middle[0] + 1.33 * reach)
-    axes[2].set_ylim(middle[1] + reach, middle[1] - reach)
+    places = predict_spots(CAMERA, pattern, reading.pose)
+    (x, y), reach = places.mean(axis=0), 0.9 * np.ptp(places, axis=0).max()
+    axes[2].set(xlim=(x - 1.33 * reach, x + 1.33 * reach), ylim=(y + reach, y - reach))
     figure.savefig(PICTURES / "reflectors.png", dpi=90)
 
 
@@ -189,19 +174,15 @@ COLOURS = {"fused": "#222222", "appearance": "#d9731a", "ring": "#2b7bba", "lase
 
 def curve(range_m: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middle of each bin and median error, where at least ten frames are."""
-    middles, medians = [], []
-    for near, far in pairwise(EDGES_M):
-        inside = error[(range_m >= near) & (range_m < far)]
-        inside = inside[np.isfinite(inside)]
-        if len(inside) >= 10:
-            middles.append(np.sqrt(near * far))
-            medians.append(np.median(inside))
-    return np.array(middles), np.array(medians)
+    inside = [((range_m >= a) & (range_m < b) & np.isfinite(error)) for a, b in pairwise(EDGES_M)]
+    full = [k for k, some in enumerate(inside) if some.sum() >= 10]
+    middles = np.sqrt(EDGES_M[:-1] * EDGES_M[1:])[full]
+    return middles, np.array([np.median(error[inside[k]]) for k in full])
 
 
-def fusion(samples: Path | None) -> None:
+def fusion(samples: Path) -> None:
     """Errors of sensors and filter over the range, of the samples of fusion-approach."""
-    rows = json.loads(needed(samples, "what fusion-approach --samples wrote").read_text())
+    rows = json.loads(samples.read_text())
     range_m = np.array([row["range_m"] for row in rows])
     figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.8), constrained_layout=True)
     panels = ((0, 1e3, "ring's centre, mm"), (2, 180.0 / np.pi, "ring's axis, °"))
@@ -227,9 +208,13 @@ DRAWN = {"readme": readme, "simulation": simulation, "ring": ring, "reflectors":
 
 def run(
     name: Literal["readme", "simulation", "ring", "reflectors", "fusion"],
-    source: Annotated[Path | None, "readme: a demo; fusion: samples of its flights"] = None,
+    source: Path | None = None,
 ) -> None:
-    """Draw one picture of the README or the docs again, into docs/pictures."""
-    PICTURES.mkdir(parents=True, exist_ok=True)
-    DRAWN[name](source)
+    """Draw one picture of the README or the docs again, into docs/pictures.
+
+    readme needs the folder that rendezview demo wrote; fusion, what fusion-approach --samples did.
+    """
+    if source is None and name in ("readme", "fusion"):
+        raise SystemExit(f"picture {name} needs a SOURCE, see --help")
+    DRAWN[name](source or PICTURES)
     print(PICTURES, name)

@@ -7,17 +7,19 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from tests.waiting import MOST_S, wait_until
 
 from rendezview.cli.main import main
 from rendezview.io.sequences import open_sequence
 from rendezview_ground.mesh.mesh import Mesh
 
+# What a command says of compiling depends on the cache of the machine: not here.
+_COMPILING = ("Compiling ", "Compiled ")
 PROGRAM = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
 
 
@@ -42,7 +44,7 @@ Run = Callable[..., Ran]
 
 @pytest.fixture(autouse=True)
 def quiet_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a command says of compiling depends on the cache of the machine: not here."""
+    """See `_COMPILING`."""
     monkeypatch.setattr("rendezview.cli.compiling.say", lambda text: None)
 
 
@@ -82,12 +84,9 @@ class Spawned:
             **pipes | {"preexec_fn": _heed_ctrl_c} | options,
         )
 
-    def wait_for(self, happened: Callable[[], bool], seconds: float = 60.0) -> Spawned:
-        end = time.monotonic() + seconds
-        while not happened():
-            assert self.process.poll() is None, self.process.communicate()
-            assert time.monotonic() < end, "it did not happen in time"
-            time.sleep(0.01)
+    def wait_for(self, happened: Callable[[], bool]) -> Spawned:
+        wait_until(lambda: happened() or self.process.poll() is not None)
+        assert self.process.poll() is None, self.process.communicate()
         return self
 
     def signal(self, number: int) -> Ran:
@@ -96,10 +95,11 @@ class Spawned:
 
     def end(self) -> Ran:
         try:
-            out, err = self.process.communicate(timeout=60.0)
+            out, err = self.process.communicate(timeout=MOST_S)
         finally:
             self.process.kill()
-        return Ran(self.process.returncode, out, err)
+        told = [line for line in err.splitlines(True) if not line.startswith(_COMPILING)]
+        return Ran(self.process.returncode, out, "".join(told))
 
 
 @pytest.fixture

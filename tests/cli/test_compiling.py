@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numba import njit, typeof
 from numba.core.event import install_listener
+from tests.waiting import MOST_S
 
 from rendezview.cli import compiling
 from rendezview.sensors.appearance.model.view_tables import ViewTables
@@ -192,7 +193,7 @@ with compiling.compile_beside("demo") as ready:
 assert len(spoken) == 1, spoken
 """
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", program], env=environment, check=True, timeout=120)
+    subprocess.run([sys.executable, "-c", program], env=environment, check=True, timeout=MOST_S)
 
 
 def test_what_is_compiled_beside_ends_with_the_work(monkeypatch):

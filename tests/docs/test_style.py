@@ -36,9 +36,9 @@ PRIVATE_WORDS = {
     r" looks?(?! up)(?!-)": "frame, search",
     r"seats?": "worker",
     r"stewards?": "orchestrator",
-    r"lifelines?": "heartbeat",
+    r"heartbeat?": "heartbeat",
     r"crowd(s|ed)?": "clutter, many spots",
-    r"lonely|lone": "single, isolated",
+    r"isolated|lone": "single, isolated",
     r"astray": "diverged, wrong",
     r"anew": "again, restarted",
     r"heard": "received",
@@ -254,7 +254,7 @@ def test_a_fault_is_found(kind: str):
 
 
 @pytest.mark.parametrize(("wrong", "right"), [
-    ("the voters agree", "the trees agree"),
+    ("the forest agree", "the trees agree"),
     ("29 looks outside", "an axis that looks at it, a look-up, a table to look up"),
     ("one of its sheets", "`sheets`, a sheet of frames, a data sheet"),
     ("is not sure", "make sure"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -104,20 +103,23 @@ def test_the_kept_file_of_the_repository_has_positive_ratios() -> None:
 
 
 @pytest.fixture
-def work(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], object]:
-    """Work that moves all clocks by a millisecond a piece, and nothing else does."""
-    now = [0.0]
+def clocks(monkeypatch: pytest.MonkeyPatch) -> Callable[[float, float], None]:
+    """Moves the wall clock and the clock of the process, s; nothing else does."""
+    wall_s, process_s = [0.0], [0.0]
 
-    def clock() -> float:
-        return now[0]
+    def move(wall: float, process: float) -> None:
+        wall_s[0] += wall
+        process_s[0] += process
 
-    def done(count: int) -> object:
-        now[0] += 1e-3 * count
-        return None
-
-    clocks = SimpleNamespace(process_time=clock, perf_counter=clock)
+    clocks = SimpleNamespace(process_time=lambda: process_s[0], perf_counter=lambda: wall_s[0])
     monkeypatch.setattr("experiments.timing.time", clocks)
-    return done
+    return move
+
+
+@pytest.fixture
+def work(clocks: Callable[[float, float], None]) -> Callable[[int], object]:
+    """Work that moves both clocks by a millisecond a piece."""
+    return lambda count: clocks(1e-3 * count, 1e-3 * count)
 
 
 def test_turns_tell_twice_the_work_from_once(work: Callable[[int], object]) -> None:
@@ -133,9 +135,9 @@ def test_turns_divide_by_the_answers_of_a_call(work: Callable[[int], object]) ->
     assert spent["each"] == pytest.approx(0.001)
 
 
-def test_waiting_for_a_core_does_not_count() -> None:
-    spent = race({"asleep": Way(lambda: time.sleep(0.01))}, 0.1, rounds=3)
-    assert spent["asleep"] < 0.005
+def test_waiting_for_a_core_does_not_count(clocks: Callable[[float, float], None]) -> None:
+    spent = race({"waits": Way(lambda: clocks(0.01, 0.001))}, 0.1, rounds=3)
+    assert spent["waits"] == pytest.approx(0.001)
 
 
 def test_a_way_with_a_clock_of_its_own_is_believed() -> None:

@@ -4,6 +4,8 @@
  *   T  readings, rolls                    -> status, trust of every node
  *   S  signature, attitude, reach         -> status, on nodes
  *   A  signature, attitude, error         -> the same of rdv_search_around
+ *   O  signature, attitude                -> status, rdv_forest_score
+ *   P  signature, attitude, reach         -> as S, of rdv_forest_search
  *   G  outlines, ends, rays               -> status, signature
  *   F  frame, camera, expected place      -> status, silhouette, points, status, signature
  *   B  n, then n times readings, rolls    -> nanoseconds of all trees, for each of them
@@ -74,7 +76,45 @@ static void trees(void)
     give(trust, sizeof(trust));
 }
 
-static void search(int is_around)
+static rdv_status search_by(int kind, const rdv_signature *signature, const rdv_f64 attitude[9],
+                            rdv_f64 reach, rdv_on_nodes *found)
+{
+    rdv_status status = RDV_BAD_INPUT;
+
+    if (kind == 'A')
+    {
+        status = rdv_search_around(signature, attitude, reach, found);
+    }
+    else if (kind == 'S')
+    {
+        status = rdv_search(signature, attitude, reach, found);
+    }
+#if (RDV_FOREST_TREES > 0u)
+    else
+    {
+        status = rdv_forest_search(signature, attitude, reach, found);
+    }
+#endif
+    return status;
+}
+
+static void score(void)
+{
+    static rdv_signature signature;
+    rdv_f64 attitude[9];
+    rdv_f64 answer = 0.0;
+
+    take(signature.readings, sizeof(signature.readings));
+    take(attitude, sizeof(attitude));
+#if (RDV_FOREST_TREES > 0u)
+    give_status(rdv_forest_score(&signature, attitude, &answer));
+#else
+    give_status(RDV_BAD_INPUT);
+#endif
+    give(&answer, sizeof(answer));
+}
+
+static void search(int kind)
 {
     static rdv_signature signature;
     static rdv_on_nodes found;
@@ -85,8 +125,7 @@ static void search(int is_around)
     take(signature.readings, sizeof(signature.readings));
     take(attitude, sizeof(attitude));
     take(&reach, sizeof(reach));
-    status = (is_around != 0) ? rdv_search_around(&signature, attitude, reach, &found)
-                              : rdv_search(&signature, attitude, reach, &found);
+    status = search_by(kind, &signature, attitude, reach, &found);
     give_status(status);
     if (status == RDV_OK)
     {
@@ -235,8 +274,10 @@ int main(void)
         switch (request)
         {
         case 'T': trees(); break;
-        case 'S': search(0); break;
-        case 'A': search(1); break;
+        case 'S':
+        case 'A':
+        case 'P': search(request); break;
+        case 'O': score(); break;
         case 'G': signature_of(); break;
         case 'F': frame(); break;
         case 'B':

@@ -171,6 +171,20 @@ class FlightCode(Pipe):
         """`rdv_search_around`."""
         return self._search(b"A", readings, attitude, error_rad)
 
+    def forest_search(
+        self, readings: npt.ArrayLike, attitude: npt.ArrayLike, reach_rad: float
+    ) -> ActiveNodes | Status | str:
+        """`rdv_forest_search`."""
+        return self._search(b"P", readings, attitude, reach_rad)
+
+    def forest_score(
+        self, readings: npt.ArrayLike, attitude: npt.ArrayLike
+    ) -> float | Status | str:
+        """`rdv_forest_score`."""
+        self.send(b"O", _f32(readings), _f64(attitude))
+        status, (score,) = self._status(), self.take("d", 1)
+        return float(score) if status is Status.OK else status
+
     def _search(
         self, letter: bytes, readings: npt.ArrayLike, attitude: npt.ArrayLike, angle_rad: float
     ) -> ActiveNodes | Status | str:

@@ -69,8 +69,8 @@ def some_attitude(model: ViewModel, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.requirement("RV-CODE-1")
 @needs_compiler
 @pytest.mark.parametrize("level", ["-O0", "-O2"])
-def test_it_compiles_without_a_warning(tiny_model, tmp_path, level):
-    build(tiny_model, tmp_path / "code", [level, *MORE_WARNINGS])
+def test_it_compiles_without_a_warning(forest_model, tmp_path, level):
+    build(forest_model, tmp_path / "code", [level, *MORE_WARNINGS])
 
 
 @pytest.mark.requirement("RV-CODE-1")
@@ -262,12 +262,12 @@ def test_a_frame_too_small_or_too_large_is_refused(code):
 
 
 @pytest.fixture(scope="module")
-def objects(tmp_path_factory: pytest.TempPathFactory, tiny_model: ViewModel) -> Path:
+def objects(tmp_path_factory: pytest.TempPathFactory, forest_model: ViewModel) -> Path:
     """Folder of object files, compiled as for flight."""
     if compiler() is None or shutil.which("size") is None or shutil.which("nm") is None:
         pytest.skip("there is no C compiler here, or no size or nm")
     folder = tmp_path_factory.mktemp("objects") / "code"
-    object_bytes(tiny_model, folder)
+    object_bytes(forest_model, folder)
     return folder
 
 
@@ -388,8 +388,7 @@ def test_the_same_model_gives_the_same_files(tiny_model, tmp_path):
 
 
 def test_a_name_cannot_leave_its_comment(tiny_model):
-    header, tables = model_files(replace(tiny_model, name="*/ int main; /*\n#error"))
-    for text in (header, tables):
+    for text in model_files(replace(tiny_model, name="*/ int main; /*\n#error")):
         assert "int main; " not in text
         assert text.splitlines()[0].startswith("/* ")
         assert "\n#error" not in text

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from tests.waiting import MOST_S
 
 from rendezview.io.target import Target
 from rendezview_ground.mesh.joints import posed, with_parts
@@ -144,7 +145,7 @@ def test_target_file_has_only_known_keys_and_unit_vectors(vehicle: str) -> None:
 def test_builder_writes_the_same_bytes_again(vehicle: str, tmp_path: Path) -> None:
     builder = MODELS / vehicle / "build.py"
     command = [sys.executable, "-W", "error", str(builder), str(tmp_path), "--no-picture"]
-    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    subprocess.run(command, check=True, capture_output=True, timeout=MOST_S)
     written = sorted(path.name for path in tmp_path.iterdir())
     assert written == sorted(["target.toml", f"{vehicle}.glb", f"{vehicle}.stl"])
     for name in written:

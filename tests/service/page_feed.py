@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
+from tests.waiting import wait_until
 
 from rendezview_service.client import SessionClient
 
-MOST_S = 60.0
 SIZES = {"desk": (1400, 900), "phone": (390, 844)}
 _DRAWN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(0))))"
 # What must be in the window at both widths: nothing hangs over the side, and words are not cut.
@@ -35,8 +34,13 @@ _LAYOUT = """(wide) => {
 
 
 def browser_path(play: Any) -> str | None:
-    """RENDEZVIEW_TEST_BROWSER, the system's Chromium, or the one that playwright installs."""
+    """RENDEZVIEW_TEST_BROWSER, the system's Chromium, or the one that playwright installs.
+
+    With RENDEZVIEW_TEST_BROWSER=none there is none.
+    """
     given = os.environ.get("RENDEZVIEW_TEST_BROWSER")
+    if given == "none":
+        return None
     names = ("chromium", "chromium-browser", "google-chrome")
     own = play.chromium.executable_path
     found = given or next(filter(None, map(shutil.which, names)), None)
@@ -45,13 +49,10 @@ def browser_path(play: Any) -> str | None:
 
 def until(page: Any, expression: str) -> Any:
     """The value of an expression, once it is true: the page's own policy forbids to wait in it."""
-    end_s = time.monotonic() + MOST_S
-    while not (value := page.evaluate(expression)):
-        if time.monotonic() > end_s:
-            shown = page.inner_text("#banner")
-            pytest.fail(f"never came true: {expression}; the page says {shown!r}")
-        time.sleep(0.02)
-    return value
+    return wait_until(
+        lambda: page.evaluate(expression),
+        lambda: f"never came true: {expression}; the page says {page.inner_text('#banner')!r}",
+    )
 
 
 def word_is(page: Any, word: str) -> None:
@@ -95,4 +96,4 @@ class Feed:
 
     def stop(self) -> None:
         self._done.set()
-        self._thread.join(10.0)
+        self._thread.join()

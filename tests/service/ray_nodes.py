@@ -40,15 +40,15 @@ class Nodes:
         """kill -9 of a node and all its processes."""
         kill_tree(self.nodes[place].all_processes["raylet"][0].process.pid)
 
-    def kill_steward(self) -> None:
-        """kill -9 of the steward; Ray starts it again."""
+    def kill_orchestrator(self) -> None:
+        """kill -9 of the orchestrator; Ray starts it again."""
         raylet = self.cluster.head_node.all_processes["raylet"][0].process.pid
         for pid in tree(raylet):
             with contextlib.suppress(OSError):
-                if Path(f"/proc/{pid}/cmdline").read_bytes().startswith(b"ray::Steward"):
+                if Path(f"/proc/{pid}/cmdline").read_bytes().startswith(b"ray::Orchestrator"):
                     os.kill(pid, signal.SIGKILL)
                     return
-        raise SystemExit("no steward is found")
+        raise SystemExit("no orchestrator is found")
 
 
 def tree(pid: int) -> list[int]:
@@ -103,17 +103,17 @@ class Gateway:
         self.process.stderr.close()
 
 
-def seats_of(gateway: Gateway) -> list[dict]:
+def slots_of(gateway: Gateway) -> list[dict]:
     with Client(gateway.url) as client:
         return client.request("GET", "/readyz")["seats"]
 
 
-def wait_for(gateway: Gateway, seats: int) -> None:
-    """Until so many seats have a session, or are ready to continue one."""
+def wait_for(gateway: Gateway, slots: int) -> None:
+    """Until so many slots have a session, or are ready to continue one."""
     until_s = time.monotonic() + 900.0
     while time.monotonic() < until_s:
         with contextlib.suppress(RendezviewError):
-            if sum(s["warm"] or bool(s["session"]) for s in seats_of(gateway)) >= seats:
+            if sum(s["warm"] or bool(s["session"]) for s in slots_of(gateway)) >= slots:
                 return
         time.sleep(0.2)
-    raise SystemExit("the seats are not ready in time")
+    raise SystemExit("the slots are not ready in time")

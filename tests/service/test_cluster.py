@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import struct
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +14,8 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from tests.service.ray_nodes import Gateway, Nodes, seats_of, wait_for
+from tests.service.ray_nodes import Gateway, Nodes, slots_of, wait_for
+from tests.waiting import MOST_S, wait_until
 from websockets.sync.client import connect
 
 from experiments.service.kill import states_of
@@ -26,7 +27,6 @@ from rendezview_service.logs.log_repair import mend
 pytest.importorskip("ray", reason="needs ray: pip install 'rendezview[ray]'")
 
 _SENDER = "the only one"
-_MOST_S = 60.0
 
 
 class Cluster:
@@ -43,11 +43,11 @@ class Cluster:
         wait_for(self.gateways[0], 2)
 
     def client(self, gateway: int = 0) -> Client:
-        return Client(self.gateways[gateway].url, sender=_SENDER, reconnect_s=0.0)
+        return Client(self.gateways[gateway].url, sender=_SENDER, timeout_s=MOST_S, reconnect_s=0.0)
 
     def node_of(self, session: str) -> int:
-        seat = next(s for s in seats_of(self.gateways[0]) if s["session"] == session)
-        return [node.node_id for node in self.nodes.nodes].index(seat["node"])
+        slot = next(s for s in slots_of(self.gateways[0]) if s["session"] == session)
+        return [node.node_id for node in self.nodes.nodes].index(slot["node"])
 
     def logged(self, session: str) -> dict[int, list[dict[str, Any]]]:
         """The states in the parts of a session's log, by frame."""
@@ -70,14 +70,15 @@ def cluster(tmp_path_factory: pytest.TempPathFactory, model_path: Path) -> Itera
 
 def _patient(cluster: Cluster, gateway: int, image: np.ndarray, time_s: float) -> dict[str, Any]:
     """The state of a frame that is sent until it is tracked."""
-    until_s = time.monotonic() + _MOST_S
-    while True:
-        try:
-            with cluster.client(gateway) as client:
-                return client.session("run").track(image, time_s)
-        except (RendezviewError, ServiceError):
-            assert time.monotonic() < until_s
-            time.sleep(0.1)
+
+    def tracked() -> dict[str, Any] | None:
+        with contextlib.suppress(RendezviewError), cluster.client(gateway) as client:
+            return client.session("run").track(image, time_s)
+        return None
+
+    state = wait_until(tracked)
+    assert state is not None
+    return state
 
 
 def test_nodes_gateways_and_models_change_under_a_session(
@@ -96,12 +97,12 @@ def test_nodes_gateways_and_models_change_under_a_session(
         states += [session.track(image, time_s) for time_s, _, image in tour[:4]]
         first_model = states[0]["model_sha256"]
 
-        # A new file of its model: the session takes it along to the free seat.
+        # A new file of its model: the session takes it along to the free slot.
         replace(refining_model, provenance={"why": "newer"}).save(tmp_path / "new.rvm")
         answer = httpx.put(
             f"{cluster.gateways[1].url}v1/models/bumpy?replace=true",
             content=(tmp_path / "new.rvm").read_bytes(),
-            timeout=_MOST_S,
+            timeout=MOST_S,
         )
         assert answer.status_code == 201, answer.text
         assert session.track(tour[4][2], tour[4][0])["model_sha256"] == first_model
@@ -118,10 +119,10 @@ def test_nodes_gateways_and_models_change_under_a_session(
     url = cluster.gateways[1].url.replace("http", "ws") + "v1/sessions/run"
     with connect(f"{url}/watch?contour=true") as watcher:
         states.append(_patient(cluster, 1, tour[6][2], tour[6][0]))
-        assert f'"frame":{states[-1]["frame"]}' in str(watcher.recv(_MOST_S))
+        assert f'"frame":{states[-1]["frame"]}' in str(watcher.recv(MOST_S))
     with connect(f"{url}/stream", additional_headers={"X-Sender": _SENDER}) as stream:
         stream.send(struct.pack("<d", tour[7][0]) + tour[7][2].tobytes())
-        assert '"status":"ok"' in str(stream.recv(_MOST_S))
+        assert '"status":"ok"' in str(stream.recv(MOST_S))
 
     # kill -9 of its node, while a frame is sent.
     wait_for(cluster.gateways[0], 2)
@@ -133,15 +134,18 @@ def test_nodes_gateways_and_models_change_under_a_session(
     place, before = cluster.node_of("run"), place
     assert place != before
 
-    # kill -9 of the steward: the session stays where it is, and gets no second seat.
-    cluster.nodes.kill_steward()
-    health = httpx.get(cluster.gateways[0].url + "healthz", timeout=_MOST_S)
+    # kill -9 of the orchestrator: the session stays where it is, and gets no second slot.
+    cluster.nodes.kill_orchestrator()
+    health = httpx.get(cluster.gateways[0].url + "healthz", timeout=MOST_S)
     assert (health.status_code, health.json()["status"]) == (200, "not ready")
-    until_s = time.monotonic() + _MOST_S
-    while httpx.get(cluster.gateways[0].url + "readyz", timeout=_MOST_S).status_code != 200:
-        states.append(_patient(cluster, 0, tour[12][2], tour[12][0] + 0.001 * len(states)))
-        assert time.monotonic() < until_s
-        time.sleep(0.1)
+
+    def is_ready() -> bool:
+        ready = httpx.get(cluster.gateways[0].url + "readyz", timeout=MOST_S).status_code == 200
+        if not ready:
+            states.append(_patient(cluster, 0, tour[12][2], tour[12][0] + 0.001 * len(states)))
+        return ready
+
+    wait_until(is_ready)
     assert cluster.node_of("run") == place
 
     cluster.gateways[0].kill()
@@ -157,9 +161,6 @@ def test_nodes_gateways_and_models_change_under_a_session(
         assert [one["id"] for one in client.sessions()] == ["run"]
         assert client.session("run").info()["found_fraction"] == 1.0  # of all nodes
         client.request("DELETE", "/v1/sessions/run")
-    until_s = time.monotonic() + _MOST_S
-    while list(cluster.work.glob("open/*")):
-        assert time.monotonic() < until_s
-        time.sleep(0.1)
+    wait_until(lambda: not list(cluster.work.glob("open/*")))
     logged = cluster.logged("run")
     assert all(state in logged[state["frame"]] for state in states)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-import time
 import zipfile
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx
 import pytest
+from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
 from rendezview_ground.mesh import containers as mesh_containers
@@ -23,27 +23,38 @@ TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 
 def _connected(url: str) -> socket.socket:
     parts = urlsplit(url)
-    return socket.create_connection((parts.hostname or "", parts.port or 0), timeout=20.0)
+    return socket.create_connection((parts.hostname or "", parts.port or 0), timeout=MOST_S)
 
 
 def _resident_mb(pid: int) -> float:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096 / 1e6
 
 
+# No connection is closed for its age: those that are have made room.
+NO_HURRY = """
+import sys
+if "serve" in sys.orig_argv:
+    import rendezview_service.http.connections as connections
+    connections.HEAD_S = 1e6
+"""
+
+
 @pytest.fixture(scope="module")
 def guarded(start_service, tmp_path_factory):
     """With a token, so that nothing here is from somebody who is known."""
-    tokens = tmp_path_factory.mktemp("tokens") / "tokens.toml"
+    folder = tmp_path_factory.mktemp("tokens")
+    tokens = folder / "tokens.toml"
     tokens.write_text('[ann]\nscope = "admin"\ntoken = "nobody-here-has-this-one"\n')
-    served = start_service("--tokens", str(tokens), RENDEZVIEW_SERVE_CONNECTIONS="40")
+    (folder / "sitecustomize.py").write_text(NO_HURRY)
+    served = start_service(
+        "--tokens", str(tokens), RENDEZVIEW_SERVE_CONNECTIONS="40", PYTHONPATH=str(folder)
+    )
     yield served
     served.stop()
 
 
-def _is_alive(served) -> float:
-    start_s = time.monotonic()
-    assert httpx.get(f"{served.url}healthz", timeout=10.0).status_code == 200
-    return time.monotonic() - start_s
+def _is_alive(served) -> bool:
+    return httpx.get(f"{served.url}healthz", timeout=MOST_S).status_code == 200
 
 
 def test_half_open_connections_do_not_keep_others_out(guarded):
@@ -52,13 +63,9 @@ def test_half_open_connections_do_not_keep_others_out(guarded):
         for k, connection in enumerate(held[60:]):
             with contextlib.suppress(OSError):
                 connection.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: "[: 20 + k % 30])
-        assert _is_alive(guarded) < 5.0
-        closed = 0
+        assert _is_alive(guarded)
         for connection in held[:60]:  # the first ones had to make room
-            connection.settimeout(0.2)
-            with contextlib.suppress(TimeoutError):
-                closed += connection.recv(1) == b""
-        assert closed >= 60
+            assert connection.recv(1) == b""
     assert HEAD_S <= 10.0
 
 
@@ -77,7 +84,7 @@ def test_a_head_that_does_not_end_is_cut_off(guarded):
         connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n" + headers + b"\r\n")
         assert b" 400 " in connection.recv(100)
     assert len(headers) > MOST_HEAD
-    assert _is_alive(guarded) < 5.0
+    assert _is_alive(guarded)
 
 
 @pytest.mark.parametrize("origin", ["http://[", "http://[::1", "null", "//", "http://evil.example"])
@@ -90,7 +97,7 @@ def test_a_long_message_is_refused_before_it_is_read(service):
     """Declared, and in chunks without a length."""
     text = json.dumps({"id": "a" * 3_000_000}).encode()
     for content in (text, (text[k : k + 65_536] for k in range(0, len(text), 65_536))):
-        answer = httpx.post(f"{service.url}v1/sessions", content=content, timeout=20.0)
+        answer = httpx.post(f"{service.url}v1/sessions", content=content, timeout=MOST_S)
         assert answer.status_code == 413
         assert "at most 1000000 bytes" in answer.json()["error"]
 
@@ -111,8 +118,10 @@ def test_a_mesh_opens_nothing_outside_its_folder(tmp_path):
     assert load_mesh(mesh, "m").face_rgb[0].tolist() == pytest.approx([1.0, 0.0, 0.0])
 
 
-def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
-    """Before it is unpacked; the limit is lowered, so that making one is quick."""
+def test_an_archive_that_unpacks_to_too_much_is_refused_before_it_is_unpacked(
+    tmp_path, monkeypatch
+):
+    """The limit is lowered, so that making one is quick."""
     monkeypatch.setattr(mesh_containers, "_MOST_UNPACKED", 20_000_000)
     bomb = tmp_path / "bomb.3mf"
     with (
@@ -121,7 +130,8 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     ):
         part.write(bytes(22_000_000))
     assert bomb.stat().st_size < 200_000
-    start_s = time.process_time()
+    opened: list[object] = []
+    monkeypatch.setattr(zipfile.ZipFile, "open", lambda _, name, *more: opened.append(name))
     with pytest.raises(RendezviewError, match="unpacks to"):
         load_mesh(bomb)
-    assert time.process_time() - start_s < 1.0
+    assert opened == []

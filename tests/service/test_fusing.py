@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import signal
-import subprocess
-import time
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from tests.service.sensors import RING, Sensors
+from tests.waiting import MOST_S, wait_until
 from websockets.sync.client import connect
 
 from rendezview.errors import RendezviewError
@@ -207,26 +207,25 @@ def test_a_stream_takes_lines_between_frames(session, sensors, tour):
         for time_s, truth, image in tour[:4]:
             time_s *= 20.0  # the tour turns faster than the filter expects
             stream.send(image, time_s)
-            assert stream.receive(10.0)["pose"] is not None
+            assert stream.receive(MOST_S)["pose"] is not None
             stream.measure("mirrors", sensors.pose(time_s, truth))
-            told = stream.receive(10.0)
+            told = stream.receive(MOST_S)
             Measured.model_validate(told)
         assert told["fused"]["status"] == "tracking"
         stream.measure("camera", sensors.pose(time_s, truth))
         with pytest.raises(ServiceError, match="own"):
-            stream.receive(10.0)
+            stream.receive(MOST_S)
 
 
 def test_watchers_see_what_other_sensors_saw(session, sensors, tour):
     url = session.client.stream_url(session.name, "watch?rate_hz=100&image=0&contour=0")
     with connect(url, max_size=None) as socket:
-        while session.info()["watchers"] < 1:
-            time.sleep(0.01)
+        wait_until(lambda: session.info()["watchers"] == 1)
         time_s, truth, image = tour[0]
         session.measure("ring", sensors.ring(time_s, truth))
         session.measure("mirrors", sensors.pose(time_s, truth))
         session.track(image, time_s + 0.05)
-        told = WatchState.model_validate(json.loads(socket.recv(10.0)))
+        told = WatchState.model_validate(json.loads(socket.recv(MOST_S)))
     assert told.state.fused.pose is not None
     by_name = {marks.sensor: marks for marks in told.marks}
     assert by_name["ring"].ellipses[0].centre_px == [200.0, 180.5]
@@ -239,13 +238,15 @@ def test_what_other_sensors_saw_is_kept_with_the_pictures(session, sensors, tour
     session.track(image, time_s)  # the first picture: kept, before anything was seen in it
     session.measure("ring", sensors.ring(time_s, truth))
     path = f"/v1/sessions/{session.name}"
-    until_s = time.monotonic() + 10.0
-    kept, k = [0], 0
-    while len(kept) < 2 and time.monotonic() < until_s:  # four a second are
-        k += 1
+    numbers = itertools.count(1)
+
+    def two_kept() -> list[int] | None:  # four a second are
+        k = next(numbers)
         session.track(tour[k % len(tour)][2], time_s + 0.05 * k)
         kept = session.client.request("GET", f"{path}/history")["images"]
-        time.sleep(0.05)
+        return kept if len(kept) == 2 else None
+
+    kept = wait_until(two_kept)
     assert session.client.request("GET", f"{path}/marks/{kept[0]}") == []
     (seen,) = session.client.request("GET", f"{path}/marks/{kept[1]}")
     assert Marks.model_validate(seen).ellipses[0].centre_px == [200.0, 180.5]
@@ -292,18 +293,15 @@ def test_a_filter_that_ends_with_its_process_is_said_to_have_begun_anew(
         for time_s, truth, image in tour[:4]:
             session.track(image, time_s)
             session.measure("mirrors", sensors.pose(time_s, truth))
-        children = subprocess.run(
-            ["ps", "-o", "pid=", "--ppid", str(served.process.pid)],
-            capture_output=True, text=True, check=True,
-        ).stdout.split()  # fmt: skip
-        os.kill(int(children[0]), signal.SIGKILL)
-        state = None
-        for time_s, _, image in tour[4:] * 40:
+        os.kill(served.workers[0], signal.SIGKILL)
+        time_s, _, image = tour[4]
+
+        def tracked() -> dict | None:
             with contextlib.suppress(ServiceError):
-                state = session.track(image, time_s + 100.0)
-                break
-            time.sleep(0.1)
-        assert state is not None
+                return session.track(image, time_s + 100.0)
+            return None
+
+        state = wait_until(tracked)
         assert "process ended" in state["fused"]["reason"]
         assert state["fused"]["status"] in ("waiting", "starting")
         mirrors = session.info()["sensors"][1]["reason"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import threading
@@ -13,6 +14,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from pydantic_core import to_json
+from tests.waiting import wait_until
 
 from rendezview.errors import RendezviewError
 from rendezview_service.logs.log_folder import mend_folder, part_path, remove_old
@@ -231,12 +233,13 @@ def test_the_log_of_a_session_that_a_fault_broke_is_sent_whole(service, client, 
     first = session.track(tour[0][2], 0.0)
     with service.full_disk():
         assert not session.track(tour[1][2], 0.1)["recorded"]
-    until_s = time.monotonic() + 20.0
-    k = 2
-    while not (state := session.track(tour[2][2], 0.1 * k))["recorded"]:
-        assert time.monotonic() < until_s
-        time.sleep(0.7)
-        k += 1
+    numbers = itertools.count(2)
+
+    def recorded() -> dict | None:
+        state = session.track(tour[2][2], 0.1 * next(numbers))
+        return state if state["recorded"] else None
+
+    state = wait_until(recorded)
     got = service.folder / "got.mcap.txt"
     got.write_bytes(session.log())
     assert _by_other_reader(got) == [first["frame"], state["frame"]]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
 from rendezview_service.client import ServiceError, ServiceTimeout
@@ -26,13 +27,13 @@ def taped(service, camera, tour):
     asked = {"port": PORT, "limits": [{"quantity": "range_m", "least": 9.5}]}
     with (
         service.client() as client,
-        client.open(camera, name="taped", prior=tour[0][1], approach=asked) as session,
+        client.open(camera, name="looked-back", prior=tour[0][1], approach=asked) as session,
     ):
         states = [session.track(image, 5.0 * k) for k, (_, _, image) in enumerate(tour[:12])]
         dark = np.zeros_like(tour[0][2])
         states.append(session.track(dark, 5.0 * 12))
-        events = client.request("GET", "/v1/sessions/taped/events")
-        later = client.request("GET", "/v1/sessions/taped/events?since=2")
+        events = client.request("GET", "/v1/sessions/looked-back/events")
+        later = client.request("GET", "/v1/sessions/looked-back/events?since=2")
     return states, events, later
 
 
@@ -79,7 +80,7 @@ def test_recordings_are_listed_and_looked_through(taped, service, client) -> Non
     names = [one.name for one in recordings]
     assert other.name not in names
     # A busy machine may answer the first request late; the client then opens once more.
-    one = max((r for r in recordings if r.session == "taped"), key=lambda r: r.frames)
+    one = max((r for r in recordings if r.session == "looked-back"), key=lambda r: r.frames)
     assert one.frames == len(states)
     assert one.model_sha256 == states[0]["model_sha256"]
     at = f"/v1/recordings/{one.name}"
@@ -88,7 +89,7 @@ def test_recordings_are_listed_and_looked_through(taped, service, client) -> Non
     assert history.states[3].pose.translation_m == states[3]["pose"]["translation_m"]
     thin = client.request("GET", f"{at}/history?limit=5")
     assert len(thin["states"]) <= 5
-    answer = httpx.get(f"{service.url}{at[1:]}/images/4")
+    answer = httpx.get(f"{service.url}{at[1:]}/images/4", timeout=MOST_S)
     assert answer.headers["X-Frame"] == "4"
     assert answer.headers["Content-Type"] == "image/jpeg"
     contour = client.request("GET", f"{at}/contour/4")
@@ -109,7 +110,7 @@ def test_recordings_are_listed_and_looked_through(taped, service, client) -> Non
 
 
 def test_a_log_with_motion_and_approach_is_repeated_bit_for_bit(taped, service) -> None:
-    path = max(service.folder.glob("taped-*.mcap"), key=lambda log: log.stat().st_size)
+    path = max(service.folder.glob("looked-back-*.mcap"), key=lambda log: log.stat().st_size)
     log = read_log(path)
     compared = [so_far for _, so_far in repeat(log, model_of(log, None))]
     assert (compared[-1].frames, compared[-1].first_difference) == (13, None)
@@ -123,7 +124,7 @@ def test_a_client_connects_again_when_the_service_starts_again(
     with served.client() as client:
         stream = client.open(camera, name="again").stream()
         stream.send(tour[0][2], 0.0)
-        assert stream.receive(20.0)["frame"] == 0
+        assert stream.receive(MOST_S)["frame"] == 0
         with pytest.raises(ServiceTimeout):
             stream.receive(0.05)
         served.kill()
@@ -141,7 +142,7 @@ def test_a_client_connects_again_when_the_service_starts_again(
 def _send_all(stream, frames) -> None:
     for time_s, _, image in frames:
         stream.send(image, time_s)
-        stream.receive(20.0)
+        stream.receive(MOST_S)
 
 
 def test_errors_of_the_client_are_its_own() -> None:

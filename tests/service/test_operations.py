@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
 import trimesh
+from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import BopSceneWriter
@@ -27,7 +28,7 @@ from rendezview_service.settings import Settings
 
 def test_the_service_says_that_it_lives_and_is_ready(service):
     for path in ("healthz", "readyz"):
-        answer = httpx.get(service.url + path)
+        answer = httpx.get(service.url + path, timeout=MOST_S)
         assert answer.status_code == 200
         assert answer.json()["status"] == "ok"
 
@@ -36,16 +37,16 @@ def test_metrics_count_frames_and_forget_sessions(service, client, camera, tour)
     session = client.open(camera, name="counted")
     for time_s, _, image in tour[:3]:
         session.track(image, time_s)
-    text = httpx.get(service.url + "metrics").text
+    text = httpx.get(service.url + "metrics", timeout=MOST_S).text
     counted = [line for line in text.splitlines() if line.startswith("rendezview_frames_total{")]
     assert sum(float(line.split()[-1]) for line in counted if '"counted"' in line) == 3.0
     assert 'rendezview_latency_seconds_count{session="counted"} 3.0' in text
     session.close()
-    assert '"counted"' not in httpx.get(service.url + "metrics").text
+    assert '"counted"' not in httpx.get(service.url + "metrics", timeout=MOST_S).text
 
 
 def test_openapi_names_every_route(service):
-    paths = httpx.get(service.url + "openapi.json").json()["paths"]
+    paths = httpx.get(service.url + "openapi.json", timeout=MOST_S).json()["paths"]
     assert "post" in paths["/v1/sessions/{name}/frames"]
     assert {"/v1/models/{name}", "/v1/jobs", "/healthz", "/metrics"} <= set(paths)
 
@@ -61,7 +62,7 @@ def test_faults_have_one_form(service):
         ("GET", "..%2f..%2fetc/passwd", 404),
         ("GET", "%2e%2e/settings.py", 404),
     ]:
-        answer = httpx.request(method, service.url + path)
+        answer = httpx.request(method, service.url + path, timeout=MOST_S)
         assert answer.status_code == status, path
         assert answer.json()["status"] == status
         assert answer.json()["error"]
@@ -108,27 +109,28 @@ def test_without_a_model_given_the_stored_ones_warm_it_up(
         session.close()
         # A worker that dies after that model was deleted is replaced all the same.
         client.request("DELETE", "/v1/models/stored")
-        children = Path(f"/proc/{served.process.pid}/task/{served.process.pid}/children")
-        (worker,) = map(int, children.read_text().split())
+        (worker,) = served.workers
         os.kill(worker, signal.SIGKILL)
         content = model_path.read_bytes()
-        assert httpx.put(served.url + "v1/models/again", content=content).status_code < 300
-        until = time.monotonic() + 60
-        session = None
-        while session is None:
-            assert time.monotonic() < until
-            with contextlib.suppress(ServiceError):
-                session = client.open(camera, model="again")
-            time.sleep(0.1)
+        answer = httpx.put(served.url + "v1/models/again", content=content, timeout=MOST_S)
+        assert answer.status_code < 300, answer.text
+        session = wait_until(lambda: _opened(client, camera, model="again"))
         assert session.track(image, time_s)["pose"] is not None
     served.stop()
+
+
+def _opened(client, camera, **more):
+    """A session, or None while no worker is ready for it."""
+    with contextlib.suppress(ServiceError):
+        return client.open(camera, **more)
+    return None
 
 
 def _ends_in_order(served, sent, log, states):
     """A signal to the whole group, as a terminal and some supervisors send it: the workers, which
     must not follow it, complete their logs."""
     os.killpg(served.process.pid, sent)
-    assert served.process.wait(60) == 0
+    assert served.process.wait(MOST_S) == 0
     assert mend(log) is None  # it is whole already
     assert [frame.state for frame in read_log(log).frames()] == states
 
@@ -141,15 +143,10 @@ def test_the_first_model_that_is_sent_warms_it_up(
         with pytest.raises(ServiceError, match="there are: none"):
             client.open(camera)
         content = model_path.read_bytes()
-        answer = httpx.put(served.url + "v1/models/sent", content=content, timeout=60.0)
+        answer = httpx.put(served.url + "v1/models/sent", content=content, timeout=MOST_S)
         assert answer.status_code < 300, answer.text
-        until = time.monotonic() + 400
-        session = None
-        while session is None:
-            assert time.monotonic() < until
-            # On a machine that has compiled nothing yet the first tries are turned away.
-            with contextlib.suppress(ServiceError):
-                session = client.open(camera)
+        # On a machine that has compiled nothing yet the first tries are turned away.
+        session = wait_until(lambda: _opened(client, camera))
         states = [session.track(image, time_s) for time_s, _, image in tour[:3]]
         assert states[0]["pose"] is not None
     (log,) = tmp_path.glob("*.mcap")
@@ -159,34 +156,39 @@ def test_the_first_model_that_is_sent_warms_it_up(
 def test_a_training_runs_beside_and_its_model_tracks(client, camera, tmp_path):
     mesh = tmp_path / "block.stl"
     trimesh.creation.box((2.0, 1.0, 0.6)).export(mesh)
+    long = client.train("never", mesh, order=2, views=100_000)
+    other = client.train("nor-this", mesh, order=2, views=100_000)
+    assert other["state"] == "queued"
+    for job in (other, long):
+        assert client.request("DELETE", f"/v1/jobs/{job['id']}")["state"] == "cancelled"
     job = client.train("block", mesh, order=1, views=150, held_out=20)
     JobInfo.model_validate(job)
-    other = client.train("never", mesh, order=2, views=100_000)
-    seen = set()
-    until = time.monotonic() + 120
-    while (now := client.job(job["id"]))["state"] in ("queued", "running"):
-        assert time.monotonic() < until
-        seen.add(now["stage"])
-        time.sleep(0.05)
-        if other is not None and other["state"] == "queued":
-            other = client.request("DELETE", f"/v1/jobs/{other['id']}")
+    now = _ended(client, job)
     assert now["state"] == "done", now["reason"]
-    assert len(seen - {None}) >= 2  # progress was told
-    assert other["state"] == "cancelled"
+    assert now["stage"] is not None
+    assert now["progress"] == 1.0  # as it told when it ended
     session = client.open(camera, model="block")
     black = np.zeros((camera.height, camera.width), np.uint8)
     assert session.track(black, 0.0)["status"] == "empty"
     session.close()
+    client.request("DELETE", "/v1/models/block")
+
+
+def _ended(client, job):
+    """A training that is over."""
+
+    def over():
+        now = client.job(job["id"])
+        return None if now["state"] in ("queued", "running") else now
+
+    return wait_until(over)
 
 
 def test_trainings_that_cannot_be_are_refused(client, tmp_path):
     bad = tmp_path / "bad.stl"
     bad.write_bytes(b"this is no mesh")
     job = client.train("bad", bad)
-    until = time.monotonic() + 60
-    while (now := client.job(job["id"]))["state"] in ("queued", "running"):
-        assert time.monotonic() < until
-        time.sleep(0.05)
+    now = _ended(client, job)
     assert now["state"] == "failed"
     assert now["reason"]
     assert str(tmp_path) not in now["reason"]
@@ -208,10 +210,8 @@ def test_a_source_is_tracked_to_its_last_frame(start_service, camera, tour, tmp_
     place = tmp_path / "run.mcap"
     served = start_service("--source", str(scene), "--record", str(place), "--speed", "0")
     with served.client() as client:
-        until = time.monotonic() + 20
-        while not (info := client.session("main").info())["finished"]:
-            assert time.monotonic() < until
-            time.sleep(0.05)
+        wait_until(lambda: client.session("main").info()["finished"])
+        info = client.session("main").info()
     assert (info["frames"], info["drops"], info["reason"]) == (8, 0, None)
     served.stop()
     assert served.process.returncode == 0
@@ -228,24 +228,21 @@ def test_the_service_outlives_all_its_workers(start_service, camera, tour, tmp_p
     with served.client() as client:
         session = client.open(camera, prior=tour[0][1])
         before = [session.track(image, time_s) for time_s, _, image in tour[:3]]
-        until = time.monotonic() + 60
-        while not any("a spare worker is ready" in line for line in served.lines):
-            assert time.monotonic() < until
-            time.sleep(0.05)
-        children = Path(f"/proc/{served.process.pid}/task/{served.process.pid}/children")
-        workers = [*map(int, children.read_text().split())]
+        served.await_line("a spare worker is ready")
+        workers = served.workers
         assert len(workers) == 2
         for worker in workers:
             os.kill(worker, signal.SIGKILL)
-        while True:
-            assert time.monotonic() < until
+
+        def tracked():
             try:
-                after = session.track(tour[3][2], tour[3][0])
-                break
+                return session.track(tour[3][2], tour[3][0])
             except ServiceError as error:
                 if error.status != 503:
                     raise
-                time.sleep(0.1)
+                return None
+
+        after = wait_until(tracked)
         assert after["frame"] == len(before)
         assert after["status"] == "ok"
         assert "rendezview_worker_restarts_total 2.0" in client.fetch("GET", "/metrics").decode()
@@ -256,11 +253,10 @@ def test_the_service_outlives_all_its_workers(start_service, camera, tour, tmp_p
 
 def test_a_full_disk_is_seen_by_the_operator_and_tracking_goes_on(service, client, camera, tour):
     session = client.open(camera, prior=tour[0][1], name="full")
-    frames = iter(tour)
+    times_s = itertools.count()
 
     def track():
-        time_s, _, image = next(frames)
-        return session.track(image, time_s)
+        return session.track(tour[0][2], float(next(times_s)))
 
     assert track()["recorded"]
     with service.full_disk():
@@ -276,14 +272,11 @@ def test_a_full_disk_is_seen_by_the_operator_and_tracking_goes_on(service, clien
         health = client.request("GET", "/healthz")
         assert (health["status"], health["recording_failures"]) == ("degraded", 1)
         assert "session full is not recorded" in health["reasons"][0]
-    until_s = time.monotonic() + 20.0
-    while not track()["recorded"]:  # a new file is tried every few seconds
-        assert time.monotonic() < until_s
-        time.sleep(0.7)
+    wait_until(lambda: track()["recorded"])  # a new file is tried every few seconds
     info = session.info()["recording"]
     assert info["state"] == "on"
     assert info["name"].endswith("-2.mcap")
-    assert service.states_told("full", last="on", message="recording") == ["failed", "on"]
+    assert service.states_reported("full", last="on", message="recording") == ["failed", "on"]
     session.close()
 
 
@@ -310,7 +303,7 @@ def test_commands_say_what_is_wrong_in_one_line(tmp_path, model_path):
     ]:
         done = subprocess.run(
             [*command, *map(str, arguments)],
-            capture_output=True, text=True, cwd=tmp_path, check=False, timeout=60,
+            capture_output=True, text=True, cwd=tmp_path, check=False, timeout=MOST_S,
         )  # fmt: skip
         assert done.returncode == 1, arguments
         assert said in done.stderr
@@ -319,4 +312,4 @@ def test_commands_say_what_is_wrong_in_one_line(tmp_path, model_path):
 
 def test_the_log_of_the_service_is_json_lines(service, client, camera):
     client.open(camera, name="logged").close()
-    assert service.states_told("logged", last="closed") == ["opened", "closed"]
+    assert service.states_reported("logged", last="closed") == ["opened", "closed"]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
-import time
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,15 +13,23 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
-from tests.service.page_feed import MOST_S, Feed, until, word_is
+from tests.service.page_feed import Feed, until, word_is
+from tests.waiting import wait_until
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview_service.client import Client, SessionClient
 
-pytest.importorskip("playwright.sync_api", reason="the page's tests want playwright")
+pytest.importorskip("playwright", reason="the page's tests want playwright")
 
 _DESK, _PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
+
+
+@pytest.fixture
+def stack(feed: object) -> Iterator[contextlib.ExitStack]:
+    """For what has to end before the sessions of ``feed`` do."""
+    with contextlib.ExitStack() as stack:
+        yield stack
 
 
 @pytest.fixture
@@ -74,25 +83,22 @@ def test_the_page_shows_what_the_service_found(service, feed, open_page) -> None
       return hits.filter(Boolean).length / hits.length;
     }"""
     width = session.info()["camera"]["width"]
-    hits = 0.0
-    for _ in range(20):  # the picture kept of a frame may come after the one that was shown live
+
+    def blue() -> float:
         until(page, "!document.getElementById('frame-note').textContent.includes('…')")
         frame = int(page.inner_text("#frame-note").split()[-1])
-        script = colour.replace("320", str(width)) % frame
-        hits = page.evaluate(script)
-        if hits > 0.95:
-            break
-        time.sleep(0.1)
-    assert hits > 0.95
+        return page.evaluate(colour.replace("320", str(width)) % frame)
+
+    wait_until(lambda: blue() > 0.95, blue)  # the kept picture may come after the live one
     page.keyboard.press("c")
-    time.sleep(0.2)
-    assert page.evaluate(script) < 0.5
+    wait_until(lambda: blue() < 0.5, blue)
 
 
 def test_a_lost_target_is_said_with_its_reason_and_found_again(service, feed, open_page) -> None:
     _, one = feed("lost")
     page = open_page(f"{service.url}#lost")
     word_is(page, "FOUND")
+    one.step_s = 1e-3  # it coasts for some seconds of the frames' time
     images, one.images = one.images, [np.zeros_like(one.images[0])]
     word_is(page, "COASTING")
     one.step_s = 1.0
@@ -128,9 +134,7 @@ def test_who_pauses_looks_back_while_frames_go_on(service, feed, open_page) -> N
     page.keyboard.press("Home")
     until(page, f"{note} === 0")
     until(page, "document.getElementById('when').textContent === 'paused · now FOUND'")
-    end_s = time.monotonic() + MOST_S
-    while session.info()["frames"] < count + 5 and time.monotonic() < end_s:
-        time.sleep(0.05)
+    wait_until(lambda: session.info()["frames"] >= count + 5)
     assert page.evaluate(note) == 0
     page.keyboard.press("End")
     until(page, f"{note} > {before}")
@@ -188,7 +192,7 @@ def test_a_token_is_asked_for_and_used(start_service, camera, open_page, shoot, 
 
 
 def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
-    service, feed, open_page, tour
+    service, feed, open_page, tour, stack
 ) -> None:
     session, _ = feed("fused")
     page = open_page(f"{service.url}#fused")
@@ -212,15 +216,21 @@ def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
     # On the long axis of the ellipse, and on the circle about the spot.
     tip = [60.0 + 30.0 * np.cos(0.5), 60.0 + 30.0 * np.sin(0.5)]
     side = [40.0 - 6.0, 330.0]
-    seen = False
-    for _ in range(40):
-        now_s = session.state()["time_s"]
-        record = {key: value for key, value in told.items() if key != "ellipses"}
-        session.measure("mirrors", record | {"time_s": now_s})
-        time.sleep(0.1)
-        seen = seen or page.evaluate(pink, side)
-    assert seen
-    assert page.is_visible("#fused")
+    record = {key: value for key, value in told.items() if key != "ellipses"}
+    done = threading.Event()
+
+    def measure() -> None:  # marks are shown and kept for some seconds only
+        with service.client() as other:
+            mirrors = other.session("fused")
+            while not done.wait(0.1):
+                mirrors.measure("mirrors", record | {"time_s": mirrors.state()["time_s"]})
+
+    measuring = threading.Thread(target=measure)
+    measuring.start()
+    stack.callback(measuring.join)
+    stack.callback(done.set)
+    until(page, f"({pink})([{side[0]}, {side[1]}])")
+    until(page, "!document.getElementById('fused').hidden")
     state = session.state()
     assert state["fused"]["pose"] is not None
     until(page, "document.getElementById('fused').innerText.includes('m/s')")

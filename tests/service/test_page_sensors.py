@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.service.page_feed import text_has, until, word_is
+from tests.service.page_feed import text_has, until
+from tests.waiting import wait_until
 
 from rendezview.io.results import read_json_lines
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import ViewModel
 
-pytest.importorskip("playwright.sync_api", reason="the page's tests want playwright")
+pytest.importorskip("playwright", reason="the page's tests want playwright")
 
 _PLAN = {"vbar": {"axis": [-1.0, 0.0, 0.0], "distance_m": 14.0, "speed_m_s": 0.26}}
 # Orange pixels of the ring's ellipse about a place, of the picture.
@@ -43,22 +43,21 @@ def test_the_ring_is_drawn_over_the_picture_beside_path_and_fused_state(
         text_has(page, "#link", "connected")
         shot = False
         for frame, echo in zip(frames, echoes, strict=True):
-            time.sleep(0.2)  # the page draws words ten times a second
             session.measure("laser", echo)
             state = session.track(frame.read(), frame.time_s)
             text_has(page, "#numbers", f"{state['frame']} · t =")
             fitted = bool(state["trajectory"] and state["trajectory"].get("segment"))
             if state["ring"]["ellipse"] and state["pose"] and fitted and not shot:
                 shot = True
-                until(page, f"rendezview.frame === {state['frame']}")
                 until(page, "rendezview.spaces > 0")
+                state = _with_word(page, session, frame, state, "FOUND")
+                until(page, f"rendezview.frame === {state['frame']}")
                 _check(page, state, frame.camera.width)
-                word_is(page, "FOUND")
                 shoot(page, "ring")
         assert shot
         # The target overflows the picture: the other sensors carry the state on.
         assert (state["pose"], state["fused"]["status"]) == (None, "tracking")
-        word_is(page, "FUSED")
+        state = _with_word(page, session, frame, state, "FUSED")
         text_has(page, "#numbers caption", "Fused pose")
         _check(page, state, frame.camera.width)
         shoot(page, "fused")
@@ -68,6 +67,18 @@ def test_the_ring_is_drawn_over_the_picture_beside_path_and_fused_state(
         page.close()  # it would poll a service that is gone
         session.close()
     served.stop()
+
+
+def _with_word(page, session, frame, state, word) -> dict:
+    """The state once the page has a word; it has another one where frames stay away for 3 s."""
+
+    def has_word() -> bool:
+        nonlocal state
+        state = session.track(frame.read(), state["time_s"] + 0.01)
+        return page.inner_text("#word") == word
+
+    wait_until(has_word, lambda: page.inner_text("#word"))
+    return state
 
 
 def _on_ellipse(page, state, width) -> list[float]:

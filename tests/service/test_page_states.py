@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.service.page_feed import MOST_S, SIZES, text_has, until, word_is
+from tests.service.page_feed import SIZES, text_has, until, word_is
+from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
 from rendezview.io.camera_files import save_camera
 from rendezview_service.client import Client
 
-pytest.importorskip("playwright.sync_api", reason="the page's tests want playwright")
+pytest.importorskip("playwright", reason="the page's tests want playwright")
 
 _STEP_S = 5.0  # between frames of the tour: a slow turn
 APPROACH = {
@@ -47,7 +48,7 @@ class Sender(threading.Thread):
         self._between = threading.Lock()
 
     def run(self) -> None:
-        with Client(self._url, reconnect_s=0.0) as client:
+        with Client(self._url, timeout_s=MOST_S, reconnect_s=0.0) as client:
             session = client.open(self._camera, **self._request)
             self._opened.set()
             while not self._done.is_set():
@@ -71,11 +72,9 @@ class Sender(threading.Thread):
     def send(self, count: int = 1) -> dict[str, Any]:
         """The state after some more frames; they go on."""
         assert self._opened.wait(MOST_S)
-        wanted, until_s = self.count + count, time.monotonic() + MOST_S
+        wanted = self.count + count
         self._going.set()
-        while self.count < wanted:
-            assert time.monotonic() < until_s
-            time.sleep(0.01)
+        wait_until(lambda: self.count >= wanted)
         return self.state
 
     def hold(self) -> dict[str, Any]:
@@ -293,19 +292,19 @@ def test_a_dead_service_and_one_that_came_back_without_the_session(
 
 
 def test_a_recording_is_looked_back_at(service, client, sender, open_page, shoot) -> None:
-    one = sender("taped", approach=APPROACH)
+    one = sender("viewed", approach=APPROACH)
     one.send(6)
-    page = open_page(f"{service.url}#taped")
+    page = open_page(f"{service.url}#viewed")
     word_is(page, "FOUND")
     one.hold()
-    third = client.session("taped").history()[2]
+    third = client.session("viewed").history()[2]
     one.stop()
     page.keyboard.press("r")
-    text_has(page, "#recordings-list", "taped-")
+    text_has(page, "#recordings-list", "viewed-")
     shoot(page, "recordings")
     look = page.locator("#recordings-list button", has_text="Look").first
     assert look.bounding_box()["x"] + look.bounding_box()["width"] < SIZES["phone"][0]
-    page.click("#recordings-list tr:has-text('taped-') button:has-text('Look')")
+    page.click("#recordings-list tr:has-text('viewed-') button:has-text('Look')")
     until(page, "document.getElementById('frame-note').textContent === 'frame 0'")
     page.keyboard.press("ArrowRight")
     page.keyboard.press("ArrowRight")
@@ -315,11 +314,11 @@ def test_a_recording_is_looked_back_at(service, client, sender, open_page, shoot
     shoot(page, "recording")
     with page.expect_download() as waiting:
         page.keyboard.press("r")
-        page.click("#recordings-list tr:has-text('taped-') button:has-text('Download')")
+        page.click("#recordings-list tr:has-text('viewed-') button:has-text('Download')")
     assert Path(waiting.value.path()).read_bytes().startswith(b"\x89MCAP0\r\n")
 
 
-def test_models_are_sent_from_the_page(service, open_page, shoot, model_path) -> None:
+def test_models_are_sent_from_the_page(service, client, open_page, shoot, model_path) -> None:
     page = open_page(service.url)
     page.keyboard.press("m")
     text_has(page, "#models-list", "bumpy")
@@ -335,10 +334,8 @@ def test_models_are_sent_from_the_page(service, open_page, shoot, model_path) ->
     text_has(page, "#models-note", "sent is here")
     text_has(page, "#models-list", "sent")
     shoot(page, "models")
-    end_s = time.monotonic() + 4.0 * MOST_S
-    while "failed" not in page.inner_text("#jobs"):  # a process starts
-        assert time.monotonic() < end_s, page.inner_text("#jobs")
-        time.sleep(0.2)
+    text_has(page, "#jobs", "failed")  # its process has ended
+    client.request("DELETE", "/v1/models/sent")
 
 
 def test_a_picture_is_zoomed_and_so_are_the_plots(service, sender, open_page, shoot) -> None:

@@ -9,12 +9,12 @@ import shutil
 import socket
 import ssl
 import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
 import pytest
+from tests.waiting import MOST_S, free_port, wait_until
 
 from rendezview_service.client import Client
 
@@ -32,11 +32,7 @@ def proxied(start_service, tmp_path_factory) -> Iterator[tuple[str, Path, list[s
     tokens = folder / "tokens.toml"
     tokens.write_text(f'[ann]\nscope = "admin"\ntoken = "{TOKEN}"\n')
     served = start_service("--tokens", str(tokens), "--record", str(folder))
-    ports = []
-    for _ in range(2):
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            ports.append(free.getsockname()[1])
+    ports = [free_port(), free_port()]
     environment = os.environ | {
         "RENDEZVIEW_NAME": f"localhost:{ports[0]}",
         "RENDEZVIEW_HTTP_PORT": str(ports[1]),
@@ -55,14 +51,11 @@ def proxied(start_service, tmp_path_factory) -> Iterator[tuple[str, Path, list[s
     process.stdin.write(text)
     process.stdin.close()
     root = folder / "caddy" / "pki" / "authorities" / "local" / "root.crt"
-    until_s = time.monotonic() + 60.0
-    while not root.exists() or not _listens(ports[0]):
-        assert process.poll() is None
-        assert time.monotonic() < until_s
-        time.sleep(0.1)
+    wait_until(lambda: process.poll() is not None or (root.exists() and _listens(ports[0])))
+    assert process.poll() is None
     yield f"https://localhost:{ports[0]}", root, served.lines
     process.terminate()
-    process.wait(20)
+    process.wait(MOST_S)
 
 
 def _listens(port: int) -> bool:
@@ -73,12 +66,12 @@ def _listens(port: int) -> bool:
 
 def test_frames_streams_and_logs_pass_the_proxy(proxied, camera, tour) -> None:
     url, root, lines = proxied
-    with Client(url, TOKEN, certificate=root) as client, client.open(camera, name="p") as session:
+    with Client(url, TOKEN, MOST_S, root) as client, client.open(camera, name="p") as session:
         assert session.track(tour[0][2], 0.0)["pose"] is not None
         with session.stream() as stream:
             for time_s, _, image in tour[1:4]:
                 stream.send(image, time_s)
-                assert stream.receive(20.0)["frame"] > 0
+                assert stream.receive(MOST_S)["frame"] > 0
         assert session.log().startswith(b"\x89MCAP0\r\n")
     said = [json.loads(line) for line in lines if '"audit"' in line]
     assert any(line["who"] == "ann" and line["what"] == "POST /v1/sessions" for line in said)
@@ -86,7 +79,7 @@ def test_frames_streams_and_logs_pass_the_proxy(proxied, camera, tour) -> None:
 
 def test_the_proxy_bounds_bodies_and_heads_and_passes_refusals(proxied) -> None:
     url, root, _ = proxied
-    with httpx.Client(verify=ssl.create_default_context(cafile=root), timeout=20.0) as http:
+    with httpx.Client(verify=ssl.create_default_context(cafile=root), timeout=MOST_S) as http:
         assert http.get(f"{url}/").status_code == 200
         assert http.get(f"{url}/v1/sessions").status_code == 401
         token = {"Authorization": f"Bearer {TOKEN}"}

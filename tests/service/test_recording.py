@@ -6,7 +6,6 @@ import json
 import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Chunk, MessageIndex
 from mcap_protobuf.decoder import DecoderFactory
+from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import open_sequence
@@ -167,7 +167,7 @@ def test_a_full_disk_is_told_and_recording_resumes(tmp_path, camera, tour, monke
     """By the process' own limit of a file's size, which fails as a full disk does."""
     from rendezview_service.logs import recording
 
-    monkeypatch.setattr(recording, "_RETRY_S", 0.05)
+    monkeypatch.setattr(recording, "_RETRY_S", MOST_S)
     content = np.random.default_rng(0).integers(0, 256, camera.width * camera.height, np.uint8)
     writer = LogWriter(tmp_path / "run.mcap", camera, {}, None)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -184,7 +184,7 @@ def test_a_full_disk_is_told_and_recording_resumes(tmp_path, camera, tour, monke
     assert told.state == "failed"
     assert "cannot be written" in told.reason
     assert told.lost == outcomes.count(False)
-    time.sleep(0.1)
+    writer._retry_at = 0.0  # as if that time had passed
     assert _write(writer, 12, content.tobytes())
     assert writer.status.state == "on"
     writer.close()
@@ -223,10 +223,7 @@ def test_after_a_kill_everything_acknowledged_is_there(start_service, camera, to
     copy.parent.mkdir()
     copy.write_bytes(place.read_bytes())
     again = start_service("--record", str(place))
-    until_s = time.monotonic() + 20.0
-    while not any("log mended" in line for line in again.lines):  # once it listens
-        assert time.monotonic() < until_s
-        time.sleep(0.05)
+    again.await_line("log mended")  # once it listens
     again.stop()
     assert _messages(place)["/rendezview/state"] == states
     lines = _messages(place)["/rendezview/measurement"]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
 import trustme
+from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
 from rendezview_service.client import Client, ServiceError
@@ -45,8 +45,7 @@ def _ask(guard: Guard, path: str, method: str = "GET", **headers: str) -> httpx.
             named = {k.replace("_", "-"): v for k, v in headers.items()}
             return await c.request(method, path, headers=named)
 
-    with ThreadPoolExecutor(1) as thread:  # the browser's loop may run in this one
-        return thread.submit(asyncio.run, ask()).result()
+    return asyncio.run(ask())
 
 
 async def _says_right(scope, receive, send) -> None:
@@ -197,9 +196,9 @@ def test_a_service_with_tokens_and_a_certificate_lets_each_do_his_part(
         with session.stream() as stream:
             stream.send(b"\x89PNG\r\n\x1a\n" + bytes(50))
             with pytest.raises(ServiceError, match="cut short"):
-                stream.receive(10.0)
+                stream.receive(MOST_S)
             stream.send(black, 1.0)
-            assert stream.receive(20.0)["frame"] == 1
+            assert stream.receive(MOST_S)["frame"] == 1
         session.close()
     served.stop()
     assert served.process.returncode == 0

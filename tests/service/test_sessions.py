@@ -10,6 +10,7 @@ import cv2
 import httpx
 import numpy as np
 import pytest
+from tests.waiting import MOST_S
 
 from rendezview.sensors.appearance import Recognizer, Tracker
 from rendezview_service.client import ServiceError, pose_of_state
@@ -150,7 +151,7 @@ def test_more_frames_than_may_wait_are_told_to_come_back(service, session, tour)
 
     def send(k: int) -> None:
         path = f"{service.url}v1/sessions/{session.name}/frames?time_s={k}"
-        statuses.append(httpx.post(path, content=tour[0][2].tobytes(), timeout=30.0))
+        statuses.append(httpx.post(path, content=tour[0][2].tobytes(), timeout=MOST_S))
 
     threads = [threading.Thread(target=send, args=(k,)) for k in range(24)]
     for thread in threads:

@@ -6,14 +6,13 @@ import contextlib
 import json
 import os
 import signal
-import subprocess
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from tests.service import approach
+from tests.waiting import wait_until
 
 from rendezview.io.bundled import find_target
 from rendezview.io.results import read_json_lines
@@ -40,6 +39,13 @@ def frames_of(flown: Path):
     echoes = read_json_lines(flown / "laser.jsonl")
     for frame, echo in zip(open_sequence(flown / "scene"), echoes, strict=True):
         yield frame.time_s, frame.read(), echo, frame.camera_from_target
+
+
+def _tracked(session, image, time_s):
+    """The state of a frame, or None while no worker is ready."""
+    with contextlib.suppress(ServiceError):
+        return session.track(image, time_s)
+    return None
 
 
 def open_session(client, flown: Path, **more):
@@ -93,18 +99,10 @@ def test_near_the_ring_a_session_outlives_its_worker(served, flown):
         for time_s, image, echo, truth in frames_of(flown):
             near = np.linalg.norm(truth.apply(ring.centre_m)) < 4.5
             if near and not errors_m:
-                children = subprocess.run(
-                    ["ps", "-o", "pid=", "--ppid", str(served.process.pid)],
-                    capture_output=True, text=True, check=True,
-                ).stdout.split()  # fmt: skip
-                os.kill(int(children[0]), signal.SIGKILL)
+                os.kill(served.workers[0], signal.SIGKILL)
             if not near:
                 session.measure("laser", echo)
-            state, until_s = None, time.monotonic() + 60.0
-            while state is None:
-                assert time.monotonic() < until_s
-                with contextlib.suppress(ServiceError):
-                    state = session.track(image, time_s)
+            state = wait_until(lambda: _tracked(session, image, time_s))  # noqa: B023  at once
             states.append(state)
             if near:
                 given = [fused_pose_of_state(state)]

@@ -16,7 +16,7 @@ from rendezview.io.ccsds import attitude_message, orbit_message
 from rendezview.trajectory import (
     Correction,
     FollowerOptions,
-    Nothing,
+    NoFit,
     Orbit,
     PathFollower,
     Plan,
@@ -108,7 +108,7 @@ def test_nonsense_is_answered_with_a_reason_and_forgotten():
         (TIMES[40], np.full((4, 3), np.nan), "a point is not finite"),
     ):
         report = follower.update(time_s, poses[40], COVARIANCE, points, np.ones(4))
-        assert isinstance(report.segment, Nothing)
+        assert isinstance(report.segment, NoFit)
         assert words in report.segment.reason
         assert record(report)["segment"] is None
     assert follower.update(TIMES[41], poses[41], COVARIANCE).segment

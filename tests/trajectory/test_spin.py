@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.trajectory import Nothing, Spin, fit_spin, fit_spin_of_directions
+from rendezview.trajectory import NoFit, Spin, fit_spin, fit_spin_of_directions
 from rendezview.trajectory.rotation import rotations
 from rendezview.trajectory.spin import in_line_of_sight
 from rendezview_ground.simulate.trajectories import torque_free
@@ -107,8 +107,8 @@ def test_line_of_sight_forgets_how_the_camera_points():
 def test_nonsense_gets_a_reason(times, change, words):
     truth, _ = torque_free((1.0, 1.0, 1.0), RATE, TIMES[: len(times)])
     found = fit_spin(times, change * truth)
-    assert isinstance(found, Nothing)
+    assert isinstance(found, NoFit)
     assert words in found.reason
     of_directions = fit_spin_of_directions(times, change * truth[:, 2])
-    assert isinstance(of_directions, Nothing)
+    assert isinstance(of_directions, NoFit)
     assert words in of_directions.reason

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from importlib import metadata, resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.export.tables import MOST_16_BIT, PackedForest, pack_forest
+from rendezview.export.tables import (
+    MOST_16_BIT,
+    PackedForest,
+    PackedScoreForest,
+    pack_forest,
+    pack_score_forest,
+)
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.io.files import atomic_write_text, make_folder
 from rendezview.sensors.appearance import MatchOptions, ViewModel
+from rendezview.sensors.appearance.model.forest import INSIDE_EDGES, ODDS_UNIT
+from rendezview.sensors.appearance.model.shadowed_silhouettes import READING_UNIT
 from rendezview.sensors.appearance.model.signature import spokes_of
+from rendezview.sensors.appearance.outline.votes import EVEN_ODDS, LEAST_ODDS, STEEPNESS
 
 SOURCES = (
     "rendezview_flight.h",
@@ -23,9 +33,11 @@ SOURCES = (
     "silhouette.c",
     "signature.c",
     "trees.c",
+    "forest.c",
     "README.md",
 )
-MODEL = ("rendezview_model.h", "rendezview_model.c")
+MODEL = ("rendezview_model.h", "rendezview_model.c", "rendezview_forest.c")
+Tables = list[tuple[str, list[str]]]  # declaration and numbers of each
 _MOST_CHARACTERS = 99  # per line of a table. Source: chosen
 
 # Floating-point operations, counted in the C code; integer work is of the same order.
@@ -44,24 +56,24 @@ def write_c(model: ViewModel, folder: Path) -> list[Path]:
     Raises:
         RendezviewError: the trees do not fit the tables, or a file cannot be written.
     """
-    header, tables = model_files(model)
+    own = dict(zip(MODEL, model_files(model), strict=True))
     make_folder(folder)
     code = resources.files("rendezview.export") / "c"
     texts = {name: (code / name).read_text(encoding="utf-8") for name in SOURCES}
-    texts |= dict(zip(MODEL, (header, tables), strict=True))
+    texts |= own
     for name, text in texts.items():
         atomic_write_text(folder / name, text)
     return [folder / name for name in texts]
 
 
-def model_files(model: ViewModel, options: MatchOptions | None = None) -> tuple[str, str]:
-    """``rendezview_model.h`` and ``rendezview_model.c`` of a model.
+def model_files(model: ViewModel, options: MatchOptions | None = None) -> tuple[str, str, str]:
+    """The texts of ``MODEL``; without a forest, the last holds no table.
 
     Args:
         options: how far around an attitude nodes are asked, as in `Matcher`.
     """
     options = options or MatchOptions()
-    packed, sphere = pack_forest(model), model.geodesic
+    packed, scores, sphere = pack_forest(model), pack_score_forest(model), model.geodesic
     wide_index = len(packed.bins) > MOST_16_BIT or len(packed.on_leaves) > MOST_16_BIT
     step = int(np.gcd.reduce(packed.bins)) or 1
     types = {
@@ -88,9 +100,16 @@ def model_files(model: ViewModel, options: MatchOptions | None = None) -> tuple[
         "RDV_TABLE_BYTES": f"{_table_bytes(model, packed, types)}u",
         "RDV_DEEPEST_TREE": f"{packed.depths.max()}u /* branches */",
         "RDV_ALL_DEPTHS": f"{packed.depths.sum()}u /* branches, all trees at their worst */",
+        "RDV_FOREST_TREES": "0u /* the model has no forest */",
     }
+    externs = ""
+    forest: Tables = []
+    if scores is not None:
+        more, forest = _forest(scores, sphere)
+        values |= more
+        externs = "".join(f"extern const {name};\n" for name, _ in forest)
     defines = "\n".join(f"#define {name} {value}" for name, value in values.items())
-    header = f"""{_comment(_describe(model, packed, types, reach_rad))}
+    header = f"""{_comment(_describe(model, packed, scores, types, reach_rad))}
 #ifndef RENDEZVIEW_MODEL_H
 #define RENDEZVIEW_MODEL_H
 
@@ -120,13 +139,13 @@ extern const rdv_f64 rdv_trusts[RDV_TRUSTS];
 extern const rdv_f64 rdv_directions[RDV_NODES][3]; /* from the view centre, target frame */
 extern const rdv_f64 rdv_attitudes[RDV_NODES][6];  /* x and y axes of the centred camera */
 extern const rdv_f64 rdv_spokes[RDV_BINS][2];      /* cosine and sine of each bin */
-
+{externs}
 #endif
 """
     pairs = zip(packed.bins // step, packed.children, strict=True)
     branches = [f"{{{b}u, {{{c[0]}u, {c[1]}u}}}}" for b, c in pairs]
     rotations = model.views.centred_from_target[:nodes, :2].reshape(nodes, 6)
-    tables = [
+    tables: Tables = [
         ("rdv_branch rdv_branches[RDV_BRANCHES]", branches),
         ("uint16_t rdv_thresholds[RDV_BRANCHES]", [f"{t}u" for t in packed.thresholds]),
         ("rdv_index rdv_roots[RDV_NODES]", [f"{k}u" for k in packed.roots]),
@@ -137,11 +156,45 @@ extern const rdv_f64 rdv_spokes[RDV_BINS][2];      /* cosine and sine of each bi
         ("rdv_f64 rdv_attitudes[RDV_NODES][6]", _rows(rotations)),
         ("rdv_f64 rdv_spokes[RDV_BINS][2]", _rows(spokes_of(model.bins))),
     ]
-    body = "\n".join(f"const {name} = {{\n{_wrapped(items)}\n}};\n" for name, items in tables)
-    return header, (
-        f"/* Tables of {_plain(model.name)}, written by `rendezview export`: do not edit. */\n"
+    return header, _tables(model.name, tables), _tables(model.name, forest)
+
+
+def _tables(name: str, tables: Tables) -> str:
+    body = "\n".join(f"const {what} = {{\n{_wrapped(items)}\n}};\n" for what, items in tables)
+    return (
+        f"/* Tables of {_plain(name)}, written by `rendezview export`: do not edit. */\n"
         f'#include "rendezview_flight.h"\n\n{body}'
     )
+
+
+def _forest(scores: PackedScoreForest, sphere: Geodesic) -> tuple[dict[str, str], Tables]:
+    """Values of the header, and the tables, of a forest."""
+    bins, window = scores.windows.shape
+    trees = scores.roots.shape[1]
+    cosine = float(np.cos(INSIDE_EDGES * sphere.mean_edge_rad))
+    size = 4 * (scores.entries.size + scores.roots.size + scores.windows.size) + 2 * bins
+    values = {
+        "RDV_FOREST_TREES": f"{trees}u /* of a node */",
+        "RDV_FOREST_BYTES": f"{size}u /* of tables, in rendezview_forest.c */",
+        "RDV_FOREST_ENTRIES": f"{len(scores.entries)}u",
+        "RDV_FOREST_DEPTH": f"{scores.depth}u /* branches */",
+        "RDV_FOREST_BINS": f"{bins}u",
+        "RDV_FOREST_UNIT": f"{READING_UNIT}f /* readings */",
+        "RDV_FOREST_COSINE": f"{_hex(cosine)} /* a score is of the nodes within an edge */",
+        "RDV_WINDOW": f"{window}u /* readings of a bin of the forest */",
+        "RDV_ODDS_UNIT": _hex(ODDS_UNIT),
+        "RDV_LEAST_ODDS": f"({_hex(LEAST_ODDS)}) /* log odds above which a node is active */",
+        "RDV_EVEN_ODDS": f"({_hex(EVEN_ODDS)}) /* at which its trust is a half */",
+        "RDV_ODDS_STEEPNESS": _hex(STEEPNESS),
+    }
+    weights = _rows(scores.windows, lambda weight: f"{_hex(weight)}f")
+    roots = _rows(scores.roots, "{}u".format)
+    return values, [
+        ("uint32_t rdv_forest[RDV_FOREST_ENTRIES]", [f"{entry}u" for entry in scores.entries]),
+        ("uint32_t rdv_forest_roots[RDV_NODES][RDV_FOREST_TREES]", roots),
+        ("uint16_t rdv_window_starts[RDV_FOREST_BINS]", [f"{k}u" for k in scores.starts]),
+        ("rdv_f32 rdv_windows[RDV_FOREST_BINS][RDV_WINDOW]", weights),
+    ]
 
 
 def _table_bytes(model: ViewModel, packed: PackedForest, types: dict[str, str]) -> int:
@@ -162,14 +215,18 @@ def _shortest(largest: int) -> str:
 
 
 def _describe(
-    model: ViewModel, packed: PackedForest, types: dict[str, str], reach_rad: float
+    model: ViewModel,
+    packed: PackedForest,
+    scores: PackedScoreForest | None,
+    types: dict[str, str],
+    reach_rad: float,
 ) -> list[str]:
     nodes, branches = len(packed.roots), int(packed.depths.sum())
     near = _most_within(model.geodesic, reach_rad)
     mesh = str(model.provenance.get("mesh_sha256", "unknown"))
     trees = _PER_BRANCH * branches + _PER_TREE * nodes
     local = 4 * (2 * model.bins + 1) + 14 * nodes + 18 * nodes
-    return [
+    lines = [
         f"The view model of {_plain(model.name)}, written by `rendezview export` of rendezview "
         f"{metadata.version('rendezview')}: do not edit. Mesh SHA-256 {_plain(mesh)}.",
         "",
@@ -194,6 +251,15 @@ def _describe(
         "  rdv_silhouette    9 P integer operations; 25 for each point of the outline; 10 for each "
         "pair of blobs",
     ]
+    if scores is not None:
+        each = 8 * scores.windows.shape[0] + 2 * scores.roots.shape[1] * scores.depth
+        close = _most_within(model.geodesic, INSIDE_EDGES * model.geodesic.mean_edge_rad)
+        lines += [
+            f"  rdv_forest_score  at most {close} nodes of {each} and an atan2: "
+            f"{scores.roots.shape[1]} trees of {scores.depth} branches each",
+            f"  rdv_forest_search at RDV_REACH_RAD, {near} such nodes; then as rdv_search",
+        ]
+    return lines
 
 
 def _most_within(sphere: Geodesic, reach_rad: float) -> int:
@@ -220,18 +286,20 @@ def _plain(text: str) -> str:
     return "".join(c if c.isascii() and (c.isalnum() or c in " ._-+") else "_" for c in text)
 
 
-def _rows(array: npt.NDArray[np.float64]) -> list[str]:
-    """Numbers of a table of rows; the braces of a row go with its first and last number."""
-    words = []
-    for row in array:
-        numbers = [_hex(value) for value in row]
-        words += [f"{{{numbers[0]}", *numbers[1:-1], f"{numbers[-1]}}}"]
-    return words
-
-
 def _hex(value: float) -> str:
     """A number as a C99 literal, exact to the last bit."""
     return float(value).hex()
+
+
+def _rows(array: npt.NDArray[Any], word: Callable[[Any], str] = _hex) -> list[str]:
+    """Numbers of a table of rows; the braces of a row go with its first and last number."""
+    words = []
+    for row in array:
+        numbers = [word(value) for value in row]
+        numbers[0] = f"{{{numbers[0]}"
+        numbers[-1] += "}"
+        words += numbers
+    return words
 
 
 def _wrapped(items: Iterable[str]) -> str:

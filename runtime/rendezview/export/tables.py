@@ -1,9 +1,9 @@
-"""A forest packed for flight: six bytes per branch, leaves inside the references to them.
+"""Trees packed for flight: six bytes per branch, leaves inside the references to them.
 
 The branches of a tree are stored in depth-first order, left before right, so a child is a few
 entries ahead of its parent. A child is one small number: 0 a leaf that means off; up to
 ``longest_step`` a branch so many entries ahead; above, one of the tree's leaves that mean on,
-counted from its left.
+counted from its left. The forest, with which the runtime decides, stays as the model stores it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.model.forest import BINS, LEAF, ForestTables
+from rendezview.sensors.appearance.model.signature import rebinning
 from rendezview.sensors.appearance.model.trees import Forest
 from rendezview.sensors.appearance.outline.votes import Matcher
 
@@ -89,6 +91,41 @@ def pack_forest(model: ViewModel) -> PackedForest:
         np.array(on_leaves, dtype=np.uint16),
         trusts,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedScoreForest:
+    """The trees that score attitudes: N nodes with T each, C bins of W readings."""
+
+    roots: npt.NDArray[np.int32]  # (N, T) entry at which each tree starts
+    entries: npt.NDArray[np.uint32]  # (M,) bin, threshold or odds, right child: 8, 8, 16 bits
+    depth: int  # branches on the longest path to a leaf
+    starts: npt.NDArray[np.int64]  # (C,) first reading of each bin
+    windows: npt.NDArray[np.float32]  # (C, W) weights of the readings from there
+
+
+def pack_score_forest(model: ViewModel) -> PackedScoreForest | None:
+    """The trees of a model that score attitudes; None where it has none."""
+    if model.score_forest is None:
+        return None
+    tables = ForestTables.of(model.score_forest)
+    at, depth = tables.roots.ravel().astype(np.int64), -1
+    while len(at):
+        at = at[tables.entries[at] & 255 != LEAF]
+        at = np.concatenate([at + 1, at + (tables.entries[at] >> 16)])
+        depth += 1
+    return PackedScoreForest(tables.roots, tables.entries, depth, *windows_of(model.bins))
+
+
+def windows_of(bins: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]:
+    """The first reading (C,) of each bin of the forest, and the weights (C, W) from there on."""
+    weights = rebinning(bins, BINS)
+    centres = np.rint(np.arange(BINS) * bins / BINS).astype(np.int64)
+    reading, window = np.nonzero(weights)
+    apart = (reading - centres[window] + bins // 2) % bins - bins // 2
+    starts = (centres + apart.min()) % bins
+    columns = (starts[:, None] + np.arange(np.ptp(apart) + 1)) % bins
+    return starts, weights[columns, np.arange(BINS)[:, None]]
 
 
 def _whole(forest: Forest, entry: int) -> int:

@@ -1,1 +1,1 @@
-"""The service on several machines: gateways, a steward and seats, as actors of a Ray cluster."""
+"""The service on several machines: gateways, orchestrator and slots, actors of a Ray cluster."""

@@ -18,7 +18,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rendezview.errors import RendezviewError
-from rendezview_service.cluster.heartbeat import Lifelines
+from rendezview_service.cluster.heartbeat import Heartbeats
 from rendezview_service.cluster.orchestrator import NAMESPACE, join
 from rendezview_service.cluster.tunnel import packed
 from rendezview_service.http.answers import fault, fault_of
@@ -31,27 +31,27 @@ from rendezview_service.settings import Settings
 
 log = logging.getLogger("rendezview_service")
 
-_TRIES = 4  # seats that a request is sent to. Source: chosen
-_GRACE_S = 2.0  # s, beyond `frame_timeout_s`, for a seat's answer. Source: chosen
-_KNOW_S = 1.0  # s, between looks for new seats. Source: chosen
+_TRIES = 4  # slots that a request is sent to. Source: chosen
+_GRACE_S = 2.0  # s, beyond `frame_timeout_s`, for a slot's answer. Source: chosen
+_KNOW_S = 1.0  # s, between looks for new slots. Source: chosen
 _PAUSE_S = 0.05  # s, before a session that moves is looked for again. Source: chosen
-_HEALTH_S = 5.0  # s, for the steward's answer to a look at the health. Source: chosen
-_NO_STEWARD = (
-    "the cluster's steward does not answer: it starts again, or Ray's head node is gone. Open "
+_HEALTH_S = 5.0  # s, for the orchestrator's answer to a look at the health. Source: chosen
+_NO_ORCHESTRATOR = (
+    "the cluster's orchestrator does not answer: it starts again, or Ray's head node is gone. Open "
     "sessions go on; none is opened or moved"
 )
 _TRY_AGAIN = 1012  # WebSocket: the service restarts. Source: IANA's registry
 
 
 class Gateway:
-    """Passes requests on to the seat of their session, and to the steward."""
+    """Passes requests on to the slot of their session, and to the orchestrator."""
 
     def __init__(self, settings: Settings, metrics: Metrics) -> None:
         self._settings, self._metrics = settings, metrics
-        self._steward: Any = None
-        self._seats: dict[str, str] = {}  # of the sessions, as it knows
-        self._actors: dict[str, Any] = {}  # of the seats
-        self._lifelines = Lifelines()
+        self._orchestrator: Any = None
+        self._slots: dict[str, str] = {}  # of the sessions, as it knows
+        self._actors: dict[str, Any] = {}  # of the slots
+        self._heartbeats = Heartbeats()
         self._page = page_files()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -64,7 +64,7 @@ class Gateway:
             try:
                 status, headers, body = await self._answer(scope, await _body(receive))
             except ray.exceptions.RayActorError:
-                await fault(503, _NO_STEWARD)(scope, receive, send)
+                await fault(503, _NO_ORCHESTRATOR)(scope, receive, send)
                 return
             except (NotReady, Full, RendezviewError, HTTPException) as error:
                 response = fault_of(error.cause if hasattr(error, "cause") else error)
@@ -81,27 +81,27 @@ class Gateway:
 
     async def _life(self, receive: Receive, send: Send) -> None:
         await receive()
-        self._steward = await asyncio.to_thread(join, self._settings)
-        await self._steward.start.remote()
-        knowing = asyncio.create_task(self._know_seats())
+        self._orchestrator = await asyncio.to_thread(join, self._settings)
+        await self._orchestrator.start.remote()
+        knowing = asyncio.create_task(self._know_slots())
         await send({"type": "lifespan.startup.complete"})
         await receive()
         knowing.cancel()
         await asyncio.to_thread(ray.shutdown)
         await send({"type": "lifespan.shutdown.complete"})
 
-    async def _know_seats(self) -> None:
-        """Connect to all seats before they are needed: a first call to one takes a while."""
+    async def _know_slots(self) -> None:
+        """Connect to all slots before they are needed: a first call to one takes a while."""
         while True:
             with contextlib.suppress(ray.exceptions.RayError, OSError, ValueError):
-                found = await self._steward.seats.remote()
-                self._seats = {s["session"]: s["seat"] for s in found if s["session"] is not None}
+                found = await self._orchestrator.slots.remote()
+                self._slots = {s["session"]: s["seat"] for s in found if s["session"] is not None}
                 there = {known["seat"]: known["process"] for known in found}
-                self._lifelines.keep(there)
-                self._actors = {seat: a for seat, a in self._actors.items() if seat in there}
-                for seat in there:
+                self._heartbeats.keep(there)
+                self._actors = {slot: a for slot, a in self._actors.items() if slot in there}
+                for slot in there:
                     with contextlib.suppress(ray.exceptions.RayError, OSError, ValueError):
-                        await self._lifelines.end_of(seat, self._actor(seat))
+                        await self._heartbeats.end_of(slot, self._actor(slot))
             await asyncio.sleep(_KNOW_S)
 
     async def _answer(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
@@ -121,32 +121,34 @@ class Gateway:
         if parts[:2] == ["v1", "models"] and parts[3:] == ["roll"] and method == "POST":
             if right < Right.ADMIN:
                 return _json({"error": "a token of scope admin is needed"}, False, 403)
-            return _json({"moved": await self._steward.roll.remote(parts[2])})
-        result: tuple[int, list[Any], bytes] = await self._steward.http.remote(packed(scope), body)
+            return _json({"moved": await self._orchestrator.roll.remote(parts[2])})
+        result: tuple[int, list[Any], bytes] = await self._orchestrator.http.remote(
+            packed(scope), body
+        )
         return result
 
     async def _health(self, of_itself: bool) -> tuple[int, list[Any], bytes]:
-        """The gateway lives without the steward; it is ready with one that has seats."""
-        seats: list[dict[str, Any]] = []
+        """The gateway lives without the orchestrator; it is ready with one that has slots."""
+        slots: list[dict[str, Any]] = []
         reasons = []
         try:
-            seats = await asyncio.wait_for(self._steward.seats.remote(), _HEALTH_S)
+            slots = await asyncio.wait_for(self._orchestrator.slots.remote(), _HEALTH_S)
         except NotReady as error:
             reasons.append(str(getattr(error, "cause", error)))
         except (ray.exceptions.RayError, TimeoutError):
-            reasons.append(_NO_STEWARD)
-        if not seats and not reasons:
-            reasons.append("no seat is ready: the cluster's nodes start")
-        told = {"status": "ok" if seats else "not ready", "reasons": reasons, "seats": seats}
-        return _json(told, bool(seats) or of_itself)
+            reasons.append(_NO_ORCHESTRATOR)
+        if not slots and not reasons:
+            reasons.append("no slot is ready: the cluster's nodes start")
+        told = {"status": "ok" if slots else "not ready", "reasons": reasons, "seats": slots}
+        return _json(told, bool(slots) or of_itself)
 
     async def _open(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
         try:
             request = json.loads(body or b"{}")
         except ValueError:
             raise RendezviewError("the body is not JSON") from None
-        name, seat = await self._steward.open.remote(request)
-        self._seats[name] = seat
+        name, slot = await self._orchestrator.open.remote(request)
+        self._slots[name] = slot
         status, headers, info = await self._info(scope, name)
         return 201 if status == 200 else status, headers, info
 
@@ -156,64 +158,64 @@ class Gateway:
         return await self._of_session(name, asked, b"")
 
     async def _list(self, scope: Scope) -> tuple[int, list[Any], bytes]:
-        names = await self._steward.sessions.remote()
+        names = await self._orchestrator.sessions.remote()
         found = await asyncio.gather(*(self._info(scope, name) for name in names))
         return _json({"sessions": [json.loads(body) for code, _, body in found if code == 200]})
 
     async def _of_session(
         self, name: str, scope: dict[str, Any], body: bytes
     ) -> tuple[int, list[Any], bytes]:
-        """A session's answer, from its next seat if its seat ends over the request."""
+        """A session's answer, from its next slot if its slot ends over the request."""
         limit_s = self._settings.frame_timeout_s + _GRACE_S
         dead = left = None
         for _ in range(_TRIES):
             asked_s = time.monotonic()
-            seat = await self._seat(name, dead)
-            if seat is None:
+            slot = await self._slot(name, dead)
+            if slot is None:
                 response = fault(404, f"session {name[:80]!r}: there is none with this id")
                 return response.status_code, response.raw_headers, bytes(response.body)
             if dead is not None:
-                _note("another seat continues", name, asked_s)
+                _note("another slot continues", name, asked_s)
             asked_s = time.monotonic()
             try:
-                actor = self._actor(seat)
+                actor = self._actor(slot)
                 result: tuple[int, list[Any], bytes] = await self._while_alive(
-                    seat,
+                    slot,
                     actor,
                     partial(actor.http.remote, name, scope, body),
                     limit_s,
                 )
             except (ray.exceptions.RayActorError, OSError, ValueError):
-                dead = seat
-                _note("a seat has ended", name, asked_s)
-            except LookupError:  # it has moved, or is closed, or its seat has started again
-                dead = seat if seat == left else None
-                left = seat
-                self._seats.pop(name, None)
+                dead = slot
+                _note("a slot has ended", name, asked_s)
+            except LookupError:  # it has moved, or is closed, or its slot has started again
+                dead = slot if slot == left else None
+                left = slot
+                self._slots.pop(name, None)
                 await asyncio.sleep(_PAUSE_S)
             else:
                 return result
         raise NotReady("the session moves: try again in a moment")
 
-    def _actor(self, seat: str) -> Any:
-        """The seat's actor.
+    def _actor(self, slot: str) -> Any:
+        """The slot's actor.
 
         Raises:
             ValueError: there is none.
         """
-        if seat not in self._actors:
-            self._actors[seat] = ray.get_actor(seat, NAMESPACE)
-        return self._actors[seat]
+        if slot not in self._actors:
+            self._actors[slot] = ray.get_actor(slot, NAMESPACE)
+        return self._actors[slot]
 
     async def _while_alive(
-        self, seat: str, actor: Any, work: Callable[[], Awaitable[Any]], limit_s: float | None
+        self, slot: str, actor: Any, work: Callable[[], Awaitable[Any]], limit_s: float | None
     ) -> Any:
-        """The result of work at a seat.
+        """The result of work at a slot.
 
         Raises:
-            OSError: the seat has ended, or the time is over (`TimeoutError`).
+            OSError: the slot has ended, or the time is over (`TimeoutError`).
         """
-        end = await self._lifelines.end_of(seat, actor)
+        end = await self._heartbeats.end_of(slot, actor)
         task = asyncio.ensure_future(work())
         try:
             done, _ = await asyncio.wait(
@@ -224,22 +226,22 @@ class Gateway:
                 task.cancel()
         if task in done:
             return task.result()
-        self._actors.pop(seat, None)
-        raise ConnectionError("the seat has ended") if end in done else TimeoutError
+        self._actors.pop(slot, None)
+        raise ConnectionError("the slot has ended") if end in done else TimeoutError
 
-    async def _seat(self, name: str, dead: str | None) -> str | None:
-        if dead is None and name in self._seats:
-            return self._seats[name]
-        seat: str | None = await self._steward.where.remote(name, dead)
-        if seat is None:
-            self._seats.pop(name, None)
+    async def _slot(self, name: str, dead: str | None) -> str | None:
+        if dead is None and name in self._slots:
+            return self._slots[name]
+        slot: str | None = await self._orchestrator.where.remote(name, dead)
+        if slot is None:
+            self._slots.pop(name, None)
         else:
-            self._seats[name] = seat
-            self._lifelines.renew(seat)
-        return seat
+            self._slots[name] = slot
+            self._heartbeats.renew(slot)
+        return slot
 
     async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a WebSocket on; if the seat ends it is closed, and clients open it again."""
+        """Pass a WebSocket on; if the slot ends it is closed, and clients open it again."""
         await receive()
         parts, key = scope["path"].strip("/").split("/"), secrets.token_hex(8)
         name = parts[2] if len(parts) > 2 else ""
@@ -252,24 +254,24 @@ class Gateway:
 
         for _ in range(_TRIES):
             try:
-                seat = await self._seat(name, dead)
+                slot = await self._slot(name, dead)
             except (NotReady, Full, RendezviewError, ray.exceptions.RayError):
                 break
-            if seat is None:
+            if slot is None:
                 await send({"type": "websocket.close", "code": 1008, "reason": "no such session"})
                 return
             try:
-                actor = self._actor(seat)
+                actor = self._actor(slot)
                 work = partial(_relay, actor, name, key, packed(scope), receive, passed_on)
-                await self._while_alive(seat, actor, work, None)
+                await self._while_alive(slot, actor, work, None)
             except LookupError:  # as for requests
-                dead = seat if seat == left else None
-                left = seat
+                dead = slot if slot == left else None
+                left = slot
             except (ray.exceptions.RayError, ValueError, OSError):
-                dead = seat
+                dead = slot
             else:
                 return
-            self._seats.pop(name, None)
+            self._slots.pop(name, None)
             if accepted:
                 break
             await asyncio.sleep(_PAUSE_S)

@@ -1,4 +1,4 @@
-"""A connection to each seat that only says when the seat's process ends.
+"""A connection to each slot that only says when the slot's process ends.
 
 Ray reports the end of an actor up to seconds later: it waits for news of the cause. The system
 closes a connection at once.
@@ -17,7 +17,7 @@ _CONNECT_S = 2.0  # s, for the connection. Source: chosen
 
 
 class Beacon:
-    """The end at the seat."""
+    """The end at the slot."""
 
     def __init__(self) -> None:
         self._server: asyncio.Server | None = None
@@ -37,37 +37,37 @@ async def _stay(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> N
     writer.close()
 
 
-class Lifelines:
-    """The ends at a gateway, one for each seat that it uses."""
+class Heartbeats:
+    """The ends at a gateway, one for each slot that it uses."""
 
     def __init__(self) -> None:
         self._ends: dict[str, asyncio.Task[None]] = {}
         self._processes: dict[str, int] = {}
 
-    async def end_of(self, seat: str, actor: Any) -> asyncio.Task[None]:
-        """A task that is done when the seat has ended.
+    async def end_of(self, slot: str, actor: Any) -> asyncio.Task[None]:
+        """A task that is done when the slot has ended.
 
         Raises:
             OSError: it has ended already, or cannot be reached.
         """
-        known = self._ends.get(seat)
+        known = self._ends.get(slot)
         if known is None:
-            host, port, self._processes[seat] = await asyncio.wait_for(
+            host, port, self._processes[slot] = await asyncio.wait_for(
                 actor.beacon.remote(), _CONNECT_S
             )
             reader, writer = await asyncio.wait_for(asyncio.open_connection(host, port), _CONNECT_S)
-            known = self._ends[seat] = asyncio.create_task(_stay(reader, writer))
+            known = self._ends[slot] = asyncio.create_task(_stay(reader, writer))
         if known.done():
-            raise ConnectionError("the seat has ended")
+            raise ConnectionError("the slot has ended")
         return known
 
-    def renew(self, seat: str) -> None:
-        """The steward says that the seat is there, perhaps again."""
-        if seat in self._ends and self._ends[seat].done():
-            del self._ends[seat]
+    def renew(self, slot: str) -> None:
+        """The orchestrator says that the slot is there, perhaps again."""
+        if slot in self._ends and self._ends[slot].done():
+            del self._ends[slot]
 
     def keep(self, processes: dict[str, int]) -> None:
-        """Forget ended connections to other processes than these, by seat."""
-        for seat, end in list(self._ends.items()):
-            if end.done() and processes.get(seat) != self._processes[seat]:
-                del self._ends[seat]
+        """Forget ended connections to other processes than these, by slot."""
+        for slot, end in list(self._ends.items()):
+            if end.done() and processes.get(slot) != self._processes[slot]:
+                del self._ends[slot]

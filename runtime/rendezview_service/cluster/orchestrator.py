@@ -1,4 +1,4 @@
-"""The steward: which session has which seat. One of a cluster; gateways ask it."""
+"""The orchestrator: which session has which slot. One of a cluster; gateways ask it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from starlette.types import Scope
 
 from rendezview.errors import RendezviewError
 from rendezview_service.cluster.tunnel import exchange
-from rendezview_service.cluster.worker import Seat
+from rendezview_service.cluster.worker import Slot
 from rendezview_service.http.app import make_routes
 from rendezview_service.hub.checkpoint import SUFFIX, checkpoint_path, read_checkpoint
 from rendezview_service.hub.inputs import Full
@@ -31,17 +31,17 @@ from rendezview_service.settings import Settings
 
 log = logging.getLogger("rendezview_service")
 
-NAMESPACE, STEWARD = "rendezview", "steward"
+NAMESPACE, ORCHESTRATOR = "rendezview", "orchestrator"
 _HEAD = "node:__internal_head__"  # a resource of Ray's head node. Source: Ray's name for it
-_LOOK_S = 0.5  # s, between looks at nodes and seats. Source: chosen
-_START_S = 300.0  # s, for a seat's first answer. Source: a chosen limit
-_ANSWER_S = 10.0  # s, for an answer of a seat; then it counts as dead. Source: chosen
+_LOOK_S = 0.5  # s, between looks at nodes and slots. Source: chosen
+_START_S = 300.0  # s, for a slot's first answer. Source: a chosen limit
+_ANSWER_S = 10.0  # s, for an answer of a slot; then it counts as dead. Source: chosen
 _TAKE_S = 30.0  # s, the same to open a session: its worker may have a model to read. Source: chosen
 
 
-class Steward:
-    """Gives seats to sessions, and another one when a seat ends. Keeps nothing of its own: after a
-    restart it asks the seats, and the checkpoints say which sessions are open."""
+class Orchestrator:
+    """Gives slots to sessions, and another one when a slot ends. Keeps nothing of its own: after a
+    restart it asks the slots, and the checkpoints say which sessions are open."""
 
     def __init__(self, settings: dict[str, Any]) -> None:
         self._settings = Settings.model_validate(settings)
@@ -51,22 +51,22 @@ class Steward:
         self._folder.mkdir(parents=True, exist_ok=True)
         self._service = Service(self._settings, shares_models=True)  # models only: not started
         self._app = make_routes(self._service)
-        self._nodes: dict[str, str] = {}  # of a seat
+        self._nodes: dict[str, str] = {}  # of a slot
         self._ready: set[str] = set()
-        self._held: dict[str, str] = {}  # session: seat
+        self._held: dict[str, str] = {}  # session: slot
         self._locks: dict[str, asyncio.Lock] = {}
-        self._processes: dict[str, int] = {}  # of the seats
-        self._changes: Counter[str] = Counter()  # of what a seat has: an older answer is too old
-        self._asked: set[str] = set()  # seats, at least once
-        self._knows = False  # what all seats have: after a restart it takes a moment
+        self._processes: dict[str, int] = {}  # of the slots
+        self._changes: Counter[str] = Counter()  # of what a slot has: an older answer is too old
+        self._asked: set[str] = set()  # slots, at least once
+        self._knows = False  # what all slots have: after a restart it takes a moment
         self._models: dict[str, Path] = {}  # of the open sessions, files by name
-        self._warm: set[tuple[str, Path]] = set()  # seats that have read a model
-        self._expects: dict[str, list[str]] = {}  # sessions that a seat is ready for
-        self._busy: dict[str, asyncio.Task[None]] = {}  # seats and sessions
+        self._warm: set[tuple[str, Path]] = set()  # slots that have read a model
+        self._expects: dict[str, list[str]] = {}  # sessions that a slot is ready for
+        self._busy: dict[str, asyncio.Task[None]] = {}  # slots and sessions
         self._looking: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """Begin to look after nodes and seats."""
+        """Begin to look after nodes and slots."""
         self._start()
 
     def _start(self) -> None:
@@ -82,24 +82,24 @@ class Steward:
             try:
                 await self._look_once()
             except Exception:
-                log.exception("the steward failed at a look at the cluster")
+                log.exception("the orchestrator failed at a look at the cluster")
             await asyncio.sleep(_LOOK_S)
 
     async def _look_once(self) -> None:
         found = await asyncio.to_thread(ray.nodes)
         nodes = {n["NodeID"]: int(n["Resources"].get("CPU", 0)) for n in found if n["Alive"]}
-        wanted = {f"seat-{node[:12]}-{k}": node for node, c in nodes.items() for k in range(c)}
-        for seat in set(self._nodes) - set(wanted):
-            self._forget(seat)
-            del self._nodes[seat]
-        for seat, node in wanted.items():
-            if seat not in self._nodes:
-                self._nodes[seat] = node
-                make_seat(seat, node, self._settings)
-            self._begin(seat, self._ask(seat))
+        wanted = {f"slot-{node[:12]}-{k}": node for node, c in nodes.items() for k in range(c)}
+        for slot in set(self._nodes) - set(wanted):
+            self._forget(slot)
+            del self._nodes[slot]
+        for slot, node in wanted.items():
+            if slot not in self._nodes:
+                self._nodes[slot] = node
+                make_slot(slot, node, self._settings)
+            self._begin(slot, self._ask(slot))
         used = set(self._held) | set(self._busy)
         self._locks = {n: lock for n, lock in self._locks.items() if n in used or lock.locked()}
-        # After a restart the seats must have said what they have, before a session gets another.
+        # After a restart the slots must have said what they have, before a session gets another.
         self._knows = self._knows or set(wanted) <= self._asked
         if not self._knows:
             return
@@ -109,16 +109,18 @@ class Steward:
                 self._begin(name, self._continue(name))
 
     def _must_know(self) -> None:
-        """A steward that has just started must not give a session a second seat.
+        """A orchestrator that has just started must not give a session a second slot.
 
         Nobody starts one that Ray has started again: the first call does.
         """
         self._start()
         if not self._knows:
-            raise NotReady("the steward has just started and asks the seats: try again in a moment")
+            raise NotReady(
+                "the orchestrator has just started and asks the slots: try again in a moment"
+            )
 
     def _begin(self, name: str, work: Coroutine[Any, Any, None]) -> None:
-        """Do something about a seat or session, unless it is being done."""
+        """Do something about a slot or session, unless it is being done."""
         if name in self._busy:
             work.close()
             return
@@ -126,64 +128,64 @@ class Steward:
         self._busy[name].add_done_callback(lambda _: self._busy.pop(name))
 
     async def _continue(self, name: str) -> None:
-        """Give a seat to a session that is open and has none."""
+        """Give a slot to a session that is open and has none."""
         try:
             await self.where(name, None)
         except (Full, NotReady, RendezviewError) as error:
             log.warning("a session waits", extra={"session": name, "reason": str(error)})
             await asyncio.sleep(_LOOK_S)
 
-    async def _ask(self, seat: str) -> None:
-        """Whether a seat is ready, and the session it has; it reads the models in use."""
+    async def _ask(self, slot: str) -> None:
+        """Whether a slot is ready, and the session it has; it reads the models in use."""
         try:
-            actor = ray.get_actor(seat, NAMESPACE)
-            if seat not in self._ready:
+            actor = ray.get_actor(slot, NAMESPACE)
+            if slot not in self._ready:
                 started = asyncio.wait_for(actor.start.remote(), _START_S)
-                self._processes[seat] = await started
+                self._processes[slot] = await started
                 if not await asyncio.wait_for(actor.ready.remote(), _ANSWER_S):
-                    self._asked.add(seat)
+                    self._asked.add(slot)
                     return
-            changes = self._changes[seat]
+            changes = self._changes[slot]
             held = await asyncio.wait_for(actor.held.remote(), _ANSWER_S)
         except (ray.exceptions.RayError, ValueError, TimeoutError):
-            self._asked.add(seat)
-            for name in self._forget(seat):
-                self._begin(name, self._move(name, seat))
+            self._asked.add(slot)
+            for name in self._forget(slot):
+                self._begin(name, self._move(name, slot))
             return
-        self._asked.add(seat)
-        if changes != self._changes[seat]:
+        self._asked.add(slot)
+        if changes != self._changes[slot]:
             return
-        self._ready.add(seat)
+        self._ready.add(slot)
         if held is None:
-            for name in [n for n, s in self._held.items() if s == seat]:
+            for name in [n for n, s in self._held.items() if s == slot]:
                 del self._held[name]
             for name, copy in list(self._models.items()):
-                if (seat, copy) not in self._warm:
+                if (slot, copy) not in self._warm:
                     with contextlib.suppress(ray.exceptions.RayError):
                         await actor.warm.remote(name, str(copy))
-                        self._warm.add((seat, copy))
+                        self._warm.add((slot, copy))
             # One that is being opened has no checkpoint yet.
             sessions = [n for n in self._held if checkpoint_path(self._folder, n).exists()]
-            if self._expects.get(seat) != sessions:
+            if self._expects.get(slot) != sessions:
                 with contextlib.suppress(ray.exceptions.RayError):
                     await actor.expect.remote(sessions)
-                    self._expects[seat] = sessions
-        elif self._held.setdefault(held, seat) != seat:
-            self._end(seat)  # the session has another seat by now
+                    self._expects[slot] = sessions
+        elif self._held.setdefault(held, slot) != slot:
+            self._end(slot)  # the session has another slot by now
 
-    async def _move(self, name: str, seat: str) -> None:
-        """Give another seat to a session whose seat does not answer; the old one is ended."""
-        self._held.setdefault(name, seat)
+    async def _move(self, name: str, slot: str) -> None:
+        """Give another slot to a session whose slot does not answer; the old one is ended."""
+        self._held.setdefault(name, slot)
         with contextlib.suppress(Full, NotReady, RendezviewError):
-            await self.where(name, seat)
+            await self.where(name, slot)
 
-    def _forget(self, seat: str) -> list[str]:
-        """A seat cannot be used now; its sessions."""
-        self._changes[seat] += 1
-        self._ready.discard(seat)
-        self._warm = {known for known in self._warm if known[0] != seat}
-        self._expects.pop(seat, None)
-        names = [n for n, s in self._held.items() if s == seat]
+    def _forget(self, slot: str) -> list[str]:
+        """A slot cannot be used now; its sessions."""
+        self._changes[slot] += 1
+        self._ready.discard(slot)
+        self._warm = {known for known in self._warm if known[0] != slot}
+        self._expects.pop(slot, None)
+        names = [n for n, s in self._held.items() if s == slot]
         for name in names:
             del self._held[name]
         return names
@@ -192,19 +194,19 @@ class Steward:
         return self._locks.setdefault(name, asyncio.Lock())
 
     def _free(self, not_on: str | None = None, copy: Path | None = None) -> list[str]:
-        """Free seats: first those that have read a model, then those of other nodes."""
-        free = [seat for seat in self._ready if seat not in self._held.values()]
+        """Free slots: first those that have read a model, then those of other nodes."""
+        free = [slot for slot in self._ready if slot not in self._held.values()]
         busy = list(self._held.values())
         load = {n: sum(self._nodes.get(s) == n for s in busy) for n in self._nodes.values()}
 
-        def cost(seat: str) -> tuple[bool, bool, int, str]:
-            node = self._nodes[seat]
-            return (seat, copy) not in self._warm, node == not_on, load[node], seat
+        def cost(slot: str) -> tuple[bool, bool, int, str]:
+            node = self._nodes[slot]
+            return (slot, copy) not in self._warm, node == not_on, load[node], slot
 
         return sorted(free, key=cost)
 
     async def open(self, request: dict[str, Any]) -> tuple[str, str]:
-        """Open a session; its name and seat.
+        """Open a session; its name and slot.
 
         Raises:
             RendezviewError, Full, NotReady: as `Service.open`.
@@ -217,27 +219,27 @@ class Steward:
             if name in self._held or checkpoint_path(self._folder, name).exists():
                 raise RendezviewError(f"session {name}: there is one already: choose another id")
             if not self._ready:
-                raise NotReady("no seat is ready: the cluster's nodes start")
+                raise NotReady("no slot is ready: the cluster's nodes start")
             if len(self._free()) <= self._settings.spare_seats:
                 raise Full
             copy = await asyncio.to_thread(lambda: stored.copy)
             named = asked.model_copy(update={"id": name, "model": stored.name})
-            return name, await self._seated(named, copy, None, resumes=False)
+            return name, await self._placed(named, copy, None, resumes=False)
 
     async def where(self, name: str, dead: str | None) -> str | None:
-        """The seat of a session; None if it is not open.
+        """The slot of a session; None if it is not open.
 
         Args:
-            dead: a seat that did not answer: it is ended, and the session takes another one.
+            dead: a slot that did not answer: it is ended, and the session takes another one.
 
         Raises:
-            NotReady: no seat is free, or the steward does not know yet.
+            NotReady: no slot is free, or the orchestrator does not know yet.
         """
         self._must_know()
         async with self._lock(name):
-            seat = self._held.get(name)
-            if seat is not None and seat != dead:
-                return seat
+            slot = self._held.get(name)
+            if slot is not None and slot != dead:
+                return slot
             kept = read_checkpoint(checkpoint_path(self._folder, name))
             if kept is None:
                 return None
@@ -246,49 +248,49 @@ class Steward:
                 node = self._nodes.get(dead)
                 self._end(dead)
             copy = self._service.models.folder / BY_HASH / f"{kept.model_sha256}.rvm"
-            return await self._seated(kept.request, copy, node, resumes=True)
+            return await self._placed(kept.request, copy, node, resumes=True)
 
-    def _end(self, seat: str) -> None:
-        """A seat that may still run must not go on beside its session's next one."""
-        self._forget(seat)
+    def _end(self, slot: str) -> None:
+        """A slot that may still run must not go on beside its session's next one."""
+        self._forget(slot)
         with contextlib.suppress(ValueError):  # it is gone
-            ray.kill(ray.get_actor(seat, NAMESPACE), no_restart=False)
+            ray.kill(ray.get_actor(slot, NAMESPACE), no_restart=False)
 
-    async def _seated(
+    async def _placed(
         self, request: SessionRequest, copy: Path, not_on: str | None, resumes: bool
     ) -> str:
         assert request.id is not None
         assert request.model is not None
-        for seat in self._free(not_on, copy):
-            self._held[request.id], start_s = seat, time.monotonic()
-            self._changes[seat] += 1
+        for slot in self._free(not_on, copy):
+            self._held[request.id], start_s = slot, time.monotonic()
+            self._changes[slot] += 1
             try:
-                actor = ray.get_actor(seat, NAMESPACE)
+                actor = ray.get_actor(slot, NAMESPACE)
                 taken = actor.take.remote(request.model_dump(mode="json"), str(copy), resumes)
                 await asyncio.wait_for(taken, _TAKE_S)
             except (ray.exceptions.RayActorError, ValueError, TimeoutError):
                 self._held.pop(request.id, None)
-                self._end(seat)
+                self._end(slot)
                 continue
             except BaseException:
                 self._held.pop(request.id, None)
                 raise
-            self._changes[seat] += 1
+            self._changes[slot] += 1
             self._models[request.model] = copy
             took = {"session": request.id, "took_s": round(time.monotonic() - start_s, 3)}
-            log.info("a seat is taken", extra=took | {"seat": seat})
-            return seat
-        raise NotReady("no seat is free: add a node")
+            log.info("a slot is taken", extra=took | {"seat": slot})
+            return slot
+        raise NotReady("no slot is free: add a node")
 
     async def roll(self, model: str) -> int:
         """Move the sessions of a model to its present file, one after the other; how many.
 
-        Each takes a free seat that has read the file before, with its last pose as prior.
+        Each takes a free slot that has read the file before, with its last pose as prior.
         """
         self._must_know()
         stored = self._service.model_named(model)
         copy, moved = await asyncio.to_thread(lambda: stored.copy), 0
-        for name, seat in list(self._held.items()):
+        for name, slot in list(self._held.items()):
             kept = read_checkpoint(checkpoint_path(self._folder, name))
             if kept is None or kept.request.model != model:
                 continue
@@ -296,42 +298,42 @@ class Steward:
                 continue
             free = self._free(copy=copy)
             if not free:
-                raise NotReady("no seat is free: add a node")
+                raise NotReady("no slot is free: add a node")
             await ray.get_actor(free[0], NAMESPACE).warm.remote(model, str(copy))
             self._warm.add((free[0], copy))
             async with self._lock(name):
-                if self._held.get(name) != seat:
+                if self._held.get(name) != slot:
                     continue
-                self._changes[seat] += 1
-                await ray.get_actor(seat, NAMESPACE).let_go.remote(name)
-                self._changes[seat] += 1
-                await self._seated(kept.request, copy, None, resumes=True)
+                self._changes[slot] += 1
+                await ray.get_actor(slot, NAMESPACE).let_go.remote(name)
+                self._changes[slot] += 1
+                await self._placed(kept.request, copy, None, resumes=True)
             moved += 1
         return moved
 
     async def sessions(self) -> dict[str, str]:
-        """Seats by session; raises NotReady if it does not know yet."""
+        """Slots by session; raises NotReady if it does not know yet."""
         self._must_know()
         return dict(self._held)
 
-    async def seats(self) -> list[dict[str, Any]]:
-        """The seats that are ready: node, session, and whether it has read the models in use.
+    async def slots(self) -> list[dict[str, Any]]:
+        """The slots that are ready: node, session, and whether it has read the models in use.
 
         Raises:
             NotReady: it does not know yet.
         """
         self._must_know()
-        held = {seat: name for name, seat in self._held.items()}
+        held = {slot: name for name, slot in self._held.items()}
         used = set(self._models.values())
         return [
             {
-                "seat": seat,
-                "node": self._nodes[seat],
-                "process": self._processes[seat],
-                "session": held.get(seat),
-                "warm": all((seat, copy) in self._warm for copy in used),
+                "seat": slot,
+                "node": self._nodes[slot],
+                "process": self._processes[slot],
+                "session": held.get(slot),
+                "warm": all((slot, copy) in self._warm for copy in used),
             }
-            for seat in sorted(self._ready & set(self._nodes))
+            for slot in sorted(self._ready & set(self._nodes))
         ]
 
     async def http(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
@@ -339,10 +341,10 @@ class Steward:
         return await exchange(self._app, scope, body)
 
 
-def make_seat(name: str, node: str, settings: Settings) -> None:
-    """Create a seat on a node; if its process ends, Ray starts it again there."""
+def make_slot(name: str, node: str, settings: Settings) -> None:
+    """Create a slot on a node; if its process ends, Ray starts it again there."""
     place = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
-    ray.remote(Seat).options(
+    ray.remote(Slot).options(
         name=name,
         namespace=NAMESPACE,
         lifetime="detached",
@@ -355,12 +357,12 @@ def make_seat(name: str, node: str, settings: Settings) -> None:
 
 
 def join(settings: Settings) -> Any:
-    """Join the cluster of the settings; its steward, which the first gateway starts."""
+    """Join the cluster of the settings; its orchestrator, which the first gateway starts."""
     ray.init(address=settings.cluster, namespace=NAMESPACE, log_to_driver=False)
     return (
-        ray.remote(Steward)
+        ray.remote(Orchestrator)
         .options(
-            name=STEWARD,
+            name=ORCHESTRATOR,
             namespace=NAMESPACE,
             lifetime="detached",
             get_if_exists=True,

@@ -1,6 +1,6 @@
-"""A seat: a process of the cluster with the whole service for one session, and its tracker warm.
+"""A slot: a process of the cluster with the whole service for one session, and its tracker warm.
 
-A new process needs seconds to import and to read compiled loops. So seats exist before they have a
+A new process needs seconds to import and to read compiled loops. So slots exist before they have a
 session: a session takes a free one, and takes another one when its own ends.
 """
 
@@ -31,16 +31,16 @@ from rendezview_service.json_logging import set_up_logging
 from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.settings import Settings
 
-# Of a seat, whatever the cluster's settings say.
+# Of a slot, whatever the cluster's settings say.
 _OWN = {"workers": 1, "spare_worker": False, "foxglove_port": None, "rerun_port": None}
 
 
 class Gone(LookupError):
-    """The seat does not have this session."""
+    """The slot does not have this session."""
 
 
-class Seat:
-    """Has one session or none. The steward and the gateways call it."""
+class Slot:
+    """Has one session or none. The orchestrator and the gateways call it."""
 
     def __init__(self, settings: dict[str, Any]) -> None:
         self._settings = Settings.model_validate(settings | _OWN)
@@ -58,7 +58,7 @@ class Seat:
         """Start and warm up its worker; the process's number."""
         if not self._begun:
             self._begun = True
-            # The steward repairs old logs.
+            # The orchestrator repairs old logs.
             self._service.settings = self._settings.model_copy(update={"record": None})
             await self._service.start()
             self._service.settings = self._settings
@@ -121,7 +121,7 @@ class Seat:
         return self._held
 
     async def let_go(self, name: str) -> None:
-        """End a session here, so that another seat continues it."""
+        """End a session here, so that another slot continues it."""
         session = self._service.sessions.get(name)
         if session is not None:
             session.keep()

@@ -169,6 +169,8 @@ class Jobs:
                 start_new_session=True,
                 preexec_fn=self._limited,
             )
+            if job.state is JobState.CANCELLED:  # while the process started
+                _kill(job)
             assert job.process.stderr is not None
             async with asyncio.timeout(self._most_s):
                 async for line in job.process.stderr:

@@ -13,10 +13,10 @@ import logging
 import os
 import socket
 import subprocess
-import sys
 import tempfile
 import threading
 import time
+from pathlib import Path
 from typing import Any, Protocol
 
 from rendezview.errors import RendezviewError
@@ -33,6 +33,8 @@ _SERVER_START_S = 30.0  # s; a program that is read from the disk. Source: a cho
 _RATE_HZ, _WIDTH_PX = 15.0, 640  # of what is sent. Source: chosen
 _AXES_M = 1.0  # of the fused pose. Source: chosen
 _CONTOUR_RGBA = (0.35, 0.88, 1.0, 1.0)  # as on the page. Source: chosen
+# In its package. Source: `rerun_cli/__main__.py` of rerun-sdk 0.41
+_RERUN_PLACES = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
 _NUMBERS = ("confidence", "score", "range_m", "track_ms", "latency_ms")
 
 Json = dict[str, Any]
@@ -229,7 +231,7 @@ class RerunViewer:
         with socket.socket(family) as trial:  # another program's listener would pass for it
             trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             trial.bind((host, port))
-        program = [sys.executable, "-m", "rerun"]
+        program = [str(_rerun_program())]
         # The program reports its use to its makers, unless its own settings forbid it.
         home = self._open.enter_context(tempfile.TemporaryDirectory(prefix="rendezview-rerun-"))
         quiet: Any = {
@@ -297,6 +299,24 @@ class RerunViewer:
     def close(self) -> None:
         """End the server."""
         self._open.close()
+
+
+def _rerun_program() -> Path:
+    """Rerun's own program: ``python -m rerun`` starts it as a child, which outlives its parent.
+
+    Raises:
+        OSError: it is not there.
+        ModuleNotFoundError: the package is not installed.
+    """
+    import rerun_cli
+
+    folder = Path(rerun_cli.__file__).parent
+    given = os.environ.get("RERUN_CLI_PATH")  # as the package has it
+    places = [Path(given)] if given else [folder / place for place in _RERUN_PLACES]
+    for path in places:
+        if path.is_file():
+            return path
+    raise OSError(f"there is no {places[0]}: set RERUN_CLI_PATH to Rerun's program")
 
 
 def _end(program: subprocess.Popen[bytes]) -> None:

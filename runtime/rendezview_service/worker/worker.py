@@ -70,7 +70,7 @@ class WorkerProcess:
         self._memory = memoryview(memory)
         self._models = WorkerModels(self._tell)
         self._sessions: dict[str, _WorkerSession] = {}
-        self._told_s = 0.0
+        self._reported_s = 0.0
 
     def run(self) -> None:
         """Answer until the service ends or asks to quit."""
@@ -117,8 +117,8 @@ class WorkerProcess:
 
     def _tell(self, loops: int) -> None:
         """Say how many loops are compiled, once a second."""
-        if time.monotonic() - self._told_s > _TELL_S:
-            self._told_s = time.monotonic()
+        if time.monotonic() - self._reported_s > _TELL_S:
+            self._reported_s = time.monotonic()
             self._send({"kind": "progress", "loops": loops})
 
     def _open(self, request: Header) -> Header:

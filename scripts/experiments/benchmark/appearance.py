@@ -20,12 +20,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.model.signature import (
-    Signature,
-    radial_maxima,
-    spokes_of,
-    twist,
-)
+from rendezview.sensors.appearance.model.signature import Signature, radial_maxima, spokes_of, twist
 from rendezview.sensors.appearance.outline.silhouette import outer_borders, outlines_of_mask
 from rendezview.sensors.appearance.outline.tracing import crack_outline
 from rendezview.sensors.appearance.outline.votes import Matcher

@@ -147,10 +147,9 @@ def ways_of(shape: Shape) -> dict[str, Callable[[], object]]:
         options |= {"adaptive": True, "maxfev": MOST}
         return minimize(asked, start, method="Nelder-Mead", options=options)
 
+    task = (data, weights, CUT)
     ways: dict[str, Callable[[], object]] = {
-        "simplex, ours": lambda: downhill_simplex(
-            code, start, steps, data, weights, CUT, MOST, NEAR
-        ),
+        "simplex, ours": lambda: downhill_simplex(code, start, steps, *task, MOST, NEAR),
         "simplex, scipy": by_scipy,
     }
     if importlib.util.find_spec("nlopt") is not None:
@@ -165,7 +164,7 @@ def ways_of(shape: Shape) -> dict[str, Callable[[], object]]:
             return simplex.optimize(start)
 
         ways["simplex, nlopt"] = by_nlopt
-    ways["Gauss–Newton, ours"] = lambda: gauss_newton(code, start, scales, data, weights, CUT, 20)
+    ways["Gauss–Newton, ours"] = lambda: gauss_newton(code, start, scales, *task, 20)
     return ways
 
 

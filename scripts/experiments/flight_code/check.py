@@ -92,11 +92,8 @@ def run(
     levels, the Sun within 60° of behind the camera. Each frame goes to a signature in C and in
     Python. Each signature, and nine perturbed ones (readings off by up to 10 %, some cut off), goes
     through all trees, each at its own roll, and through both searches, at and around an attitude
-    that is up to 20° off. Outlines, readings and trust must be equal to the last bit.
-
-    Then the sizes of the object files and the time of all trees: every signature once in a round,
-    nine rounds, each signature's fastest; the median and the worst of them, beside the runtime's
-    own compiled loop. --onnx also runs the trees as an ONNX graph.
+    that is up to 20° off. Outlines, readings and trust must be equal to the last bit. Times are
+    each signature's fastest of nine rounds, beside the runtime's own compiled loop.
     """
     cc = driver.compiler()
     if cc is None:
@@ -151,14 +148,13 @@ def run(
                 views.forest.leaves(view, nodes, roll)
                 python_us[k] = min(python_us[k], 1e6 * (time.perf_counter() - before))
         if onnx:
-            tally["ONNX"] = ask_onnx(views, folder, readings, rolls, trusts)
+            tally["ONNX"] = ask_onnx(views, folder / "trees.onnx", readings, rolls, trusts)
     total, frames = len(readings), tally["frames"]
     print(f"frame to signature: identical {tally['frames identical']} of {frames} "
-          f"({tally['frames refused']} refused by both or one)")  # fmt: skip
+          f"({tally['frames refused']} refused); object size: {size} bytes")  # fmt: skip
     checked = ["trees", "searches", "sweeps", *(["ONNX"] if onnx else [])]
     for name in checked:
         print(f"{name}: identical {tally[name]} of {total}")
-    print(f"object size: {size} bytes (limit {LIMIT_BYTES})")
     for name, us in (("all trees", all_us), ("the runtime's loop", python_us),
                      ("node search", search_us), ("search around 20°", sweep_us)):  # fmt: skip
         print(f"{name}: median {np.median(us):.1f} µs, worst {us.max():.1f} µs")
@@ -171,17 +167,13 @@ def run(
     sys.exit(0 if right else 1)
 
 
-def ask_onnx(
-    model: ViewModel, folder: Path, readings: list[Readings], rolls: list[Array],
-    trusts: list[Array],
-) -> int:  # fmt: skip
-    """How often the ONNX graph decides as the runtime does, all nodes of a signature at once."""
-    path = folder / "trees.onnx"
+def ask_onnx(model: ViewModel, path: Path, *asked: list[Array]) -> int:
+    """How often the ONNX graph decides as the runtime does; readings, rolls and trusts."""
     write_onnx(model, path)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     session, same = onnxruntime.InferenceSession(path, options), 0
-    for view, roll, trust in zip(readings, rolls, trusts, strict=True):
+    for view, roll, trust in zip(*asked, strict=True):
         on = session.run(["on"], {"readings": view, "rolls_rad": roll})[0]
         same += np.array_equal(on, trust > 0.0)
     return same

@@ -1,10 +1,11 @@
-"""Draws sequences of every condition, tracks them and keeps what speaks for each pose."""
+"""Sequences of every condition, tracked; what speaks for each pose is kept, and read again."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -20,9 +21,9 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import nearest_alike
 from rendezview.io.files import atomic_write_text
-from rendezview.io.results import json_line
+from rendezview.io.results import json_line, read_json_lines
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
-from rendezview.sensors.appearance.integrity.evidence import Evidence
+from rendezview.sensors.appearance.integrity.evidence import Evidence, Second
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate import (
     Earth,
@@ -46,6 +47,10 @@ OFF = np.deg2rad(20.0)  # a wrong pose is farther than that from the truth
 MOST_LOST = 4  # frames in a row without a pose, after which a sequence ends
 TARGETS = ("hubble", "client", "scole")
 SHARD = 4  # sequences of a file
+# A pose is another answer than the truth where its error is larger than this and beyond its tails.
+WRONG_DEG = 5.0  # of attitude, as in the experiments of poses
+WRONG_SHARE = 0.1  # of the range
+WRONG_SIGMA = 6.0  # standard deviations along the longest axis of the covariance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +95,7 @@ def sequence(
     turn = Rotation.from_rotvec(math.radians(rng.uniform(*TURN_DEG)) * _unit(rng))
     bearing = rng.uniform(-ASIDE, ASIDE, 2)
     if condition.cut:
-        bearing = _beyond(depth_m / radius_m, rng)
+        bearing = _cut(depth_m / radius_m, rng)
     closing = rng.uniform(*CLOSING)
     phase, azimuth = np.deg2rad(rng.uniform(*condition.sun_deg)), rng.uniform(0.0, 2.0 * math.pi)
     blur_px = rng.uniform(*LONG_BLUR_PX) if condition.blurred else PLAIN_BLUR_PX
@@ -109,7 +114,7 @@ def sequence(
         rotation = turn * rotation
 
 
-def _beyond(depth_radii: float, rng: np.random.Generator) -> Array:
+def _cut(depth_radii: float, rng: np.random.Generator) -> Array:
     """Bearing of a target that the border of the picture cuts."""
     half = np.array([CAMERA.width / CAMERA.fx, CAMERA.height / CAMERA.fy]) / 2.0
     side = int(rng.integers(2))
@@ -196,7 +201,7 @@ def looks(
         evidence, second = Evidence.of(seen, float(k), predicted, model.centre_m), None
         due = poses % SECOND_EVERY == 0
         if due and seen.pose is not None and not (evidence is not None and evidence.sketched):
-            second = recognizer.second_look(picture, seen.pose)
+            second = recognizer.second_estimate(picture, seen.pose)
         poses += seen.pose is not None
         lost = 0 if seen.pose is not None else lost + 1
         lines.append({
@@ -208,6 +213,63 @@ def looks(
         if lost > MOST_LOST:
             break
     return lines
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """One look at one frame."""
+
+    condition: str
+    evidence: Evidence | None  # None: no pose
+    second: Second | None
+    asked: bool  # whether the second estimator was
+    error: np.ndarray | None  # (6,) from the pose to the truth; None: another target
+    misled: bool  # the track began at a wrong prior on purpose
+
+    @property
+    def ask(self) -> Callable[[], Second | None] | None:
+        """The second estimator, where it was asked."""
+        return (lambda: self.second) if self.asked else None
+
+    @property
+    def turn_rad(self) -> float:
+        return np.inf if self.error is None else float(np.linalg.norm(self.error[:3]))
+
+    @property
+    def move_m(self) -> float:
+        return np.inf if self.error is None else float(np.linalg.norm(self.error[3:]))
+
+    @property
+    def wrong(self) -> bool:
+        """Another answer than the truth."""
+        assert self.evidence is not None
+        turned = _beyond(self.turn_rad, np.deg2rad(WRONG_DEG), self.evidence.covariance[:3, :3])
+        moved = WRONG_SHARE * self.evidence.range_m
+        return turned or _beyond(self.move_m, moved, self.evidence.covariance[3:6, 3:6])
+
+
+def _beyond(length: float, least: float, covariance: np.ndarray) -> bool:
+    spread = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    return length > max(least, WRONG_SIGMA * spread)
+
+
+def tracks(folder: Path) -> Iterator[list[Look]]:
+    """The looks of each track, in order."""
+    for path in sorted(folder.glob("*.jsonl")):
+        tracked: dict[tuple[int, ...], list[Look]] = {}
+        poses: Counter[tuple[int, ...]] = Counter()
+        for line in read_json_lines(path):
+            name, evidence, second = tuple(line["sequence"]), line["evidence"], line["second"]
+            asked = evidence is not None and poses[name] % SECOND_EVERY == 0
+            poses[name] += evidence is not None
+            look = Look(
+                line["condition"],
+                None if evidence is None else Evidence.of_record(evidence),
+                None if second is None else Second(**second), asked,
+                None if line["error"] is None else np.array(line["error"]), line["misled"],
+            )  # fmt: skip
+            tracked.setdefault(name, []).append(look)
+        yield from tracked.values()
 
 
 def run(

@@ -14,12 +14,11 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import fdtri
 
-from experiments.integrity.logs import tracks
+from experiments.integrity.draw import tracks
 from rendezview.estimation.protection import Overbound
 from rendezview.sensors.appearance.integrity.model import (
     FRAME_FEATURES,
     PACKAGED,
-    SPREAD_FEATURES,
     TRACK_FEATURES,
     IntegrityModel,
     Spread,
@@ -75,7 +74,7 @@ class Poses:
 
 
 def gather(folder: Path) -> Poses:
-    """Replay every track through a monitor and keep what it computes from."""
+    """Every track through a monitor: what it computes from."""
     plain = IntegrityModel(
         attitude=Overbound(1.0, 3.0), position=Overbound(1.0, 3.0), wrong=np.zeros(len(NAMES)),
         attitude_spread=Spread.none(), position_spread=Spread.none(),
@@ -161,12 +160,8 @@ def spread(features: np.ndarray, errors: np.ndarray, conditions: np.ndarray) -> 
     """The factor by which errors exceed their covariance, log-linear in what the frame shows.
 
     The likeliest one of a generalised normal distribution of power ``MOMENT``, all conditions
-    weighing the same.
-
-    Args:
-        features: (N, 16) ``FRAME_FEATURES``, the first constant.
-        errors: (N, 4) as in ``overbound``.
-        conditions: (N,) of each.
+    weighing the same. ``features``: (N, 16) ``FRAME_FEATURES``, the first constant; ``errors``:
+    (N, 4) as in ``overbound``.
     """
     length, largest, axes, unit = errors.T
     sigma = np.sqrt(largest * axes)
@@ -206,14 +201,9 @@ def overbound(
 ) -> Overbound:
     """The tail above those of every condition whose levels at 1e-3 are lowest, log mean.
 
-    The frames of a track err together. So each condition is drawn anew many times, track by track,
-    and the tail lies above all but the highest of these draws.
-
-    Args:
-        errors: (N, 4) length of each error, largest variance, trace over it, unit of the bias.
-        conditions: (N,) of each.
-        track: (N,) number of its track.
-        biases: that are tried.
+    The frames of a track err together. So each condition is drawn many times, track by track, and
+    the tail lies above all but the highest of these draws. ``errors``: (N, 4) length of each error,
+    largest variance, trace over it, unit of the bias; ``track``: (N,) number of each track.
     """
     rng = np.random.default_rng(0)
     drawn = []
@@ -244,9 +234,8 @@ def overbound(
 def _least_scale(over: np.ndarray, reach: np.ndarray) -> float:
     """The least scale at which no risk is exceeded more often than it says.
 
-    Args:
-        over: (N,) errors over their standard deviation.
-        reach: (R, N) standard deviations of the tail at each risk, for a scale of 1.
+    ``over``: (N,) errors over their standard deviation; ``reach``: (R, N) standard deviations of
+    the tail at each risk, for a scale of 1.
     """
     needed = np.sort(over[None] / reach, axis=1)[:, ::-1]  # the largest first
     allowed = np.maximum(RISKS * len(over), LEAST_EXCEEDING - 1).astype(int)
@@ -269,9 +258,7 @@ def run(
     sure = poses.of(right)
     shown = sure.features[:, : len(FRAME_FEATURES)]
     spreads = [spread(shown, errors, sure.condition) for errors in (sure.turn, sure.move)]
-    turn, move = (
-        widened(one, shown, e) for one, e in zip(spreads, (sure.turn, sure.move), strict=True)
-    )
+    turn, move = widened(spreads[0], shown, sure.turn), widened(spreads[1], shown, sure.move)
     drift = float(np.ceil(np.quantile(poses.drift[right], 1.0 - DRIFT_SHARE)))
     model = IntegrityModel(
         attitude=overbound(turn, sure.condition, sure.track, TURN_BIASES),
@@ -292,12 +279,7 @@ def run(
         print(f"{name}: {these.sum()} poses, {poses.wrong[these].sum()} wrong")
     print(f"attitude {model.attitude}, position {model.position}")
     print(f"raised {lift:.2f}, at the rival {model.at_rival:.2f}, drift limit {model.limit}")
-    for name, weight in zip(NAMES, weights, strict=True):
-        print(f"  {name:20}{weight:8.2f}")
-    for what, one in (("attitude", spreads[0]), ("position", spreads[1])):
-        print(f"spread of {what}: factor {math.exp(one.least):.2f} to {math.exp(one.most):.2f}")
-        for name, weight in zip(SPREAD_FEATURES, one.weights, strict=True):
-            print(f"  {name:20}{weight:8.2f}")
+    text = json.dumps(model.record(), indent=1) + "\n"
+    print(text)
     if write:
-        text = json.dumps(model.record(), indent=1) + "\n"
         PACKAGED.write_text(text, encoding="utf-8")

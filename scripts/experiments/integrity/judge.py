@@ -10,8 +10,7 @@ from typing import Annotated
 import numpy as np
 
 from experiments.frame import PICTURES, show, table_of
-from experiments.integrity.draw import CONDITIONS
-from experiments.integrity.logs import tracks
+from experiments.integrity.draw import CONDITIONS, tracks
 from rendezview.io.files import atomic_write
 from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
 from rendezview_ground.evaluate.pictures.palette import png
@@ -20,7 +19,7 @@ from rendezview_ground.evaluate.stanford import Judged, tail_risk, upper_limit
 
 RISKS = (1e-2, 1e-3, 1e-4)
 LIMIT_RAD, LIMIT_SHARE = math.radians(15.0), 0.15  # of the levels; of the range for the position
-SETTLED = 12  # poses, after which the second witness has been asked three times
+SETTLED = 12  # poses, after which the second estimator has been asked three times
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from itertools import product
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from experiments.frame import Log, show, table_of, two, write_log
+from experiments.frame import show, table_of, two
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.sequences import open_sequence
@@ -55,7 +56,7 @@ def features_of(found: Found, truth: Pose, model: ViewModel) -> Record:
     }
 
 
-def both_looks(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -> list[Record]:
+def both_searches(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -> list[Record]:
     """The first pose without a prior, and the tracked one."""
     first = recognizer.recognize(image)
     tracked = recognizer.recognize(image, prior, PRIOR_RAD)
@@ -63,7 +64,7 @@ def both_looks(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -
     return [{"mode": mode} | compared(o, truth, recognizer.model) for mode, o in modes.items()]
 
 
-def single_looks(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -> list[Record]:
+def single_searches(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -> list[Record]:
     """The pose next to a prior if nothing else is tried, without a look at the surface and with."""
     assert recognizer.search is not None
     refiner, sky = recognizer.search.refiner, Sky.of(image)
@@ -88,9 +89,9 @@ def on_scene(
         image = frame.read()
         rngs = [np.random.default_rng([seed, k, *more]) for more in ((), (0,), (1,), (2,))]
         first, *others = (second_earlier(truth, model.centre_m, rng) for rng in rngs)
-        looks = both_looks(recognizer, image, truth, first)
+        looks = both_searches(recognizer, image, truth, first)
         for prior in others if log else ():
-            looks += single_looks(recognizer, image, truth, prior)
+            looks += single_searches(recognizer, image, truth, prior)
         about = {"target": target, "condition": condition, "frame": k}
         records += [about | look for look in looks]
     return records
@@ -117,8 +118,9 @@ def row(name: str, records: list[Record]) -> list[str]:
 
 
 def run(
-    frames: Path, models: Path, *, seed: Annotated[int, "of the priors"] = 5, log: Log = None
-) -> None:
+    frames: Path, models: Path, *, seed: Annotated[int, "of the priors"] = 5,
+    log: Annotated[Path | None, "every answer, JSON lines"] = None,
+) -> None:  # fmt: skip
     """First poses and tracked poses on the frames of pose-frames.
 
     MODELS is a folder with a model <target>.rvm for every folder of FRAMES. Every frame is read
@@ -133,7 +135,8 @@ def run(
         tasks = [(*scene, seed, log is not None) for scene in scenes]
         parts = dict(workers.results(on_scene, (frames.resolve(), models.resolve()), tasks))
     records = [record for k in sorted(parts) for record in parts[k]]
-    write_log(log, records)
+    if log is not None:
+        log.write_text("".join(json.dumps(record) + "\n" for record in records))
     columns = "frames | n | right % | best right % | wrong % | rotation ° median / 95 % "
     columns += "| translation % of range | NEES mean / median | ms"
     rows = table_of("poses", columns, left=0)

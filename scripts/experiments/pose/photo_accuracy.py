@@ -78,12 +78,9 @@ def calibrated(
     for fold in range(folds):
         others = [picture for k, picture in enumerate(pictures) if k % folds != fold]
         found = ShapeEstimator(model, camera).estimate(others)
-        print(
-            f"fold {fold}: strain {np.round(100.0 * found.components, 1)} %, σ "
-            f"{np.round(100.0 * np.sqrt(np.diag(found.covariance)), 1)} %, from {found.used} "
-            f"of {len(others)} photographs",
-            flush=True,
-        )
+        sigma = np.round(100.0 * np.sqrt(np.diag(found.covariance)), 1)
+        print(f"fold {fold}: strain {np.round(100.0 * found.components, 1)} %, σ {sigma} %, "
+              f"from {found.used} of {len(others)} photographs", flush=True)  # fmt: skip
         models.append(strained(model, found.strain, found.covariance))
     return models or [model]
 

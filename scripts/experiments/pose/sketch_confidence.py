@@ -35,7 +35,7 @@ from rendezview.sensors.appearance.judge.sketch_choice import (
     PACKAGED_TREES,
     POSE_FEATURES,
     RIVAL_RAD,
-    Looks,
+    Passes,
     SketchChoice,
     chosen,
     opinion_features,
@@ -70,7 +70,7 @@ CRAFT = 12  # random ones besides
 FOLDS = 5  # of the targets; the frames of each are judged by a fit to those of the others
 # Of random craft: what the search on sketches reads, and next to no trees.
 CRAFT_OPTIONS = TrainingOptions(
-    perturbed_views=200, held_out_views=50, voters=0, shadowed_silhouettes=False
+    perturbed_views=200, held_out_views=50, forest_trees=0, shadowed_silhouettes=False
 )
 LEAST_CONFIDENCE = 0.6  # of the recognizer
 
@@ -79,8 +79,7 @@ def frame(mesh: Mesh, rng: np.random.Generator) -> tuple[np.ndarray, Camera, Pos
     """One picture in hard light, with its camera and its pose."""
     mesh = deformed(mesh, float(rng.choice(MESH_ERRORS)), rng)
     centre_m, radius_m = mesh.bounding_sphere
-    focal = SIDE * np.exp(rng.uniform(*np.log(FIELD)))
-    middle = 0.5 * (SIDE - 1)
+    focal, middle = SIDE * np.exp(rng.uniform(*np.log(FIELD))), 0.5 * (SIDE - 1)
     camera = Camera(width=SIDE, height=SIDE, fx=focal, fy=focal, cx=middle, cy=middle)
     radius_px = np.exp(rng.uniform(*np.log(RADIUS_PX)))
     room = max(0.5 * SIDE - radius_px * rng.uniform(0.55, 1.0), 8.0) / focal
@@ -94,9 +93,8 @@ def frame(mesh: Mesh, rng: np.random.Generator) -> tuple[np.ndarray, Camera, Pos
     glow = ShadingOptions(samples=2, ambient=0.25, specular=0.0, earthshine=0.75, shadows=False)
     up = rng.standard_normal(3)
     ambient = render(mesh, camera, pose, up, glow, -up)
-    grey = photograph(
-        sunlit.radiance, ambient.radiance, sunlit.coverage, cloudy_sky(SIDE, rng), rng
-    )
+    light = (sunlit.radiance, ambient.radiance, sunlit.coverage)
+    grey = photograph(*light, cloudy_sky(SIDE, rng), rng)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8), camera, pose
 
 
@@ -118,7 +116,7 @@ def random_target(folder: Path, seed: int, k: int) -> tuple[Path, Mesh]:
 class Searched:
     """What a search on a sketch found in a frame of known pose."""
 
-    looks: Looks
+    passes: Passes
     truth: Pose
     centre_m: Array  # (3,) of the views
     symmetries: tuple[Symmetry, ...]
@@ -134,7 +132,7 @@ class Searched:
     @property
     def choice(self) -> SketchChoice:
         """What the present merit chooses; where that is the same, with the mean that was given."""
-        now = chosen(self.looks, self.symmetries, prior=self.prior, cut=self.cut)
+        now = chosen(self.passes, self.symmetries, prior=self.prior, cut=self.cut)
         assert now is not None  # a frame without any pose is none of those searched
         if now.best.pose is self.best:
             return replace(now, pose=self.pose, spread_deg=self.spread_deg)
@@ -163,15 +161,12 @@ def look(path: Path, mesh: Mesh, target: int, seed: int, k: int) -> list[Searche
     centre = truth.apply(model.centre_m)
     start = turned @ truth.rotation
     place = centre + PRIOR_SHARE * np.linalg.norm(centre) * move - start @ model.centre_m
-    found = []
-    for prior in (None, Pose(start, place)):
-        first = _searched(search, picture, truth, prior, target)
-        if first is not None and prior is None:
-            second = _searched(search, picture, truth, None, target, turned=True)
-            first = replace(first, second=second)
-        if first is not None:
-            found.append(first)
-    return found
+    first = _searched(search, picture, truth, None, target)
+    if first is not None:
+        second = _searched(search, picture, truth, None, target, turned=True)
+        first = replace(first, second=second)
+    near = _searched(search, picture, truth, Pose(start, place), target)
+    return [one for one in (first, near) if one is not None]
 
 
 def _searched(
@@ -191,7 +186,7 @@ def _searched(
         error = np.concatenate([spin, best.translation_m - truth.translation_m])
         squared = nees(error, choice.covariance)
     return Searched(
-        choice.looks, truth, model.centre_m, model.symmetries, prior is not None, choice.cut,
+        choice.passes, truth, model.centre_m, model.symmetries, prior is not None, choice.cut,
         choice.best.pose, choice.pose, choice.spread_deg, squared, target,
     )  # fmt: skip
 
@@ -199,10 +194,10 @@ def _searched(
 def fitted_merit(searches: list[Searched]) -> np.ndarray:
     """(7,) weights that put right poses of a frame before wrong ones (conditional logit).
 
-    Of both looks: those of the closer one were chosen by a merit, which no longer tells them apart.
+    Of both passes: those of the closer one were chosen by a merit, which cannot separate them.
     """
     groups = []
-    each = [(s, poses) for s in searches for poses in (s.looks.first, s.looks.closer)]
+    each = [(s, poses) for s in searches for poses in (s.passes.first, s.passes.closer)]
     for search, poses in each:
         clear = [p for p in poses if search.right(p.pose) or search.error_deg(p.pose) > WRONG_DEG]
         good = np.array([search.right(p.pose) for p in clear], dtype=bool)
@@ -241,7 +236,7 @@ def probabilities(asked: list[np.ndarray], good: np.ndarray, folds: np.ndarray) 
 
 
 def shares(good: np.ndarray, wrong: np.ndarray, given: np.ndarray) -> str:
-    """Of looks (N,) each: whether the pose is right, whether wrong, whether it is given."""
+    """Of passes (N,) each: whether the pose is right, whether wrong, whether it is given."""
     return f"given and right {(given & good).mean():.3f}, and wrong {(given & wrong).mean():.4f}"
 
 
@@ -331,7 +326,7 @@ def run(
         found = probabilities(asked, good, folds)
         trees = fitted_trees(features, good)
         arrays |= {f"{kind}_{f.name}": getattr(trees, f.name) for f in fields(trees)}
-        print(f"{kind}: {len(some)} looks, the pose right {good.mean():.3f}; "
+        print(f"{kind}: {len(some)} passes, the pose right {good.mean():.3f}; "
               f"{shares(good, wrong, found[0] > LEAST_CONFIDENCE)}")  # fmt: skip
         if not prior:
             weights = with_second_opinions(some, found, folds, good, wrong)

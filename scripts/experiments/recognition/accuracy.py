@@ -41,12 +41,8 @@ def tally(
 ) -> Array:  # fmt: skip
     """(8,) in right and all, out right and all, nodes on, and errors; ∞: none, NaN: not asked.
 
-    Args:
-        model: asked.
-        direction: (3,) true direction of view.
-        on: the nodes that are on.
-        seen: (3,) direction that was found.
-        rotation_deg, range_percent: errors of the whole recognizer.
+    ``direction``: (3,) true one of the view; ``on``: the nodes that are on; ``seen``: (3,) the
+    direction that was found; the other errors are those of the whole recognizer.
     """
     edge, nodes = model.geodesic.mean_edge_rad, within(model, direction)
     distance = angle_between(model.geodesic.nodes[nodes], direction) / edge
@@ -65,8 +61,7 @@ def within(model: ViewModel, direction: Array) -> Array:
 
 def flight_camera(mesh: Mesh) -> Camera:
     """640 × 480, the target filling it at the sphere radius."""
-    geometry = view_geometry(mesh, TrainingOptions(), None)
-    focal = geometry.flight_focal_px
+    focal = view_geometry(mesh, TrainingOptions(), None).flight_focal_px
     return Camera(WIDTH, HEIGHT, focal, focal, 0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1))
 
 
@@ -106,14 +101,10 @@ def clean(mesh: Mesh, model: ViewModel, views: int, seed: int) -> list[Array]:
     options = TrainingOptions(bins=model.bins, smooth_bins=model.smooth_bins)
     geometry = replace(view_geometry(mesh, options, None), sphere_radius_m=model.sphere_radius_m)
     seen = clean_views(make_renderer(options.renderer, mesh), geometry, options, directions)
-    signatures = [
-        Signature(readings, float(area), np.eye(3))
-        for readings, area in zip(seen.readings, seen.area_sr, strict=True)
-    ]
-    attitudes = seen.centred_from_target
+    parts = (seen.readings, seen.area_sr, seen.centred_from_target, directions)
     return [
-        decide(model, signature, attitude, direction, 0.0)
-        for signature, attitude, direction in zip(signatures, attitudes, directions, strict=True)
+        decide(model, Signature(readings, float(area), np.eye(3)), attitude, direction, 0.0)
+        for readings, area, attitude, direction in zip(*parts, strict=True)
     ]
 
 
@@ -214,8 +205,8 @@ def run(
     (d) as (c), with the Sun up to 30° from behind the camera, hard shadows;
     (e) as (d), with the Sun 30–60° from behind the camera.
 
-    In-views lie within one edge of a node, out-views between 1.32 and 3 edges. Every frame counts:
-    a frame without a silhouette has all its in-decisions wrong and its out-decisions right.
+    In-views lie within one edge of a node, out-views between 1.32 and 3 edges. A frame without a
+    silhouette has all its in-decisions wrong and its out-decisions right.
     """
     found, loaded = Target.load(target), ViewModel.load(model)
     mesh = load_mesh(found.mesh_path, found.unit)

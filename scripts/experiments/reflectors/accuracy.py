@@ -175,11 +175,8 @@ def beside_peers(readings: list[Reading], pattern: ReflectorPattern) -> list[str
         answers = one_camera(pattern.positions_m, reading.spots_px, CAMERA)
         for name, pose in ({"this sensor": reading.refined} | answers).items():
             turns[name].append(math.pi if pose is None else pose.angle_to(reading.pose))
-    right = [[t for t in own if t < WRONG_RAD] for own in turns.values()]
-    return [
-        f"{median_deg(good)}° ({len(own) - len(good)})"
-        for good, own in zip(right, turns.values(), strict=True)
-    ]
+    right = {name: [t for t in own if t < WRONG_RAD] for name, own in turns.items()}
+    return [f"{median_deg(good)}° ({len(readings) - len(good)})" for good in right.values()]
 
 
 def run(*, frames: int = 400, seed: int = 21, simulator: Simulator = "own") -> None:
@@ -220,8 +217,7 @@ def run(*, frames: int = 400, seed: int = 21, simulator: Simulator = "own") -> N
             f"{over:.2f}", *[f"{r:.2f}" for r in ratio],
         )  # fmt: skip
         units = np.array([100.0 / range_m, *([180.0 / math.pi] * 5)])
-        sizes.add_row(
-            f"{range_m:g}", *[f"{e:.4f}" for e in np.median(np.abs(error), axis=0) * units]
-        )
+        middles = np.median(np.abs(error), axis=0) * units
+        sizes.add_row(f"{range_m:g}", *[f"{e:.4f}" for e in middles])
         beside.add_row(f"{range_m:g}", *beside_peers(readings, pattern))
     show(ratios, sizes, beside, width=150)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 from collections import Counter, defaultdict
-from contextlib import nullcontext
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +13,6 @@ from experiments.frame import show, table_of
 from experiments.peers.pnp import PEERS, one_camera
 from experiments.reflectors.plain import CAMERA, FIVE, PINHOLE, Simulator, apart, pictures, plain
 from rendezview.geometry.pose import Pose
-from rendezview.io.results import read_json_lines
 from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, find_spots
 from rendezview.sensors.observation import Status
 
@@ -91,34 +87,21 @@ def one(n: int, seed: int, sensor: ReflectorSensor, simulator: Simulator) -> dic
     group = f"{len(visible)} visible"
     if len(visible) < 5:
         group += ", with post" if 1 in visible else ", without post"
-    about = {"n": n, "seed": seed, "simulator": simulator, "group": group, "error_deg": error}
-    return about | {"answers": answers | by_peers(frames, visible, truth)}
+    answers |= by_peers(frames, visible, truth)
+    return {"group": group, "error_deg": error, "answers": answers}
 
 
-def run(
-    *, readings: int = 10_000, seed: int = 1, simulator: Simulator = "plain",
-    log: Annotated[Path | None, "what is there is kept; the rest is added (JSON lines)"] = None,
-) -> None:  # fmt: skip
+def run(*, readings: int = 10_000, seed: int = 1, simulator: Simulator = "plain") -> None:
     """Every subset of three to five of Bales' five reflectors: right, wrong, ambiguous or none.
 
-    Plain pictures of the tests' simulator, which shares no code with the product, or of the
-    product's own: 1 to 8 m, tilt to 35°, every roll, blur of 0.6 to 0.9 px, retro-reflected and
-    even light, no to three false spots as large and bright as the discs. Each reading on its own.
-    Wrong: more than 5° or 3 % of the range off (half a turn of roll is no error where it is
-    reported). OpenCV's SQPNP and poselib's RANSAC have our centroids with the right names of the
-    reflectors, and no false spots.
+    Pictures of the tests' plain simulator or of the product's own: 1 to 8 m, tilt to 35°, every
+    roll, blur of 0.6 to 0.9 px, retro-reflected and even light, up to three false spots as large
+    and bright as the discs. Each reading on its own. Wrong: more than 5° or 3 % of the range off
+    (half a turn of roll is no error where it is reported). OpenCV's SQPNP and poselib's RANSAC have
+    our centroids with the right names, and no false spots.
     """
-    done: list[dict[str, Any]] = []
-    if log is not None and log.exists():
-        same = {"seed": seed, "simulator": simulator}
-        done = [line for line in read_json_lines(log) if same.items() <= line.items()][:readings]
     sensor = ReflectorSensor(CAMERA, [FIVE], tracking=TrackingOptions(confirm=False))
-    with nullcontext() if log is None else log.open("a", encoding="utf-8") as file:
-        for n in range(len(done), readings):
-            done.append(one(n, seed, sensor, simulator))
-            if file is not None:
-                file.write(json.dumps(done[-1]) + "\n")
-                file.flush()
+    done = [one(n, seed, sensor, simulator) for n in range(readings)]
     counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     for line in done:
         for name, answer in line["answers"].items():

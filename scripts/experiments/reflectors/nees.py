@@ -23,12 +23,7 @@ from experiments.reflectors.plain import (
 )
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
-from rendezview.sensors.beacons import (
-    LitDark,
-    ReflectorPattern,
-    ReflectorSensor,
-    TrackingOptions,
-)
+from rendezview.sensors.beacons import LitDark, ReflectorPattern, ReflectorSensor, TrackingOptions
 from rendezview.sensors.beacons.detect.registration import register
 
 RANGES_M = (0.8, 1.5, 3.0, 6.0)

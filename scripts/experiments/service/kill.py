@@ -5,12 +5,10 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-import shutil
 import sys
 import tempfile
 import threading
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +19,6 @@ from rendezview.errors import RendezviewError
 from rendezview_service.client import Client
 from rendezview_service.logs.log_repair import mend
 from rendezview_service.logs.replay import read_log
-
-
-def serve(model: Path, folder: Path, models: Path) -> Served:
-    """A recording service. Its logs are without the model: written 200 times it only takes time."""
-    flags = ("--workers", "1", "--record", str(folder), "--models", str(models))
-    return Served(model, *flags, group=True, record_model="false")
 
 
 def send(url: str, scene: Path, name: str, acknowledged: dict[str, list[dict]]) -> None:
@@ -59,17 +51,13 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
     """
     rng = np.random.default_rng(seed)
     total = lost = unreadable = cut_bytes = 0
-    with tempfile.TemporaryDirectory() as work, ThreadPoolExecutor(1) as starter:
-
-        def start(number: int) -> Future[Served]:
-            folder = Path(work) / f"logs-{number}"
+    for done in range(1, kills + 1):
+        with tempfile.TemporaryDirectory() as work:
+            folder = Path(work) / "logs"
             folder.mkdir()
-            return starter.submit(serve, model, folder, Path(work) / f"models-{number}")
-
-        upcoming = start(1)
-        for done in range(1, kills + 1):
-            folder = Path(work) / f"logs-{done}"
-            served = upcoming.result()
+            # Logs without the model: written each time it only takes time.
+            flags = ("--workers", "1", "--record", str(folder), "--models", f"{work}/models")
+            served = Served(model, *flags, group=True, record_model="false")
             acknowledged: dict[str, list[dict]] = {}
             threads = [
                 threading.Thread(target=send, args=(served.url, scene, name, acknowledged))
@@ -82,8 +70,6 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
                 time.sleep(0.01)
             time.sleep(float(rng.uniform(0.0, 1.0)))
             served.kill()
-            if done < kills:
-                upcoming = start(done + 1)  # while the logs of this one are read
             for thread in threads:
                 thread.join()
             for name, states in acknowledged.items():
@@ -106,10 +92,7 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
                 lost += sum(
                     as_left.get(s["frame"]) != s or mended.get(s["frame"]) != s for s in states
                 )
-            shutil.rmtree(folder)
-            shutil.rmtree(Path(work) / f"models-{done}", ignore_errors=True)
-            progress = f"{done} of {kills}: {total} poses, {lost} lost"
-            print(f"\r{progress}", end="", file=sys.stderr, flush=True)
+        print(f"{done} of {kills}: {total} poses, {lost} lost", file=sys.stderr, flush=True)
     print(
         f"seed {seed}: {kills} kills, {total} acknowledged poses, {lost} lost, {unreadable} logs "
         f"unreadable; {cut_bytes} bytes of half frames cut"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
+from multiprocessing import Queue, get_context
+from multiprocessing.synchronize import Barrier
 from pathlib import Path
 
 import cv2
@@ -66,13 +65,12 @@ def overhead(loop: Loop, model: Path) -> None:
         print(line)
 
 
-def run_client(url: str, scene: Path) -> None:
+def run_client(url: str, scene: Path, ready: Barrier, results: Queue) -> None:
     """One client of many, in a process of its own: frames for some seconds."""
     loop = Loop(scene)
     with Client(url) as client:
         session = client.open(loop.camera, prior=loop.prior)
-        print("ready", flush=True)
-        sys.stdin.readline()
+        ready.wait()
         start, used, done, k = time.perf_counter(), time.process_time(), 0, 0
         while time.perf_counter() < start + SECONDS:
             time_s, image = loop(k)
@@ -85,7 +83,7 @@ def run_client(url: str, scene: Path) -> None:
                     raise
         seconds, processor_s = time.perf_counter() - start, time.process_time() - used
         session.close()
-    print(json.dumps({"frames": done, "seconds": seconds, "processor_s": processor_s}))
+    results.put((done, seconds, processor_s))
 
 
 def alone(model: ViewModel, loop: Loop, seconds: float) -> tuple[float, float]:
@@ -105,55 +103,45 @@ def many(loop: Loop, model: Path, scene: Path) -> None:
     alone(loaded, loop, 2.0)  # compiles
     before, before_ms = alone(loaded, loop, ALONE_S)
     served = Served(model)
-    words = ["service-speed", str(model), str(scene), "--client", served.url]
-    command, pipe = [sys.executable, "-m", "experiments", *words], subprocess.PIPE
-    processes = [
-        subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) for _ in range(CLIENTS)
-    ]
+    apart = get_context("spawn")
+    ready, results = apart.Barrier(CLIENTS + 1), apart.Queue()
+    task = (served.url, scene, ready, results)
+    processes = [apart.Process(target=run_client, args=task) for _ in range(CLIENTS)]
     for process in processes:
-        process.stdout.readline()
-    memory, used_s = [served.resident_mb()], served.processor_s()
+        process.start()
+    ready.wait()
+    first_mb, used_s = served.resident_mb(), served.processor_s()
+    frames, seconds, processor_s = np.transpose([results.get() for _ in processes])
+    last_mb, service_s = served.resident_mb(), served.processor_s() - used_s
     for process in processes:
-        process.stdin.write("go\n")
-        process.stdin.flush()
-    while any(process.poll() is None for process in processes):
-        time.sleep(1.0)
-        memory.append(served.resident_mb())
-    results = [json.loads(process.stdout.readline()) for process in processes]
-    total = sum(r["frames"] for r in results)
-    rates = np.array([r["frames"] / r["seconds"] for r in results])
-    service_ms = 1e3 * (served.processor_s() - used_s) / total
-    clients_ms = 1e3 * sum(r["processor_s"] for r in results) / total
+        process.join()
     served.stop()
+    total, rates = int(frames.sum()), frames / seconds
+    service_ms, clients_ms = 1e3 * service_s / total, 1e3 * processor_s.sum() / total
     after, after_ms = alone(loaded, loop, ALONE_S)
     alone_ms, cores = 0.5 * (before_ms + after_ms), os.cpu_count() or 1
-    print(f"{CLIENTS} clients, {total} frames:")
-    print(f"one bare tracker: {before:.0f} and {after:.0f} frames/s, before and after")
     over = rates.sum() / (0.5 * (before + after))
-    print(f"service: {rates.sum():.0f} frames/s, {over:.2f} × one tracker core's")
+    uneven = 100 * (rates.max() - rates.min()) / rates.mean()
     print(
+        f"{CLIENTS} clients, {total} frames: {rates.sum():.0f} frames/s, {over:.2f} × one tracker "
+        f"core's; each {rates.min():.0f} to {rates.max():.0f}, {uneven:.0f} % apart\n"
+        f"one bare tracker: {before:.0f} and {after:.0f} frames/s, before and after\n"
         f"processor time a frame: bare tracker {alone_ms:.2f} ms, service and workers "
         f"{service_ms:.2f} ms, client {clients_ms:.2f} ms: {cores} cores with nothing else to do "
         f"would reach {cores * alone_ms / (service_ms + clients_ms):.2f} × with these clients, "
-        f"{cores * alone_ms / service_ms:.2f} × with clients elsewhere"
+        f"{cores * alone_ms / service_ms:.2f} × with clients elsewhere\n"
+        f"memory of all processes: {first_mb:.0f} MB at first, {last_mb:.0f} MB at the end"
     )
-    apart = 100 * (rates.max() - rates.min()) / rates.mean()
-    print(f"each client: {rates.min():.0f} to {rates.max():.0f} frames/s, {apart:.0f} % apart")
-    print(f"memory of all processes: {memory[0]:.0f} MB at first, {memory[-1]:.0f} MB at the end")
 
 
-def run(model: Path, scene: Path, *, client: str | None = None) -> None:
+def run(model: Path, scene: Path) -> None:
     """Cost of the service over the bare tracker call, and throughput with eight clients.
 
     SCENE is a folder that rendezview simulate wrote, 640 × 480, of the model's target, moving
     little from frame to frame (--dt 0.0333 --jitter 0 --turn 10). The service runs on a free port
     of this machine; bare calls and the service take turns, so that other load disturbs both.
-    --client is for the processes that it starts itself.
     """
     cv2.setNumThreads(1)
-    if client:
-        run_client(client, scene)
-        return
     loop = Loop(scene)
     overhead(loop, model)
     many(loop, model, scene)

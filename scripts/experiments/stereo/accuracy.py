@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import MODELS_CAD, show, table_of, tests_module
 from experiments.peers.pnp import rig as by_peers
-from experiments.stereo.board import Simulator, squared_error
+from experiments.stereo.board import squared_error
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
@@ -31,6 +31,7 @@ from rendezview.sensors.beacons.match.agreement import iterate
 from rendezview_ground.simulate.led_laboratory import LaboratoryOptions
 from rendezview_ground.simulate.led_pictures import PictureOptions
 
+Simulator = Literal["own", "plain"]
 PAPER = {2.0: 0.08, 0.5: 0.02}  # degrees about the line
 POSITIONS = 41  # of the stage; the paper's figure does not give it
 RATE_HZ, SIGNAL_TO_NOISE = 10.0, 200.0
@@ -39,10 +40,7 @@ _NO_POSE = np.full((3, 3), np.nan)
 
 
 def line(set_deg: np.ndarray, read_deg: np.ndarray) -> tuple[float, float]:
-    """Slope, and r.m.s. scatter about the fitted line (two degrees of freedom fewer).
-
-    NaN: a reading without a pose, which is left out and counted beside the table.
-    """
+    """Slope, and r.m.s. scatter about the fitted line; readings without a pose are NaN."""
     seen = np.isfinite(read_deg)
     set_deg, read_deg = set_deg[seen], read_deg[seen]
     slope, offset = np.polyfit(set_deg, read_deg, 1)
@@ -51,10 +49,7 @@ def line(set_deg: np.ndarray, read_deg: np.ndarray) -> tuple[float, float]:
 
 
 def turned_deg(rotations: np.ndarray) -> np.ndarray:
-    """Turn of each about the stage's axis, the laboratory's z, from their mean, degrees.
-
-    Unlike the yaw of eq. 3 it does not depend on the orientation of the lights' plane on the stage.
-    """
+    """Turn of each about the stage's axis from their mean; the lights' plane does not matter."""
     seen = np.isfinite(rotations[:, 0, 0])
     turned = np.full(len(rotations), np.nan)
     u, _, vt = np.linalg.svd(rotations[seen].mean(axis=0))

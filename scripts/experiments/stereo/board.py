@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import MODELS_CAD, nees, show, table_of, tests_module
+from experiments.frame import MODELS_CAD, nees, show, table_of
 from experiments.peers.pnp import PEERS, median_deg
 from experiments.peers.pnp import rig as by_peers
 from rendezview.calibration.board import BoardViews, Chessboard, calibrate_board
@@ -16,17 +15,15 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
-from rendezview.sensors.beacons import Rig, RigCamera, Spots, StereoObservation, StereoTracker
+from rendezview.sensors.beacons import RigCamera, Spots, StereoObservation, StereoTracker
 from rendezview.sensors.beacons.stereo_tracker import TrackerOptions
 
-Simulator = Literal["own", "plain"]
 Project = Callable[[np.ndarray], np.ndarray]  # (N, 3), first camera's frame → (N, 2) px
 
 BOARD = Chessboard(9, 6, 0.025)
 SIZE = (1280, 960)
 RIGS, POSES, PAIRS, CORNER_PX = 20, 10, 12, 0.15
 SPOTS_PX = (0.05, 0.15)
-plain = tests_module("plain_lights")
 
 
 def squared_error(observation: StereoObservation, truth: Pose) -> float:
@@ -36,9 +33,9 @@ def squared_error(observation: StereoObservation, truth: Pose) -> float:
     return nees(np.append(turned, moved), observation.covariance)
 
 
-def true_rig(rng: np.random.Generator) -> Rig:
+def pair_of(rng: np.random.Generator) -> list[Project]:
     """Two cameras 0.4 m apart, each with its own lens."""
-    cameras = []
+    found = []
     for name, place in (("left", 0.0), ("right", -0.4)):
         focal = 1200.0 * (1.0 + rng.normal(0.0, 0.01))
         centre = rng.normal((639.5, 479.5), 5.0)
@@ -47,28 +44,8 @@ def true_rig(rng: np.random.Generator) -> Rig:
         mount = Pose.identity()
         if place:
             mount = mount.perturbed([*rng.normal(0.0, 0.02, 3), place, *rng.normal(0.0, 0.01, 2)])
-        cameras.append(RigCamera.from_camera(name, camera, mount))
-    return Rig(tuple(cameras))
-
-
-def own_pair(rng: np.random.Generator) -> list[Project]:
-    return [camera.project for camera in true_rig(rng).cameras]
-
-
-def plain_pair(rng: np.random.Generator) -> list[Project]:
-    """Likewise by OpenCV's projection, with a third radial coefficient."""
-    eyes = []
-    for place in (0.0, 0.4):
-        wobble = rng.normal(0.0, 0.02, 3) if place else np.array([0.0, 0.0, 1e-9])
-        aim = plain.turn(wobble, float(np.linalg.norm(wobble)))
-        position = np.array([place, *rng.normal(0.0, 0.01, 2)]) if place else np.zeros(3)
-        focal = 1200.0 * (1.0 + 0.01 * rng.standard_normal())
-        cx, cy = (639.5, 479.5) + 5.0 * rng.standard_normal(2)
-        matrix = np.array([[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]])
-        k1, k2, k3 = (-0.1, 0.05, 0.0) + (0.02, 0.02, 0.005) * rng.standard_normal(3)
-        lens = np.array([k1, k2, *(5e-4 * rng.standard_normal(2)), k3])
-        eyes.append(plain.Eye(plain.Place(aim, position), SIZE, matrix, lens))
-    return [eye.project for eye in eyes]
+        found.append(RigCamera.from_camera(name, camera, mount).project)
+    return found
 
 
 def views_of(pair: list[Project], rng: np.random.Generator) -> BoardViews:
@@ -119,16 +96,16 @@ def errors(
     return squares
 
 
-def run(*, seed: int = 17, simulator: Simulator = "own") -> None:
+def run(*, seed: int = 17) -> None:
     """NEES (6 is right) of poses by 20 pairs, each calibrated from 12 simulated board pairs.
 
     SCOLE's lights a quarter as far apart, 1.5 to 4 m away, every roll, tilt to 40°; ten poses a
     pair. Corners have 0.15 px of noise. With the calibration's covariance, and with the residual's
-    floor alone. The plain simulator projects with OpenCV.
+    floor alone.
     """
     leds = 0.25 * np.array([led.position_m for led in Target.load(MODELS_CAD / "scole").leds])
     table = table_of(
-        f"{RIGS} rigs of {PAIRS} board pairs, {POSES} poses each, seed {seed}, {simulator}",
+        f"{RIGS} rigs of {PAIRS} board pairs, {POSES} poses each, seed {seed}",
         "spots σ px | poses | with the calibration: NEES | worst rig | without: NEES | median turn "
         "off, °: ours | solvePnP, one camera | poselib, both",
         left=0,
@@ -138,7 +115,7 @@ def run(*, seed: int = 17, simulator: Simulator = "own") -> None:
         kept: dict[bool, list[list[float]]] = {True: [], False: []}
         turns: dict[str, list[float]] = {name: [] for name in ("ours", *PEERS)}
         for _ in range(RIGS):
-            truth = (plain_pair if simulator == "plain" else own_pair)(rng)
+            truth = pair_of(rng)
             made = calibrate_board(views_of(truth, rng)).rig
             state = rng.bit_generator.state
             for with_error, squares in kept.items():

@@ -165,9 +165,9 @@ def write(weights, statistics, path: Path) -> None:
 
     constant("twice", [1, 1, 2, 2])
     out, shape = unet(layer, halved, joined, "squares"), [1, PIXELS, "rows", "columns"]
-    ends = ([helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)]
-            for name in ("squares", out))  # fmt: skip
-    graph = helper.make_graph(nodes, "foreground", *ends, constants)
+    first, last = (helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
+                   for name in ("squares", out))  # fmt: skip
+    graph = helper.make_graph(nodes, "foreground", [first], [last], constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)])
     model.ir_version = 8
     onnx.checker.check_model(model)

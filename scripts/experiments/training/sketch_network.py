@@ -25,7 +25,7 @@ from rendezview_ground.simulate.sketch_frames import (
 
 BLOCK = 5  # craft a file
 BATCH = 16
-LARGE = 2  # times SIDE_PX: the side of larger pictures, as those of a closer look
+LARGE = 2  # times SIDE_PX: the side of larger pictures, as those of a closer pass
 LARGE_BATCH = BATCH // LARGE**2
 LARGE_SHARE = 0.35  # of the batches, where there are larger drawings
 FRAMES_A_SKY = 5
@@ -111,13 +111,11 @@ def run(
 ) -> None:  # fmt: skip
     """Train the network that sketches a photograph, on random spacecraft in hard light.
 
-    Needs PyTorch and onnx, which the project does not depend on: pip install torch onnx. Draws
-    craft and skies (simulation/sketch_frames.py) into a folder, or reads them from there, then
-    trains on photographs of them, new ones for each step. Up to 22 craft are held out;
-    the overlap (IoU) of their covers and their losses are printed every 200 steps and at the end.
-
-    The 7800 drawings take ten minutes on two cores and 4 GB of memory; the step count depends on
-    the machine, so the weights are not the same twice.
+    Needs pip install torch onnx. Draws craft and skies into a folder, or reads them from there,
+    then trains on photographs of them, new ones for each step. Up to 22 craft are held out; their
+    losses and the overlap (IoU) of their covers are printed every 200 steps and at the end. The
+    7800 drawings take ten minutes on two cores and 4 GB of memory; the step count depends on the
+    machine, so the weights are not the same twice.
     """
     try:
         import torch

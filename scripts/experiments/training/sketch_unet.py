@@ -68,9 +68,8 @@ class SketchUNet(nn.Module):
         self.more_b, self.more_c, self.more_d = Residual(b), Residual(c), Residual(d)
         self.more_up_c, self.more_up_b = Residual(c), Residual(b)
         self.e = nn.Sequential(Layer(d, e), Layer(e, e), Layer(e, e))
-        self.from_e, self.from_d, self.from_c, self.from_b = (
-            nn.Conv2d(e, d, 1), nn.Conv2d(d, c, 1), nn.Conv2d(c, b, 1), nn.Conv2d(b, a, 1)
-        )  # fmt: skip
+        self.from_e, self.from_d = nn.Conv2d(e, d, 1), nn.Conv2d(d, c, 1)
+        self.from_c, self.from_b = nn.Conv2d(c, b, 1), nn.Conv2d(b, a, 1)
         self.up_c = nn.Sequential(Layer(c, c), Layer(c, c))
         self.up_b = Layer(b, b)
         self.up_a = nn.Sequential(Layer(a, a), Layer(a, a))
@@ -184,11 +183,7 @@ def write(network, path: Path, pictures: list[np.ndarray]) -> None:
 
     Input ``squares`` (1, CHANNELS n², h, w), output ``y`` (1, MAPS n², h, w) log-odds, float32. The
     normalisation is folded into the weights. They are kept beside it as .pt, as trained.
-
-    Args:
-        network: trained, on the CPU.
-        path: of the ONNX file.
-        pictures: (CHANNELS, S, S) each, that show the range of every layer's values.
+    ``pictures``: (CHANNELS, S, S) each, that show the range of every layer's values.
     """
     torch.save(network.state_dict(), path.with_suffix(".pt"))
     network.eval()

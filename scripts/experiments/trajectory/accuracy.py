@@ -19,7 +19,7 @@ from rendezview.sensors.appearance.model.signature import Signature
 from rendezview.sensors.appearance.outline.interpolation import Interpolator
 from rendezview.sensors.appearance.outline.votes import Match
 from rendezview.trajectory import (
-    Nothing,
+    NoFit,
     PointCloud,
     Segment,
     Shape,
@@ -208,7 +208,7 @@ def between_nodes(data: dict[str, Array], between: Interpolator) -> tuple[Array,
     return np.concatenate(times), np.concatenate(points), np.concatenate(weights)
 
 
-def spins(data: dict[str, Array], kind: str, between: Interpolator) -> dict[str, Spin | Nothing]:
+def spins(data: dict[str, Array], kind: str, between: Interpolator) -> dict[str, Spin | NoFit]:
     """From directions of active nodes, from attitudes with the chaser's own known."""
     frames, times = data["pose_frame"], data["times_s"]
     back = np.swapaxes(data["jitter"][frames], 1, 2)
@@ -277,7 +277,7 @@ def judge(
             values = []
             for seed, each in found.items():
                 fit = each[source]
-                if isinstance(fit, Nothing):
+                if isinstance(fit, NoFit):
                     print(f"{kind} {source} seed {seed}: {fit.reason}")
                 else:
                     values.append(errors(fit, kept[kind, seed], kind, seed))
@@ -290,22 +290,18 @@ def run(
 ) -> None:  # fmt: skip
     """Draw paths of the client, recognise their frames, and judge segments, predictions and spin.
 
-    FOLDER/<target>-<kind>-<seed>.npz has one segment (poses, active nodes, signatures) of 100
-    frames, 2 s apart: 1024 × 768, 53° across. The Sun stands still in space: 0 to 45° from behind
-    the camera in the middle of the segment. Noise, blur and pointing jitter are those of rendezview
-    simulate; the attitude of the path is random. Two trackers read each frame: one with refinement,
-    one with the trees only. An existing file is kept. circular: one radian at 3.5 target radii.
-    spiral: the same from 4.5 to 4 radii. vbar: from 6 to 5 radii, with three hops of 3 % of the
-    distance. spin, tumble: the camera is fixed at 3.5 radii, the target turns through one radian
-    about a fixed axis, or freely with moments 1 : 1.6 : 2.
+    FOLDER keeps segments of 100 frames, 2 s apart: 1024 × 768, 53° across, the Sun still in space,
+    0 to 45° from behind the camera in the middle. Two trackers read each frame: one with
+    refinement, one with the trees only. circular: one radian at 3.5 target radii. spiral: the same
+    from 4.5 to 4 radii. vbar: from 6 to 5 radii, with three hops of 3 % of the distance. spin,
+    tumble: the camera is fixed at 3.5 radii, the target turns through one radian about a fixed
+    axis, or freely with moments 1 : 1.6 : 2.
 
-    Position errors are medians over the segment, and over the next one predicted, as parts of the
-    range. "nodes": the trees only. "between nodes": the signatures stored around the nodes.
-    "refined": refined poses. "own attitude": the chaser knows its own attitude (a star tracker),
-    and the target's attitude is not used for the place. For circular and spiral, the spin is that
-    of the target in the frame of the line of sight; the chaser knows its pointing jitter. NEES is
-    of the place in the middle: three for perfect statistics. Rows: median, 90 % and largest over
-    seeds.
+    Position errors are medians over the segment, and over the next one predicted. "nodes": the
+    trees only. "between nodes": the signatures stored around the nodes. "own attitude": the chaser
+    knows its own attitude (a star tracker), and the target's is not used for the place. For
+    circular and spiral, the spin is that of the target in the frame of the line of sight. NEES is
+    of the place in the middle: 3 is right. Rows: median, 90 % and largest over seeds.
     """
     views, (_, mesh) = ViewModel.load(model), mesh_of("client")
     between = Interpolator(views)

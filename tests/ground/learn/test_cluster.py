@@ -10,13 +10,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
 from rendezview_ground.evaluate.campaign import CampaignOptions, campaign
@@ -76,9 +77,10 @@ def processes(
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 text=True,
+                start_new_session=True,  # a nanny's worker ends with it
             )
             started.callback(process.wait)
-            started.callback(process.kill)
+            started.callback(_kill_group, process.pid)
             return process
 
         scheduler = start(
@@ -90,15 +92,20 @@ def processes(
                 "worker", "--scheduler-file", place, "--nthreads", 1,
                 "--nanny" if nanny else "--no-nanny",
                 "--no-dashboard", "--host", "127.0.0.1", "--local-directory", folder,
-                "--death-timeout", 60,
+                "--death-timeout", MOST_S,
             )
             for _ in range(workers)
         ]  # fmt: skip
         address = _address(place)
         if workers:
             with distributed.Client(address, set_as_default=False) as client:
-                client.wait_for_workers(workers, timeout=60)
+                client.wait_for_workers(workers, timeout=MOST_S)
         yield Processes(address, scheduler, joined)
+
+
+def _kill_group(leader: int) -> None:
+    with suppress(ProcessLookupError):
+        os.killpg(leader, signal.SIGKILL)
 
 
 def _address(place: Path) -> str:
@@ -130,6 +137,12 @@ def double(offset: int, k: int, log: Path, sleep_s: float) -> int:
     return offset + 2 * k
 
 
+def _computed(log: Path) -> list[tuple[int, int]]:
+    """Each shard that was begun, and the process."""
+    lines = [line.split() for line in log.read_text().splitlines()]
+    return [(int(k), int(pid)) for k, pid in lines]
+
+
 def deadly(k: int, once: Path | None) -> int:
     if k == 3 and not (once is not None and once.exists()):
         if once is not None:
@@ -143,8 +156,11 @@ def wrong(k: int) -> int:
     raise OSError(f"shard {k} has no file")
 
 
-def address_of(array: np.ndarray, k: int) -> tuple[int, int]:
-    time.sleep(0.02)
+def address_of(array: np.ndarray, k: int, met: Path, workers: int) -> tuple[int, int]:
+    """Process and place of the array; waits until so many workers compute one."""
+    (met / str(os.getpid())).touch()
+    while len(list(met.iterdir())) < workers:
+        time.sleep(0.01)
     return os.getpid(), array.ctypes.data
 
 
@@ -175,7 +191,9 @@ def test_one_worker_alone_computes_and_not_the_command(tmp_path):
         processes(tmp_path, 1) as started,
         cluster.Cluster.connect(started.address) as executor,
     ):
-        seen = list(executor.results(address_of, (np.zeros(4),), [(k,) for k in range(3)]))
+        arguments = [(k, tmp_path / "met", 1) for k in range(3)]
+        (tmp_path / "met").mkdir()
+        seen = list(executor.results(address_of, (np.zeros(4),), arguments))
     assert os.getpid() not in {pid for _, (pid, _) in seen}
 
 
@@ -187,13 +205,13 @@ def test_what_a_shard_raises_is_raised_here(several):
         list(executor.results(wrong, (), [(k,) for k in range(4)]))
 
 
-def test_large_shared_data_is_moved_once_to_each_worker(several):
+def test_large_shared_data_is_moved_once_to_each_worker(several, tmp_path):
     shared = (np.zeros(2_000_000),)
     with cluster.Cluster.connect(several.address) as executor:
-        arguments = [(k,) for k in range(40)]
+        arguments = [(k, tmp_path, 2) for k in range(40)]
         seen = [s for _, s in executor.results(address_of, shared, arguments)]
     places = {(pid, place) for pid, place in seen}
-    assert len({pid for pid, _ in places}) >= 2
+    assert len({pid for pid, _ in places}) == 2
     assert len(places) == len({pid for pid, _ in places})  # one copy in each process
 
 
@@ -201,21 +219,25 @@ def test_a_killed_worker_costs_only_its_shard(tmp_path, bumpy_mesh, reference):
     log = tmp_path / "log"
     with processes(tmp_path, 3) as started, cluster.Cluster.connect(started.address) as executor:
         assert executor.cores == 3
-        results = {}
+        results: dict[int, int] = {}
+        killed, handed_over = -1, set[int]()
         arguments = [(k, log, 0.1) for k in range(24)]
         for k, result in executor.results(double, (7,), arguments):
             results[k] = result
             if len(results) == 5:
-                started.workers[0].kill()
+                killed, handed_over = _computed(log)[-1][1], set(results)
+                os.kill(killed, signal.SIGKILL)
         assert results == {k: 7 + 2 * k for k in range(24)}
-        lines = log.read_text().splitlines()
-        assert len({line.split()[1] for line in lines}) == 3
-        # The shard in its hands, and one that it had done but not handed over yet.
-        assert len(lines) <= 24 + 2
+        again = _computed(log)
+        for k in range(24):
+            again.remove(next(line for line in reversed(again) if line[0] == k))
+        # Shards that it had begun, or done but not handed over yet: no others are computed twice.
+        assert {pid for _, pid in again} <= {killed}
+        assert not {k for k, _ in again} & handed_over
 
         def kill(stage: str, done: int, of: int) -> None:
             if stage == "contours" and done == 1:
-                started.workers[1].kill()
+                next(w for w in started.workers if w.pid != killed).kill()
 
         train(
             bumpy_mesh,
@@ -225,7 +247,7 @@ def test_a_killed_worker_costs_only_its_shard(tmp_path, bumpy_mesh, reference):
             executor=executor,
             progress=kill,
         )
-        assert executor.cores == 1
+        wait_until(lambda: executor.cores == 1)
     assert (tmp_path / "m.rvm").read_bytes() == reference
 
 
@@ -304,10 +326,8 @@ def test_an_address_without_a_scheduler_is_refused():
         silent.listen()
         deaf = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         for address in (deaf, "tcp://127.0.0.1:1", "nothing at all", "ftp://x:1", ""):
-            start = time.monotonic()
             with pytest.raises(RendezviewError, match="no Dask scheduler answers"):
                 cluster.Cluster.connect(address, timeout_s=1.0)
-            assert time.monotonic() - start < 5.0
 
 
 @pytest.mark.parametrize(
@@ -328,12 +348,17 @@ def test_the_command_says_in_one_line_why_there_is_no_cluster(tmp_path, before, 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_scheduler_without_workers_is_refused(tmp_path):
+def test_a_scheduler_without_workers_is_refused(tmp_path, monkeypatch):
+    """Its own answer may take long, but a worker is not waited for."""
+    wait = distributed.Client.wait_for_workers
+    monkeypatch.setattr(
+        distributed.Client, "wait_for_workers", lambda self, count, timeout: wait(self, count, 0.1)
+    )
     with (
         processes(tmp_path, 0) as started,
         pytest.raises(RendezviewError, match="no worker has joined"),
     ):
-        cluster.Cluster.connect(started.address, timeout_s=0.5)
+        cluster.Cluster.connect(started.address, timeout_s=MOST_S)
 
 
 def test_workers_with_other_versions_are_refused_by_name(several, monkeypatch):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -63,7 +64,7 @@ def stopped(folder: Path, mesh: Mesh, by: signal.Signals, jobs: int = 1) -> tupl
     done = subprocess.run(
         [sys.executable, "-c", STOPPED, str(inputs), str(path), str(int(by)), str(jobs)],
         capture_output=True,
-        timeout=120,
+        timeout=MOST_S,
         check=False,
     )
     return path, done.returncode
@@ -158,7 +159,7 @@ def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
         "shadows",
         "sketches",
         "trees",
-        "voters",
+        "forest",
         "calibration",
     ]
     for stage, counts in reported.items():

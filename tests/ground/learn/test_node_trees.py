@@ -13,7 +13,13 @@ from rendezview.geometry.geodesic import Geodesic, angle_between
 from rendezview.sensors.appearance.model.signature import rolled, twist
 from rendezview.sensors.appearance.model.trees import split_entropy
 from rendezview_ground.learn.options import TrainingOptions
-from rendezview_ground.learn.trees.node_trees import Samples, TreeSet, _learn, learn_trees
+from rendezview_ground.learn.trees.node_trees import (
+    Samples,
+    TreeSet,
+    fitted,
+    learn_trees,
+    learned_tree,
+)
 from rendezview_ground.learn.views.views import ViewSet, look_from
 
 PAPER = TrainingOptions(bins=24, smooth_bins=1, component_step=1, min_samples_split=2, min_gain=0.0)
@@ -58,14 +64,14 @@ def samples_below(trees: TreeSet, entry: int) -> np.ndarray:
 
 def test_separable_data_are_learned_without_an_error():
     readings, labels = data(np.random.default_rng(1))
-    trees = _learn(readings, labels, PAPER)
+    trees = learned_tree(readings, labels, PAPER, 0)
     assert trees.training_accuracy.tolist() == [1.0]
     assert np.array_equal(decisions(trees, readings), labels)
 
 
 def test_leaf_counts_are_the_samples_that_reach_each_leaf():
     readings, labels = data(np.random.default_rng(2))
-    trees = _learn(readings, labels, dataclasses.replace(PAPER, min_samples_split=20))
+    trees = learned_tree(readings, labels, dataclasses.replace(PAPER, min_samples_split=20), 0)
     leaves = np.array([trees.forest.leaf(0, r) for r in readings])
     count = len(trees.forest.component)
     assert np.array_equal(trees.leaf_on, np.bincount(leaves[labels], minlength=count))
@@ -78,7 +84,7 @@ def test_leaf_counts_are_the_samples_that_reach_each_leaf():
 @pytest.mark.parametrize("least", [2, 10, 60])
 def test_nothing_smaller_than_min_samples_is_split(least):
     readings, labels = data(np.random.default_rng(3))
-    trees = _learn(readings, labels, dataclasses.replace(PAPER, min_samples_split=least))
+    trees = learned_tree(readings, labels, dataclasses.replace(PAPER, min_samples_split=least), 0)
     inner = np.flatnonzero(trees.forest.component >= 0)
     sizes = [samples_below(trees, k).sum() for k in inner]
     assert min(sizes) >= least
@@ -89,7 +95,7 @@ def test_nothing_smaller_than_min_samples_is_split(least):
 @pytest.mark.parametrize("gain", [0.003, 0.02, 0.03])
 def test_no_split_gains_less_than_the_minimum(gain):
     readings, labels = data(np.random.default_rng(4))
-    trees = _learn(readings, labels, dataclasses.replace(PAPER, min_gain=gain))
+    trees = learned_tree(readings, labels, dataclasses.replace(PAPER, min_gain=gain), 0)
     forest = trees.forest
     gains = [
         split_entropy(samples_below(trees, forest.left[k]), samples_below(trees, forest.right[k]))
@@ -98,12 +104,12 @@ def test_no_split_gains_less_than_the_minimum(gain):
     ]
     assert gains
     assert min(gains) >= gain - 1e-9
-    assert len(gains) <= (_learn(readings, labels, PAPER).forest.component >= 0).sum()
+    assert len(gains) <= (learned_tree(readings, labels, PAPER, 0).forest.component >= 0).sum()
 
 
 def test_a_gain_that_no_split_reaches_leaves_one_leaf_with_the_majority():
     readings, labels = data(np.random.default_rng(5))
-    trees = _learn(readings, labels, dataclasses.replace(PAPER, min_gain=1.0))
+    trees = learned_tree(readings, labels, dataclasses.replace(PAPER, min_gain=1.0), 0)
     assert len(trees.forest.component) == 1
     assert trees.forest.category[0] == (labels.sum() > len(labels) / 2)
     assert trees.training_accuracy[0] == pytest.approx(max(labels.mean(), 1 - labels.mean()))
@@ -112,7 +118,7 @@ def test_a_gain_that_no_split_reaches_leaves_one_leaf_with_the_majority():
 @pytest.mark.parametrize("label", [False, True])
 def test_one_category_is_one_leaf(label):
     readings, _ = data(np.random.default_rng(6))
-    trees = _learn(readings, np.full(len(readings), label), PAPER)
+    trees = learned_tree(readings, np.full(len(readings), label), PAPER, 0)
     assert trees.forest.category.tolist() == [label]
     assert (trees.leaf_on[0], trees.leaf_off[0]) == ((200, 0) if label else (0, 200))
 
@@ -125,7 +131,7 @@ def test_decisions_are_scikit_learns_and_thresholds_are_whole(step, least):
     options = dataclasses.replace(
         PAPER, component_step=step, min_samples_split=least, min_gain=1e-3
     )
-    trees = _learn(readings, labels, options)
+    trees = learned_tree(readings, labels, options, 0)
     reference = DecisionTreeClassifier(
         criterion="entropy",
         min_samples_split=least,
@@ -137,6 +143,45 @@ def test_decisions_are_scikit_learns_and_thresholds_are_whole(step, least):
     assert np.array_equal(trees.forest.threshold, np.rint(trees.forest.threshold))
     assert (trees.forest.component[inner] % step == 0).all()
     assert inner.sum() == (reference.tree_.children_left >= 0).sum()
+
+
+@pytest.mark.requirement("RV-TRAIN-3")
+@pytest.mark.parametrize(("low", "high"), [(0, 40), (200, 900), (0, 6000)])
+@pytest.mark.parametrize("step", [1, 4])
+def test_the_runtime_decides_as_scikit_learns_predict_does(low, high, step):
+    """On views that were not learned too, between two bins, and beyond the learned readings."""
+    rng = np.random.default_rng(low + high + step)
+    readings = rng.integers(low, high, (400, 24)).astype(np.float32)
+    labels = (readings[:, 4] > np.median(readings[:, 4])) ^ (rng.random(400) < 0.1)
+    options = dataclasses.replace(PAPER, component_step=step)
+    forest = learned_tree(readings, labels, options, 3).forest
+    classifier, levels = fitted(readings, labels, options, 3)
+    fresh = rng.integers(max(low - 50, 0), high + 50, (500, 24)).astype(np.float32)
+    rolls = rng.uniform(-7.0, 7.0, 500)
+    seen = np.array([rolled(row, roll) for row, roll in zip(fresh, rolls, strict=True)])
+    theirs = classifier.predict(levels.levels(seen[:, ::step]))
+    tree = np.zeros(1, dtype=np.intp)
+    ours = [
+        forest.category[forest.leaves(row, tree, np.array([roll]))[0]]
+        for row, roll in zip(fresh, rolls, strict=True)
+    ]
+    assert np.array_equal(np.array(ours) == 1, theirs)
+    assert 50 < theirs.sum() < 450
+
+
+def test_a_seed_and_a_node_decide_between_equal_splits():
+    rng = np.random.default_rng(11)
+    column = rng.integers(0, 40, (200, 1))
+    readings = np.repeat(column, 24, axis=1).astype(np.float32)  # every bin tells the same
+    labels = column[:, 0] > 20
+
+    def bin_of(seed: int, node: int) -> int:
+        options = dataclasses.replace(PAPER, seed=seed)
+        return int(learned_tree(readings, labels, options, node).forest.component[0])
+
+    assert [bin_of(0, n) for n in range(9)] == [bin_of(0, n) for n in range(9)]
+    assert len({bin_of(0, n) for n in range(9)}) > 3
+    assert len({bin_of(s, 0) for s in range(9)}) > 3
 
 
 def test_labels_of_the_lattice_are_in_and_out(samples):

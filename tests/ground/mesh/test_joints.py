@@ -1,4 +1,4 @@
-"""Targets with joints: parts of the mesh, sheets, recognition and tracking of the angle."""
+"""Targets with joints: parts of the mesh, configurations, recognition and tracking of the angle."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from rendezview.sensors.appearance.edges.grey import point_of_slope, points_of_s
 from rendezview.sensors.appearance.tracker import Tracker
 from rendezview.sensors.observation import Status
 from rendezview_ground.learn.target_job import train_target
-from rendezview_ground.mesh.joints import posed, sheet_angles, with_parts
+from rendezview_ground.mesh.joints import configuration_angles, posed, with_parts
 from rendezview_ground.mesh.mesh import Mesh, load_mesh
 from rendezview_ground.simulate.joint_motion import joint_motion
 from rendezview_ground.simulate.scene import SceneOptions, render_frame
@@ -97,7 +97,7 @@ origin_m = [0.9, 0.3, 0.0]
     assert mesh.face_part is not None
     assert np.bincount(mesh.face_part).tolist() == [12, 12, 12]
     joints = [parts.joint for parts in pair.joints]
-    assert sheet_angles(joints).shape == (2, 1)
+    assert configuration_angles(joints).shape == (2, 1)
     turned = posed(mesh, joints, [0.2])
     for part, hinge in enumerate(joints[0].hinges, 1):
         before = mesh.vertices_m[mesh.faces[mesh.face_part == part]].reshape(-1, 3)
@@ -147,11 +147,11 @@ def test_the_angle_of_a_pair_comes_with_the_pose(
 
 
 def test_a_model_has_a_sheet_for_each_angle_and_survives_its_file(model: ViewModel) -> None:
-    sheets = (model, *model.sheets)
-    assert np.rad2deg([s.angles_rad[0] for s in sheets]) == pytest.approx([7.5, 22.5])
-    assert all(s.contours is not None and s.contours.part is not None for s in sheets)
-    assert len({s.target_radius_m for s in sheets}) == 1
-    assert all(s.centre_m == pytest.approx(model.centre_m) for s in sheets)
+    configurations = (model, *model.configurations)
+    assert np.rad2deg([s.angles_rad[0] for s in configurations]) == pytest.approx([7.5, 22.5])
+    assert all(s.contours is not None and s.contours.part is not None for s in configurations)
+    assert len({s.target_radius_m for s in configurations}) == 1
+    assert all(s.centre_m == pytest.approx(model.centre_m) for s in configurations)
 
 
 @pytest.mark.parametrize("angle_deg", [2.0, 14.0, 26.0])
@@ -190,7 +190,7 @@ def test_a_turning_wing_is_tracked_across_sheets(
 def test_a_rigid_sheet_gets_another_pose_when_the_wing_is_elsewhere(
     target: Target, model: ViewModel, camera: Camera
 ) -> None:
-    """The angle matters: held at its sheet, the pose explains less of the edges."""
+    """The angle matters: held at its configuration, the pose explains less of the edges."""
     pose = some_pose(model)
     image = frame_at(target, camera, pose, np.deg2rad(13.0))
     recognizer = Recognizer(model, camera, least_confidence=0.3)
@@ -198,7 +198,7 @@ def test_a_rigid_sheet_gets_another_pose_when_the_wing_is_elsewhere(
     search = recognizer.search
     assert search is not None
     search.refiner.articulation = None  # the points stay where the last frame turned them
-    held = Recognizer(model.sheets[0], camera, least_confidence=0.3)
+    held = Recognizer(model.configurations[0], camera, least_confidence=0.3)
     assert held.search is not None
     held.search.refiner.articulation = None
     rigid = held.recognize(image, pose, angles_rad=[0.0])
@@ -253,8 +253,8 @@ def test_a_joint_whose_turn_shows_nothing_is_refused(tmp_path: Path) -> None:
 
 
 def test_too_many_sheets_are_refused(target: Target) -> None:
-    with pytest.raises(RendezviewError, match="sheets, more than"):
-        sheet_angles([parts.joint for parts in target.joints], np.deg2rad(0.2))
+    with pytest.raises(RendezviewError, match="configurations, more than"):
+        configuration_angles([parts.joint for parts in target.joints], np.deg2rad(0.2))
 
 
 def test_joints_move_in_simulated_scenes(target: Target) -> None:

@@ -7,6 +7,7 @@ import importlib.util
 import os
 import pickle
 import signal
+import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -138,6 +139,17 @@ def test_a_model_drawn_by_pyrender_equals_ours_to_the_pixels_that_differ(
     assert other.sketches.maps.astype(float) == pytest.approx(ours.sketches.maps, abs=16)
 
 
+def test_the_commands_start_without_pyrender_and_opengl():
+    """They are imported by the processes that draw, when they draw."""
+    program = (
+        "import sys, rendezview.api, rendezview_ground.learn.command; "
+        "import rendezview_ground.simulate.command, "
+        "rendezview_ground.evaluate.demo_command; print({'pyrender', 'OpenGL'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.stdout, done.returncode) == ("set()\n", 0), done.stderr
+
+
 def test_where_opengl_is_missing_one_line_says_so_and_ours_draws(monkeypatch, bumpy_mesh):
     monkeypatch.setenv("PYOPENGL_PLATFORM", "none")
     lines: list[str] = []
@@ -161,6 +173,6 @@ def test_the_command_falls_back_and_trains_with_ours(monkeypatch, capsys, bumpy_
         main()
     said = capsys.readouterr().err
     assert said.count("pyrender does not work here") == 1
-    assert "rendezview[pyrender]" in said
+    assert "rendezview[training]" in said
     model = ViewModel.load(tmp_path / "bumpy.rvm")
     assert model.provenance["options"]["renderer"] == "numba"

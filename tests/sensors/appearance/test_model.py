@@ -12,6 +12,7 @@ from dataclasses import asdict, fields
 
 import numpy as np
 import pytest
+from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance import ViewModel
@@ -268,7 +269,7 @@ def test_a_full_disk_is_told_and_leaves_no_half_file(tiny_model_path, tmp_path):
         [sys.executable, "-c", FULL_DISK, str(tiny_model_path), str(path)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=MOST_S,
         check=False,
     )
     assert done.returncode == 7, done.stderr

@@ -1,19 +1,14 @@
-"""Fixtures of the papers: Book's camera and target with pictures of it, Welch's laboratory."""
+"""The paper's camera and target, and simulated pictures of it."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rendezview.geometry.camera import Camera
-from rendezview.io.target import Target
-from rendezview.sensors.beacons import LitDark, ReflectorPattern, Rig, SixNumbers, Spots, pose_of
-from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
+from rendezview.sensors.beacons import LitDark, ReflectorPattern, SixNumbers, pose_of
 from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
 
-SCOLE = Path(__file__).resolve().parents[3] / "models_cad" / "scole"
 BASE_M, POST_M = 14.5 * 0.0254, 4 * 0.0254
 
 
@@ -62,29 +57,3 @@ def picture(paper_camera):
         return LitDark(lit, without if dark else None)
 
     return make
-
-
-@pytest.fixture(scope="session")
-def scole() -> Target:
-    return Target.load(SCOLE)
-
-
-@pytest.fixture(scope="session")
-def leds(scole: Target) -> np.ndarray:
-    return np.array([led.position_m for led in scole.leds])
-
-
-@pytest.fixture(scope="session")
-def laboratory(leds: np.ndarray) -> Laboratory:
-    """Perfect lens and detectors, so that its own rig reads it without bias."""
-    return Laboratory(leds, LaboratoryOptions(distorted=False), seed=1)
-
-
-@pytest.fixture(scope="session")
-def read():
-    """Currents (C, L, 4) of one reading → spots of each camera."""
-
-    def of(rig: Rig, currents: np.ndarray) -> list[Spots]:
-        return [c.photodiode.read(row) for c, row in zip(rig.cameras, currents, strict=True)]
-
-    return of

@@ -134,7 +134,7 @@ def campaign(
 ) -> dict[str, Answers]:
     """Recognise random frames, each twice, and write every result to ``path`` (JSON lines).
 
-    A frame shows the whole target at any attitude, anywhere in the picture. The first look has no
+    A frame shows the whole target at any attitude, anywhere in the picture. The first pass has no
     prior. The tracked look has a prior with an error of up to 5° about a random axis, 3 % of the
     range along the line of sight and 1 % across. Each frame has its own random numbers (seed,
     frame), so the bytes of the file depend on the inputs only. Finished shards are kept in

@@ -66,7 +66,9 @@ def train(
     renderer: Annotated[Renderer, typer.Option(help="Renderer of the views.")] = Renderer.NUMBA,
     joint_step: Annotated[
         float,
-        typer.Option(min=1.0, max=90.0, help="Degrees between the sheets of a target with joints."),
+        typer.Option(
+            min=1.0, max=90.0, help="Degrees between the configurations of a target with joints."
+        ),
     ] = 15.0,
     jobs: Jobs = -1,
     dask: Dask = None,
@@ -168,7 +170,9 @@ def summary(trained: Trained) -> str:
             + (f"{len(model.symmetries)} symmetries" if model.symmetries else "no symmetry")
         )
     for k, joint in enumerate(model.joints):
-        angles = sorted({float(np.rad2deg(m.angles_rad[k])) for m in (model, *model.sheets)})
+        angles = sorted(
+            {float(np.rad2deg(m.angles_rad[k])) for m in (model, *model.configurations)}
+        )
         lines.append(
             f"joint {joint.name!r}: {len(angles)} angles from {angles[0]:.1f}° to {angles[-1]:.1f}°"
         )

@@ -38,7 +38,7 @@ from rendezview_ground.render.crossings import faces_beside
 from rendezview_ground.render.pyrender_renderer import PyrenderRenderer
 from rendezview_ground.render.renderers import Renderer, make_renderer
 
-# Streams of random numbers; trees use 3, calibration 4, decisions 5, surface points 6, voters 7.
+# Streams of random numbers; trees use 3, calibration 4, decisions 5, surface points 6, forest 7.
 _STREAM_OF_TRAINING, _STREAM_OF_HELD_OUT, _STREAM_OF_DECISIONS = 1, 2, 5
 
 
@@ -146,7 +146,7 @@ def _train(
     sketches = stages.sketches()
     samples = Samples(options.order, lattice, perturbed)
     trees = stages.trees(samples)
-    voters = stages.voters(lattice, perturbed, silhouettes)
+    score_forest = stages.score_forest(lattice, perturbed, silhouettes)
     sphere = Geodesic.of_order(options.order)
     nodes = len(sphere.nodes)
     decisions = None
@@ -187,7 +187,7 @@ def _train(
         shape_error=shape_error,
         surface=surface,
         sketches=sketches,
-        voters=voters,
+        score_forest=score_forest,
         error_model=None if contours is None else ErrorModel.packaged(),
     )
     if held_out is not None:
@@ -221,7 +221,7 @@ def provenance(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -> d
     digest.update(np.ascontiguousarray(mesh.faces, dtype="<i4").tobytes())
     if mesh.face_trust is not None:
         digest.update(np.ascontiguousarray(mesh.face_trust, dtype="<f4").tobytes())
-    packages = ["rendezview", "numpy", "opencv-python-headless", "numba"]
+    packages = ["rendezview", "numpy", "opencv-python-headless", "numba", "scikit-learn"]
     if options.renderer is Renderer.PYRENDER and importlib.util.find_spec("pyrender"):
         packages.append("pyrender")
     return {

@@ -1,4 +1,4 @@
-"""Training of a target with joints: a model of every sheet, one after the other, in one file."""
+"""Training of a target with joints: a model of every configuration, in one file."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from rendezview_ground.learn.options import TrainingOptions, view_geometry
 from rendezview_ground.mesh.joints import (
     STEP_RAD,
     common_sphere,
-    model_of_sheets,
+    configuration_angles,
+    model_of_configurations,
     posed,
-    sheet_angles,
 )
 from rendezview_ground.mesh.mesh import Mesh
 
 
-def train_sheets(
+def train_configurations(
     mesh: Mesh,
     path: Path,
     joints: Sequence[Joint],
@@ -35,41 +35,42 @@ def train_sheets(
 ) -> Trained:
     """Train a target with joints and write one model to ``path``.
 
-    Finished sheets are kept in ``path`` + ``.sheets`` until the model is written.
+    Finished configurations are kept in ``path`` + ``.sheets`` until the model is written.
 
     Args:
         mesh: of ``with_parts``.
         path: the model file to write.
         joints: of the target, in the order of the mesh's parts.
-        step_rad: between sheets, at most.
-        progress: called with the stage (and the sheet's number), the shards done and all shards.
+        step_rad: between configurations, at most.
+        progress: called with the stage (and the configuration's number), the shards done
+            and all shards.
         arguments: name, options, camera and so on, of ``train``.
 
     Raises:
-        RendezviewError: as ``train``; there are too many sheets.
+        RendezviewError: as ``train``; there are too many configurations.
     """
-    angles = sheet_angles(joints, step_rad)
+    angles = configuration_angles(joints, step_rad)
     sphere = common_sphere(mesh, joints)
     options, camera = arguments.get("options"), arguments.get("camera")
     folder = path.with_name(path.name + ".sheets")
     if not path.parent.is_dir():
         raise RendezviewError(f"{path}: give a file name in an existing folder for the model")
     folder.mkdir(exist_ok=True)
-    sheets, first = [], None
+    configurations, first = [], None
     for k, own in enumerate(angles):
-        sheet = posed(mesh, joints, own)
+        configuration = posed(mesh, joints, own)
         file = folder / f"{k:02d}.rvm"
 
         def tell(stage: str, done: int, of: int, number: int = k + 1) -> None:
             if progress is not None:
                 progress(f"{stage} {number}/{len(angles)}", done, of)
 
-        kept = _kept(file, sheet, arguments)
+        kept = _kept(file, configuration, arguments)
         if kept is None:
-            trained = train(sheet, file, bounding_sphere=sphere, progress=tell, **arguments)
+            trained = train(configuration, file, bounding_sphere=sphere, progress=tell, **arguments)
             first, kept = first or trained, trained.model
-        sheets.append(kept)
-    model = model_of_sheets(sheets, joints, angles)
+        configurations.append(kept)
+    model = model_of_configurations(configurations, joints, angles)
     model.save(path)
     shutil.rmtree(folder, ignore_errors=True)
     if first is None:
@@ -79,7 +80,7 @@ def train_sheets(
 
 
 def _kept(file: Path, mesh: Mesh, arguments: dict[str, Any]) -> ViewModel | None:
-    """The sheet of an earlier run with the same inputs; None if there is none."""
+    """The configuration of an earlier run with the same inputs; None if there is none."""
     if not file.is_file():
         return None
     try:

@@ -16,7 +16,7 @@ from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.renderers import Renderer
 
 # Options whose name in files is older than the one in code.
-_FILE_NAMES = {"shadowed_silhouettes": "lit_views"}
+_FILE_NAMES = {"shadowed_silhouettes": "lit_views", "forest_trees": "voters"}
 OLD_NAMES = {old: new for new, old in _FILE_NAMES.items()}  # accepted in files
 
 
@@ -62,7 +62,9 @@ class TrainingOptions:
         True  # sunlit parts per Sun direction, for first poses in hard light
     )
     sketches: bool = True  # of the nodes' views, for frames in which no threshold finds the target
-    voters: int = 8  # small trees of each node for first poses, with shadowed_silhouettes; 0: none
+    forest_trees: int = (
+        5  # small trees of each node for first poses, with shadowed_silhouettes; 0: none
+    )
     surface_points: int = 4096  # with visibility per direction, for shading checks; 0: none
     min_samples_split: int = 4  # samples; the paper's rule "too few samples"
     min_gain: float = 1e-3  # nats per sample of the tree; the paper's least entropy gain
@@ -93,7 +95,7 @@ class TrainingOptions:
             "near_cone_rad": 0.0 <= self.near_cone_rad <= np.pi / 3,
             "contour_resolution_px": 64 <= self.contour_resolution_px <= 8192,
             "surface_points": self.surface_points == 0 or 64 <= self.surface_points <= 65_536,
-            "voters": 0 <= self.voters <= 64,
+            "forest_trees": 0 <= self.forest_trees <= 64,
             "min_samples_split": self.min_samples_split >= 2,
             "min_gain": 0.0 <= self.min_gain < np.inf,
             "seed": self.seed >= 0,
@@ -121,7 +123,7 @@ class TrainingOptions:
             label_edges=1.0,
             contour_points=0,
             shadowed_silhouettes=False,
-            voters=0,
+            forest_trees=0,
             sketches=False,
             surface_points=0,
         )

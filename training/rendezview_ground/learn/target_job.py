@@ -12,7 +12,7 @@ from rendezview.sensors.appearance import ViewModel
 from rendezview_ground.learn import job
 from rendezview_ground.learn.job import Trained
 from rendezview_ground.learn.jobs.stages import Progress
-from rendezview_ground.learn.joint_configurations import train_sheets
+from rendezview_ground.learn.joint_configurations import train_configurations
 from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.mesh.joints import STEP_RAD, with_parts
 from rendezview_ground.mesh.mesh import Mesh, load_mesh
@@ -62,7 +62,8 @@ def train_target(
         mesh: of the target's file.
         output: the model file to write.
         unit: of a bare mesh.
-        arguments: options, camera and so on, of ``job.train``; ``step_rad`` of ``train_sheets``.
+        arguments: options, camera and so on, of ``job.train``; ``step_rad`` of
+            ``train_configurations``.
     """
     step_rad = arguments.pop("step_rad", STEP_RAD)
     arguments |= {"name": target.name, "shape_error": target.shape_error}
@@ -74,6 +75,6 @@ def train_target(
     joints = [parts.joint for parts in target.joints]
     trusted = with_trust(with_parts(mesh, target, unit), target, unit)
     whole = with_blankets(trusted, target, unit)
-    return train_sheets(
+    return train_configurations(
         whole, output, joints, step_rad=step_rad, symmetries=target.symmetries, **arguments
     )

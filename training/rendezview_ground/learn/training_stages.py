@@ -14,7 +14,7 @@ from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
 from rendezview.io.target import DockingRing
 from rendezview.sensors.appearance.model.contours import Contours
-from rendezview.sensors.appearance.model.forest import Voters
+from rendezview.sensors.appearance.model.forest import ScoreForest
 from rendezview.sensors.appearance.model.near_views import NearSphere
 from rendezview.sensors.appearance.model.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.model.signature import Readings
@@ -26,7 +26,7 @@ from rendezview_ground.learn.jobs.shard_executor import ShardExecutor, Shared, T
 from rendezview_ground.learn.jobs.stages import Arrays, Progress, Shards, shares
 from rendezview_ground.learn.options import TrainingOptions, ViewGeometry
 from rendezview_ground.learn.trees.calibrate import prior_errors, recognition_errors
-from rendezview_ground.learn.trees.forest import VoterSamples, joined, learn_voters
+from rendezview_ground.learn.trees.forest import ForestSamples, joined, learn_forest
 from rendezview_ground.learn.trees.node_trees import Samples, TreeSet, learn_trees
 from rendezview_ground.learn.views.contours import contour_points
 from rendezview_ground.learn.views.near_spheres import near_spheres
@@ -230,16 +230,16 @@ class TrainingStages:
         shards = self._run("trees", _tree_arrays, (samples, self.options), parts)
         return TreeSet.joined([_tree_set(a) for a in shards])
 
-    def voters(
+    def score_forest(
         self, lattice: ViewSet, perturbed: ViewSet | None, lit: ShadowedSilhouettes | None
-    ) -> Voters | None:
-        """Voters of all nodes; None without shadowed silhouettes."""
-        if self.options.voters == 0 or lit is None:
+    ) -> ScoreForest | None:
+        """The forest of all nodes; None without shadowed silhouettes."""
+        if self.options.forest_trees == 0 or lit is None:
             return None
-        samples = VoterSamples.of(self.options.order, lattice, perturbed, lit)
+        samples = ForestSamples.of(self.options.order, lattice, perturbed, lit)
         nodes = len(Geodesic.of_order(self.options.order).nodes)
         parts = [(p,) for p in shares(nodes, _NODES_PER_SHARD)]
-        return joined(self._run("voters", learn_voters, (samples, self.options), parts))
+        return joined(self._run("forest", learn_forest, (samples, self.options), parts))
 
     def calibration(self, model: ViewModel, held_out: ViewSet) -> Array:
         """Errors of recognition on the held-out views."""

@@ -1,7 +1,7 @@
-"""Targets with joints: which faces turn, the mesh at an angle, and a model of several sheets.
+"""Targets with joints: which faces turn, the mesh at an angle, a model of all configurations.
 
-A sheet is a view model of the mesh at one angle of each joint. Between the sheets the recognizer
-turns the contour points of the nearest one.
+A configuration is a view model of the mesh at one angle of each joint. Between the configurations
+the recognizer turns the contour points of the nearest one.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from rendezview_ground.mesh.mesh import Mesh, load_mesh
 from rendezview_ground.mesh.parts import faces_of
 from rendezview_ground.mesh.surface_samples import points_on
 
-STEP_RAD = math.radians(15.0)  # between sheets at most. Source: experiment pose-joints
-_MOST_SHEETS = 64  # of a model; each is as large as a model without joints
+STEP_RAD = math.radians(15.0)  # between configurations at most. Source: pose-joints (0.1)
+_MOST_CONFIGURATIONS = 64  # of a model; each is as large as a model without joints
 _UNSEEN_RADII = 0.003  # of the target's radius: a turn that moves the surface less shows nothing
 _FAR_RADII = 2.0  # of the target's radius: an axis beyond is not the target's
 _SPHERE_STEPS = 24  # angles at which the common bounding sphere is measured
@@ -83,31 +83,32 @@ def common_sphere(mesh: Mesh, joints: Sequence[Joint]) -> tuple[Array, float]:
     return centre, radius * (2.0 - math.cos(0.5 * widest))
 
 
-def sheet_angles(joints: Sequence[Joint], step_rad: float = STEP_RAD) -> Array:
-    """(K, J) angles of the sheets: all combinations of the joints' own.
+def configuration_angles(joints: Sequence[Joint], step_rad: float = STEP_RAD) -> Array:
+    """(K, J) angles of the configurations: all combinations of the joints' own.
 
     Raises:
         RendezviewError: there are too many.
     """
-    each = [joint.sheets(step_rad) for joint in joints]
+    each = [joint.configurations(step_rad) for joint in joints]
     count = math.prod(len(angles) for angles in each)
-    if count > _MOST_SHEETS:
+    if count > _MOST_CONFIGURATIONS:
         raise RendezviewError(
-            f"the joints need {count} sheets, more than {_MOST_SHEETS}: narrow limits_deg, give "
+            f"the joints need {count} configurations, more than {_MOST_CONFIGURATIONS}: narrow "
+            "limits_deg, give "
             "symmetry_deg, let parts share a joint, or take a larger --joint-step"
         )
     return np.array(list(itertools.product(*each)))
 
 
-def model_of_sheets(
-    sheets: Sequence[ViewModel], joints: Sequence[Joint], angles: Array
+def model_of_configurations(
+    configurations: Sequence[ViewModel], joints: Sequence[Joint], angles: Array
 ) -> ViewModel:
-    """One model of the sheets at angles (K, J)."""
+    """One model of the configurations at angles (K, J)."""
     own = [
-        replace(sheet, joints=tuple(joints), angles_rad=angles[k].copy())
-        for k, sheet in enumerate(sheets)
+        replace(configuration, joints=tuple(joints), angles_rad=angles[k].copy())
+        for k, configuration in enumerate(configurations)
     ]
-    return replace(own[0], sheets=tuple(own[1:]))
+    return replace(own[0], configurations=tuple(own[1:]))
 
 
 def _joined(mesh: Mesh, other: Mesh, part: int) -> Mesh:

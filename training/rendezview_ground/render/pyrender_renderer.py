@@ -119,7 +119,7 @@ class PyrenderRenderer:
                 return process
         raise RendezviewError(
             f"pyrender does not work here ({'; '.join(dict.fromkeys(failures))}): install "
-            "rendezview[pyrender] and OpenGL without a screen (libegl1 and libgl1-mesa-dri, or "
+            "rendezview[training] and OpenGL without a screen (libegl1 and libgl1-mesa-dri, or "
             "libosmesa6), or use --renderer numba"
         )
 

@@ -55,7 +55,7 @@ def take(
 ) -> tuple[Float32s, Float32s]:
     """A photograph of a drawn craft, turned and mirrored at random, and its maps.
 
-    A drawing larger than SIDE_PX is a closer look: sky and all lengths in pixels grow with it.
+    A drawing larger than SIDE_PX is a closer pass: sky and all lengths in pixels grow with it.
     """
     larger = drawing.maps.shape[-1] / SIDE_PX
     if larger > 1.0:

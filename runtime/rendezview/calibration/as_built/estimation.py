@@ -91,7 +91,7 @@ class ShapeEstimator:
         shape = Deformation(np.zeros(6), movable, np.zeros(3) if lens else None)
         radius_m, before = self.model.target_radius_m, None
         untouched = SurfaceResiduals(np.zeros((0, 3)), np.zeros(0))
-        for _ in range(self.options.looks):
+        for _ in range(self.options.passes):
             deformed = shape.model(self.model, shape_error=_ROUGH)
             recognizer = Recognizer(deformed, shape.camera(self.camera))
             used = posed(recognizer, frames, priors, progress)
@@ -116,7 +116,7 @@ class ShapeEstimator:
                 progress(f"round {turn + 1}: {shape.told()}, changed by {100 * largest:.3f} %")
                 if turn >= _ROUGH_ROUNDS and largest < self.options.stop:
                     break
-            if shape.change(moved, radius_m, self.camera.fx) < self.options.look_again:
+            if shape.change(moved, radius_m, self.camera.fx) < self.options.repeat_above:
                 break
         edges = self._measured(used, shape, sketcher, rough=False)
         rms = self._shares(used, edges)

@@ -22,12 +22,12 @@ class ShapeOptions:
     size_sigma: float = 0.02  # of the mean of xx, yy, zz. Source: by construction, a known craft
     turn_sigma_rad: float = 0.15  # of a part. Source: by construction, 6° is twice less
     move_sigma: float = 0.05  # of a part, share of the target's radius. Source: by construction
-    rounds: int = 10  # Gauss–Newton, at most. Source: experiment pose-shape, twice what it took
+    rounds: int = 10  # Gauss–Newton, at most. Source: pose-shape (0.1), twice what it took
     stop: float = 2e-4  # largest change of a component. Source: a tenth of an edge's error
     # The frames are recognised so often at most: again with the model found, while the strain
-    # changes by more than ``look_again``. Source: experiment photo-accuracy --folds
-    looks: int = 3
-    look_again: float = 5e-3  # Source: a pixel or two of an edge
+    # changes by more than ``repeat_above``. Source: experiment photo-accuracy --folds
+    passes: int = 3
+    repeat_above: float = 5e-3  # Source: a pixel or two of an edge
     least_frames: int = 5  # with a pose. Source: by construction
     least_spread_rad: float = np.deg2rad(30.0)  # between two views. Source: by construction
     focal_sigma: float = 0.05  # of the focal length. Source: by construction, a data sheet

@@ -2,6 +2,7 @@
  *
  * grey frame --rdv_silhouette--> outline --rdv_rays--> rays --rdv_signature_of--> signature
  *            --rdv_search--> active nodes and the direction on which they agree
+ *            --rdv_forest_score--> how well an attitude fits
  *
  * No allocation, no recursion, no state between calls, nothing of the library but math.h. All
  * memory is the caller's or on the stack. Sizes and worst-case counts: rendezview_model.h, which
@@ -148,5 +149,26 @@ rdv_status rdv_search(const rdv_signature *signature, const rdv_f64 centred_from
  * Nodes are asked that far and RDV_MARGIN_RAD around the view. */
 rdv_status rdv_search_around(const rdv_signature *signature, const rdv_f64 centred_from_target[9],
                              rdv_f64 error_rad, rdv_on_nodes *found);
+
+/* Parts of a search. The nodes whose directions have at least this cosine with the view of an
+ * attitude, ascending; and, of nodes and trust, the weights, the support and the direction. */
+rdv_status rdv_nodes_near(const rdv_f64 centred_from_target[9], rdv_f64 cosine,
+                          uint16_t near[RDV_NODES], uint32_t *count);
+void rdv_agree(rdv_on_nodes *found);
+
+/* ---- The forest, with which the runtime decides: forest.c and rendezview_forest.c ---- */
+
+#if (RDV_FOREST_TREES > 0u) /* else the model has none, and these functions are left out */
+
+/* Mean log odds that the signature is a view of each of the nodes within an edge of the attitude's
+ * view, each asked at its own roll: a score to compare attitudes by. */
+rdv_status rdv_forest_score(const rdv_signature *signature, const rdv_f64 centred_from_target[9],
+                            rdv_f64 *score);
+
+/* As rdv_search, but the forest decides which nodes are active. */
+rdv_status rdv_forest_search(const rdv_signature *signature, const rdv_f64 centred_from_target[9],
+                             rdv_f64 reach_rad, rdv_on_nodes *found);
+
+#endif
 
 #endif

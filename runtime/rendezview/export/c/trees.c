@@ -110,8 +110,8 @@ static rdv_f64 kernel(rdv_f64 cosine)
     return exp((cosine - 1.0) / RDV_KERNEL_WIDTH);
 }
 
-/* Mode of the active nodes' directions: from the best supported, a few steps of a mean shift. */
-static void agree(rdv_on_nodes *found)
+/* From the best supported of the directions, a few steps of a mean shift. */
+void rdv_agree(rdv_on_nodes *found)
 {
     uint32_t start = 0u;
     rdv_f64 most = -1.0;
@@ -217,42 +217,53 @@ void rdv_centred(const rdv_signature *signature, const rdv_f64 camera_from_targe
     }
 }
 
-rdv_status rdv_search(const rdv_signature *signature, const rdv_f64 centred_from_target[9],
-                      rdv_f64 reach_rad, rdv_on_nodes *found)
+rdv_status rdv_nodes_near(const rdv_f64 centred_from_target[9], rdv_f64 cosine,
+                          uint16_t near[RDV_NODES], uint32_t *count)
 {
     rdv_status status = RDV_OK;
     uint32_t k;
 
-    if ((signature == NULL) || (centred_from_target == NULL) || (found == NULL) ||
-        !(reach_rad >= 0.0))
-    {
-        status = RDV_BAD_INPUT;
-    }
-    for (k = 0u; (k < 9u) && (status == RDV_OK); k++)
+    for (k = 0u; k < 9u; k++)
     {
         if (!(fabs(centred_from_target[k]) <= 1.001)) /* no element of a rotation; NaN too */
         {
             status = RDV_BAD_INPUT;
         }
     }
+    *count = 0u;
+    for (k = 0u; (k < RDV_NODES) && (status == RDV_OK); k++)
+    {
+        if (-dot(rdv_directions[k], &centred_from_target[6]) >= cosine)
+        {
+            near[*count] = (uint16_t)k;
+            *count += 1u;
+        }
+    }
+    return status;
+}
+
+rdv_status rdv_search(const rdv_signature *signature, const rdv_f64 centred_from_target[9],
+                      rdv_f64 reach_rad, rdv_on_nodes *found)
+{
+    rdv_status status = RDV_BAD_INPUT;
+    uint16_t near[RDV_NODES];
+    uint32_t count = 0u;
+
+    if ((signature != NULL) && (centred_from_target != NULL) && (found != NULL) &&
+        (reach_rad >= 0.0))
+    {
+        status = rdv_nodes_near(centred_from_target, cos(fmin(reach_rad, PI)) - 1e-12, near,
+                                &count);
+    }
     if (status == RDV_OK)
     {
-        const rdv_f64 cosine = cos(fmin(reach_rad, PI)) - 1e-12;
-        const rdv_f64 view[3] = {-centred_from_target[6], -centred_from_target[7],
-                                 -centred_from_target[8]};
-        uint16_t near[RDV_NODES];
         rdv_f64 rolls_rad[RDV_NODES];
         rdv_f64 trust[RDV_NODES];
-        uint32_t count = 0u;
+        uint32_t k;
 
-        for (k = 0u; k < RDV_NODES; k++)
+        for (k = 0u; k < count; k++)
         {
-            if (dot(rdv_directions[k], view) >= cosine)
-            {
-                near[count] = (uint16_t)k;
-                rolls_rad[count] = twist(centred_from_target, rdv_attitudes[k]);
-                count++;
-            }
+            rolls_rad[k] = twist(centred_from_target, rdv_attitudes[near[k]]);
         }
         ask(signature->readings, near, rolls_rad, count, trust);
         found->count = 0u;
@@ -268,7 +279,7 @@ rdv_status rdv_search(const rdv_signature *signature, const rdv_f64 centred_from
         }
         if (found->count > 0u)
         {
-            agree(found);
+            rdv_agree(found);
         }
         else
         {

@@ -36,8 +36,8 @@ from rendezview.sensors.appearance.outline.voted import VotedPose
 from rendezview.sensors.appearance.outline.votes import Matcher, MatchOptions
 from rendezview.sensors.observation import Status
 
-# Log odds of the voters about a pose that no refinement confirms.
-# Source: experiment tree-ablation, seed 4101
+# Log odds of the forest about a pose that no refinement confirms.
+# Source: experiment tree-ablation (0.1), seed 4101
 _LEAST_VOTES = 0.0
 
 
@@ -67,8 +67,8 @@ class OutlineRecognition:
         self.matcher = Matcher(model, match)
         self._interpolator = None if model.views.far_change is None else Interpolator(model)
         self._foreground = Foreground()
-        self._ballot = self.matcher.ballot
-        self._voted = None if self._ballot is None else VotedPose(model, self._ballot)
+        self._forest_scores = self.matcher.forest_scores
+        self._voted = None if self._forest_scores is None else VotedPose(model, self._forest_scores)
         self._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
 
     def trace(
@@ -175,7 +175,7 @@ class OutlineRecognition:
             prior: camera_from_target; ``None``: all attitudes are searched.
             prior_error_rad: how far off the prior's attitude may be; ``None``: the default.
             clock: counts the stages ``trees`` and ``pose``.
-            alone: no refinement follows, so a pose that the model's voters doubt is not given.
+            alone: no refinement follows, so a pose that the model's forest doubts is not given.
         """
         stage_ms = clock.stage_ms
         if traced.missing is not None:
@@ -242,10 +242,10 @@ class OutlineRecognition:
         )
 
     def _doubt(self, signature: Signature, pose: Pose) -> Missing | None:
-        """Why the voters doubt a pose; None where they do not, or the model has none."""
-        if self._ballot is None:
+        """Why the forest doubts a pose; None where they do not, or the model has none."""
+        if self._forest_scores is None:
             return None
-        votes = float(self._ballot.scores(signature, pose.rotation[None])[0])
+        votes = float(self._forest_scores.scores(signature, pose.rotation[None])[0])
         if votes >= _LEAST_VOTES:
             return None
         return Missing(

@@ -77,7 +77,7 @@ def follow(
             alone = recognizer.recognize(image, near, sun_camera=sun_camera, time_s=time_s)
             if integrity is None:
                 return alone
-            look = partial(recognizer.second_look, image)
+            look = partial(recognizer.second_estimate, image)
             monitor = IntegrityMonitor(integrity)
             return monitor.protected(alone, time_s, None, model.centre_m, look)
         tracker = tracker or Tracker(recognizer, prior, options, integrity)

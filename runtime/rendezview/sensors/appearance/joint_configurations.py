@@ -1,4 +1,4 @@
-"""Recognition of a target with joints: which of the model's sheets a frame shows."""
+"""Recognition of a target with joints: which of the model's configurations a frame shows."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from rendezview.sensors.appearance.observation import AppearanceObservation
 
 # Rad; a pose or an angle further away is another answer. Source: as in the experiments
 _OTHER_RAD = np.deg2rad(5.0)
-_AS_GOOD = 0.03  # merit; poses that differ by less fit as well. Source: experiment pose-joints
-# Rad, of an angle, where its edges are looked for again. Source: experiment pose-joints
+_AS_GOOD = 0.03  # merit; poses that differ by less fit as well. Source: pose-joints (0.1)
+# Rad, of an angle, where its edges are looked for again. Source: pose-joints (0.1)
 _ASIDE_RAD = np.deg2rad([-9.0, -6.0, -3.0, 3.0, 6.0, 9.0])
 
 
 def best_of(
-    looks: Sequence[AppearanceObservation],
+    observations: Sequence[AppearanceObservation],
     models: Sequence[ViewModel],
     confident: Callable[[AppearanceObservation], AppearanceObservation],
 ) -> AppearanceObservation:
-    """The best of the sheets' looks at one frame.
+    """The best of the configurations' looks at one frame.
 
-    The margin of its pose becomes that over the best other answer of any sheet.
+    The margin of its pose becomes that over the best other answer of any configuration.
 
     Args:
-        looks: one of each sheet, given or not.
-        models: the sheets.
-        confident: gives or refuses the pose of a look by its margin.
+        observations: one of each configuration, given or not.
+        models: the configurations.
+        confident: gives or refuses the pose of an observation by its margin.
     """
-    found = [k for k, look in enumerate(looks) if look.found is not None]
+    found = [k for k, observation in enumerate(observations) if observation.found is not None]
     if not found:
-        return looks[0]
-    found.sort(key=lambda k: -_merit(looks[k]))
-    best, joints = looks[found[0]], models[0].joints
+        return observations[0]
+    found.sort(key=lambda k: -_merit(observations[k]))
+    best, joints = observations[found[0]], models[0].joints
     assert best.found is not None
     margin = best.found.margin
     for k in found[1:]:
-        if _another(best, looks[k], models[0], joints):
-            margin = min(margin, _merit(best) - _merit(looks[k]))
+        if _another(best, observations[k], models[0], joints):
+            margin = min(margin, _merit(best) - _merit(observations[k]))
             break
-    best_pose = _spread(best.found.best, [looks[k] for k in found[1:]], _merit(best), joints)
+    best_pose = _spread(best.found.best, [observations[k] for k in found[1:]], _merit(best), joints)
     return confident(replace(best, found=replace(best.found, margin=margin, best=best_pose)))
 
 
@@ -61,10 +61,10 @@ def _spread(
     covariance = best.joint_covariance
     if covariance is None or best.angles_rad is None:
         return best
-    for look in others:
-        assert look.found is not None
-        other = look.found.best
-        if other.angles_rad is None or merit - look.found.merit > _AS_GOOD:
+    for observation in others:
+        assert observation.found is not None
+        other = observation.found.best
+        if other.angles_rad is None or merit - observation.found.merit > _AS_GOOD:
             continue
         if best.pose.angle_to(other.pose) > _OTHER_RAD:
             continue
@@ -86,15 +86,15 @@ def around(joints: Sequence[Joint], angles_rad: Array) -> list[Array]:
     return found
 
 
-def _merit(look: AppearanceObservation) -> float:
-    assert look.found is not None
-    return look.found.merit
+def _merit(observation: AppearanceObservation) -> float:
+    assert observation.found is not None
+    return observation.found.merit
 
 
 def _another(
     a: AppearanceObservation, b: AppearanceObservation, model: ViewModel, joints: Sequence[Joint]
 ) -> bool:
-    """Whether two looks are different answers."""
+    """Whether two observations are different answers."""
     assert a.found is not None
     assert b.found is not None
     one, other = a.found.best, b.found.best

@@ -19,7 +19,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview.sensors.beacons.detect.discs import camera_numbers
-from rendezview.sensors.beacons.detect.spots import CROWD, SpotTable
+from rendezview.sensors.beacons.detect.spots import MOST_CERTAIN, SpotTable
 from rendezview.sensors.beacons.match.acquisition import Acquirer, merged
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.match.matching import expect_spots
@@ -32,8 +32,10 @@ _BLURS = (1.0, 1.4, 0.7, 2.0, 2.8, 4.0, 5.5)
 _LEAST_SURE = 8.0  # χ² of the triplet at most. Source: as AcquisitionOptions.sparse_limit
 _SAME_SHARE = 0.02  # of the range, between poses that agree. Source: by construction, 5 × the error
 _BLURRED = 0.75  # blur over size from which a size tells the blur. Source: by construction, σ / 2
-_TOLD_DIAMETER, _TOLD_BLUR = 0.05, 0.25  # ln, that is worth a word. Source: by construction
-_TOLD_SIGMA = 2.0  # of what a blur that is not known makes of the diameter. Source: by construction
+_REPORTED_DIAMETER, _REPORTED_BLUR = 0.05, 0.25  # ln, that is worth a word. Source: by construction
+_REPORTED_SIGMA = (
+    2.0  # of what a blur that is not known makes of the diameter. Source: by construction
+)
 _FEWEST, _READINGS = 3, 5  # whose diameters are averaged. Source: by construction
 _NEARER = 0.8  # × the range: the dots tell more and are measured again. Source: by construction
 
@@ -57,7 +59,7 @@ def fit_dots(
     camera: Camera, patterns: list[ReflectorPattern], options: AcquisitionOptions, spots: SpotTable
 ) -> Fitted | None:
     """Diameter and blur at which the spots are the target; None where none or several are."""
-    if not 3 <= len(spots) <= CROWD:
+    if not 3 <= len(spots) <= MOST_CERTAIN:
         return None
     best: tuple[float, float, float, Acquisition] | None = None
     # One thing that is different is likelier than two.
@@ -90,8 +92,8 @@ def fit_dots(
     else:
         blur *= math.exp(step / (share * share))
     fitted = replace(options, blur_px=blur * options.blur_px)
-    words = [] if abs(math.log(diameter)) < _TOLD_DIAMETER else [_of_diameter(diameter)]
-    if abs(math.log(blur)) > _TOLD_BLUR:
+    words = [] if abs(math.log(diameter)) < _REPORTED_DIAMETER else [_of_diameter(diameter)]
+    if abs(math.log(blur)) > _REPORTED_BLUR:
         words.append(
             f"the blur is {fitted.blur_px:.1f} px (one σ): give --blur {fitted.blur_px:.1f}"
         )
@@ -153,7 +155,7 @@ class DotSizes:
         if self.told or len(self._steps) < _FEWEST:
             return self.told
         step = sum(self._steps) / len(self._steps)
-        sure = abs(step) > max(_TOLD_DIAMETER, _TOLD_SIGMA * self._sigma)
+        sure = abs(step) > max(_REPORTED_DIAMETER, _REPORTED_SIGMA * self._sigma)
         return _of_diameter(math.exp(step)) if sure else None
 
     def take(self, pose: Pose, spots: SpotTable, names: tuple[str | None, ...]) -> None:

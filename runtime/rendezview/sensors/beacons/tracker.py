@@ -14,7 +14,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import Face, ReflectorPattern
 from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptions
 from rendezview.sensors.beacons.detect.hidden_noise import HiddenNoise
-from rendezview.sensors.beacons.detect.spots import CROWD, SpotTable, find_spots
+from rendezview.sensors.beacons.detect.spots import MOST_CERTAIN, SpotTable, find_spots
 from rendezview.sensors.beacons.match.acquisition import Acquirer, merged
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.observation import ReflectorObservation, missed, refused
@@ -136,7 +136,7 @@ class ReflectorSensor:
         middle = time.perf_counter()
         found = self.acquirer.acquire(spots, prior)
         missing = found.status in (Status.NO_SPOTS, Status.NOT_FOUND)
-        if missing and frames.dark is not None and len(spots) <= CROWD:
+        if missing and frames.dark is not None and len(spots) <= MOST_CERTAIN:
             # Discs as faint as the threshold fall to pieces.
             faint = self._spots(frames, faint=True)
             again = self.acquirer.acquire(faint, prior)
@@ -239,9 +239,9 @@ class ReflectorSensor:
         if refined is None and not np.isfinite(track.before).any():
             # The motion is not known: windows are of little use.
             return self._acquire(time_s, frames)
-        contrary = self._contrary(time_s, frames, track, refined, seen, stage_ms)
-        if contrary is not None:
-            return contrary
+        contradiction = self._contradiction(time_s, frames, track, refined, seen, stage_ms)
+        if contradiction is not None:
+            return contradiction
         names = tuple(self.constellation.names[k] for k in seen)
         spots = SpotTable(table[seen])
         if refined is None:
@@ -262,7 +262,7 @@ class ReflectorSensor:
             )  # fmt: skip
         return self._reading(time_s, refined, spots, names, None, stage_ms, ambiguous, tracked=True)
 
-    def _contrary(
+    def _contradiction(
         self,
         time_s: float,
         frames: LitDark,

@@ -15,7 +15,7 @@ from rendezview.estimation.edge_profile import (
     REACH,
     TAPS,
     allowed_square,
-    fit_crowded,
+    fit_adjacent,
     fit_step,
     narrow_step,
     residual_square,
@@ -150,7 +150,7 @@ def _place_step(
     taken, room = spread, FAR
     crowd = outer < REACH + 2.0 * blur_px or -inner < REACH + 2.0 * blur_px
     if crowd:
-        taken = fit_crowded(profile, inner, outer, blur_px, solved)
+        taken = fit_adjacent(profile, inner, outer, blur_px, solved)
         if taken < 0.0:
             return 0.0, 0.0, 0.0, -1.0
         level, contrast, shifted = solved[0], solved[1], solved[2]

@@ -1,4 +1,4 @@
-"""Poses that another witness proposes, judged by the grey edges."""
+"""Poses that another estimator proposes, judged by the grey edges."""
 
 import cv2
 import numpy as np

@@ -13,7 +13,7 @@ import rendezview_ground
 from rendezview_ground.learn.jobs.shard_executor import ClusterError
 
 # These decide the bytes of a result. All machines of a cluster need the same versions.
-_PACKAGES = ("numpy", "scipy", "opencv-python-headless", "numba", "trimesh")
+_PACKAGES = ("numpy", "scipy", "opencv-python-headless", "numba", "scikit-learn", "trimesh")
 _MESSAGES = ("dask", "distributed", "cloudpickle")  # the machines of a cluster talk with these
 
 Installed = dict[str, str]

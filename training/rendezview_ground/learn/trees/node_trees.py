@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
+from sklearn.tree import DecisionTreeClassifier
 
 from rendezview.geometry.geodesic import Geodesic, angle_between, within
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.model.signature import Readings, rolled, twist
 from rendezview.sensors.appearance.model.trees import Forest
 from rendezview_ground.learn.options import TrainingOptions
-from rendezview_ground.learn.trees.grown_tree import LEVELS, Rules, entropies, grow
+from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree, seed_of
 from rendezview_ground.learn.trees.neighbourhood import neighbourhood
 from rendezview_ground.learn.views.views import ViewSet
 
@@ -95,39 +97,82 @@ class Samples:
 
 
 _STREAM_OF_NODES = 3  # of random numbers; views use 1 and 2
+# Of a component: more make learning slower, and decisions on held-out views no better.
+_LEVELS = 64
 
 
 def learn_trees(samples: Samples, options: TrainingOptions, nodes: range) -> TreeSet:
     """Entropy trees (eq. 5) of some nodes, with the paper's three stopping rules."""
-    return TreeSet.joined([_learn(*samples.of_node(node, options), options) for node in nodes])
+    return TreeSet.joined(
+        [learned_tree(*samples.of_node(node, options), options, node) for node in nodes]
+    )
 
 
-def _learn(readings: Readings, labels: npt.NDArray[np.bool_], options: TrainingOptions) -> TreeSet:
-    """Train one tree. Thresholds are integers, so that a listing reproduces the tree exactly."""
+class Levels(NamedTuple):
+    """Steps in which a tree compares each of C components: fewer values are sorted faster."""
+
+    low: Array  # (C,) least reading
+    width: Array  # (C,) readings in a step
+
+    @classmethod
+    def of(cls, components: Readings) -> Levels:
+        """Of samples (K, C)."""
+        low = components.min(axis=0).astype(np.float64)
+        return cls(low, np.ceil((components.max(axis=0) - low + 1.0) / _LEVELS))
+
+    def levels(self, components: Readings) -> Array:
+        """(K, C) whole steps above the least reading; readings of other samples may be outside."""
+        return np.floor((components - self.low) / self.width)
+
+    def threshold(self, component: npt.NDArray[np.int64], level: Array) -> Array:
+        """(M,) the greatest whole reading at or below a whole level."""
+        return self.low[component] + self.width[component] * (level + 1.0) - 1.0
+
+
+def fitted(
+    readings: Readings, labels: npt.NDArray[np.bool_], options: TrainingOptions, node: int
+) -> tuple[DecisionTreeClassifier, Levels]:
+    """Fit scikit-learn's tree of a node, to levels of every ``component_step``-th bin.
+
+    Args:
+        readings: (K, N) whole.
+        labels: (K,) whether the node is active.
+        options: the stopping rules, and which bins are components.
+        node: decides which of two equal splits is taken.
+    """
     components = readings[:, :: options.component_step]
-    low = components.min(axis=0)
-    width = np.ceil((components.max(axis=0) - low + 1.0) / LEVELS)  # readings per level
-    levels = np.ascontiguousarray(((components - low) // width).T.astype(np.uint8))
-    count = len(labels)
-    rules = Rules(options.min_samples_split, 1, options.min_gain * count)
-    no_keys = np.empty((2 * count, 0), dtype=np.int64)
-    tree = grow(levels, labels, np.arange(count), no_keys, rules, entropies(count))
-    inner, entries = tree.component >= 0, np.arange(len(tree.component))
-    chosen = tree.component[inner]
-    component, threshold = np.full(len(inner), -1, np.int16), np.zeros(len(inner), np.float32)
-    component[inner] = chosen * options.component_step
-    threshold[inner] = low[chosen] + width[chosen] * (tree.level[inner] + 1) - 1.0
+    levels = Levels.of(components)
+    classifier = DecisionTreeClassifier(
+        criterion="entropy",
+        min_samples_split=options.min_samples_split,
+        min_impurity_decrease=options.min_gain / np.log(2.0),  # bits
+        random_state=seed_of(options.seed, _STREAM_OF_NODES, node),
+    )
+    return classifier.fit(levels.levels(components), labels), levels
+
+
+def learned_tree(
+    readings: Readings, labels: npt.NDArray[np.bool_], options: TrainingOptions, node: int
+) -> TreeSet:
+    """Learn one tree; see ``fitted``.
+
+    Thresholds are whole numbers, so that a listing reproduces the tree exactly.
+    """
+    classifier, levels = fitted(readings, labels, options, node)
+    tree = FittedTree.of(classifier, classifier.classes_)
+    inner, entries = tree.component != BRANCHLESS, np.arange(len(tree.component))
+    threshold = np.where(inner, levels.threshold(tree.component, tree.threshold), 0.0)
     leaf_on = np.where(inner, 0, tree.on).astype(np.int32)
     leaf_off = np.where(inner, 0, tree.off).astype(np.int32)
     forest = Forest(
         np.zeros(1, dtype=np.int32),
-        component,
-        threshold,
+        np.where(inner, tree.component * options.component_step, BRANCHLESS).astype(np.int16),
+        threshold.astype(np.float32),
         np.where(inner, entries + 1, 0).astype(np.int32),
         np.where(inner, entries + tree.right, 0).astype(np.int32),
         (leaf_on > leaf_off).astype(np.uint8),
     )
-    right = np.maximum(leaf_on, leaf_off).sum() / count
+    right = np.maximum(leaf_on, leaf_off).sum() / len(labels)
     return TreeSet(forest, leaf_on, leaf_off, np.array([right]))
 
 

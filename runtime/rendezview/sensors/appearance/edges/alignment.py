@@ -55,7 +55,7 @@ _LOOSE_STRIDE = 2  # one point in two is enough to judge that. Source: by constr
 AGREEING = 0.53  # of the spread: it counts exp(−½). Source: fixed with error_model.json
 _INNER_SHARE = 0.5  # of inner edges in the loose ratio. Source: by hand, docs/notes/refinement.md
 # Source: experiment pose-accuracy: one of 200 right poses lies below (commit b583915)
-_HOPELESS = 0.65  # of the best loose ratio; poses below are dropped
+_LEAST_RATIO = 0.65  # of the best loose ratio; poses below are dropped
 CUT_SPREADS = 2.5  # spreads; no residual beyond counts. Source: by hand, docs/notes/refinement.md
 _LEAST_EDGES = 12  # found, for six unknowns: twice as many. Source: by construction
 _LONGEST_TURN_RAD = 0.2  # rad, of one step. Source: by construction, linear to 2 %
@@ -342,7 +342,7 @@ def align_each(
             best = max(best, rough[k])
     for _ in range(min(survivors, count)):
         k = largest_at(rough)
-        if rough[k] < _HOPELESS * best or rough[k] <= 0.0:
+        if rough[k] < _LEAST_RATIO * best or rough[k] <= 0.0:
             break
         rough[k] = 0.0  # done
         if align(image, lens, frame, then, views, rotations[k], centres[k], edges) != DIVERGED:

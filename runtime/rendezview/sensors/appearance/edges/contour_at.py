@@ -32,10 +32,10 @@ def contour_pixels(
 ) -> ContourPixels | None:
     """The contour of a model at ``camera_from_target``; None if the model has no contour points.
 
-    ``angles_rad``: (J,) of the joints of a target that has any; ``None``: the first sheet's.
+    ``angles_rad``: (J,) of the joints of a target that has any; ``None``: of the first.
     """
     if angles_rad is not None:
-        model = model.sheet_at(angles_rad)
+        model = model.configuration_at(angles_rad)
     contours = model.contours
     if contours is None:
         return None

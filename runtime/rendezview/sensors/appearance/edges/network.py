@@ -30,10 +30,10 @@ SIDE_PX = 256  # sketch px; the network is trained at this size. Source: experim
 SQUARE_PX = 4
 _MULTIPLE_PX = 64  # px; a side must allow four halvings of the squares. Source: by construction
 _FAINT_GREY = 8.0  # grey levels; the second channel saturates there. Source: as trained
-_GLANCE_PX = (320, 240)  # sketch px; at most, of the look at the whole frame. Source: as trained
+_GLANCE_PX = (320, 240)  # sketch px; at most, of the pass over the whole frame. Source: as trained
 _MARGIN = 1.4  # of the box of the target: side of the square that is sketched. Source: as trained
 # Source: its cost; no other is better in experiment photo-accuracy (docs/notes/photographs.md)
-_CLOSER_MARGIN = 0.1  # of the box's longer side, around it in closer looks
+_CLOSER_MARGIN = 0.1  # of the box's longer side, around it in closer passes
 _LEAST_SIDE = 0.75  # of SIDE_PX: a smaller square would be magnified. Source: as trained
 _COVERED = 0.5  # probability. Source: by construction
 _PIECE_SHARE = (
@@ -60,7 +60,7 @@ class Sketch:
     left_px: float  # sketch px
     top_px: float  # sketch px
     crossed: Bools  # (2, 2) the target leaves the frame: to the left, the right; above, below
-    fineness: float  # how many times as fine as a first look, whose square is SIDE_PX large
+    fineness: float  # how many times as fine as a first pass, whose square is SIDE_PX large
 
     @property
     def is_cut(self) -> bool:
@@ -283,6 +283,6 @@ def _scale(part: Part, most_px: tuple[int, int]) -> float:
 
 
 def _differ(a: Box, b: Box) -> bool:
-    """Whether two boxes differ so much that another look pays."""
+    """Whether two boxes differ so much that another pass pays."""
     size = max(a[2] - a[0], a[3] - a[1])
     return max(abs(p - q) for p, q in zip(a, b, strict=True)) > 0.1 * size

@@ -17,7 +17,7 @@ from rendezview.sensors.appearance.observation import AppearanceObservation
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Second:
-    """The pose of a second witness beside the first one's."""
+    """The pose of a second estimator beside the first one's."""
 
     angle_rad: float  # between both attitudes
     confidence: float  # of the second
@@ -42,7 +42,7 @@ class Evidence:
     overshoot: float  # of bright outlines beyond the silhouette
     dark: bool  # the sky is
     shading: float  # agreement of bright and dark; NaN: not computed
-    votes: float  # log odds of the voters; NaN: not asked
+    votes: float  # log odds of the forest; NaN: not asked
     trees: float  # weights of the active nodes about the pose
     margin: float  # merit above the rival's
     rival_rad: float  # angle to the rival; NaN: there is none

@@ -28,11 +28,11 @@ FRAME_FEATURES = (
     "dim", "bright_sky", "rival", "unshaded", "shading_known", "sketched", "searched", "no_prior",
     "trees_missing",
 )  # fmt: skip
-# What the track and a second witness say, which is asked again and again.
+# What the track and a second estimator say, which is asked again and again.
 TRACK_FEATURES = ("young", "second_agrees", "agrees_again", "second_disagrees", "no_second")
 _MOST_AGAIN = 3.0  # agreements after the first; more tell nothing new. Source: by construction
 _MOST_AGAINST = 3.0  # disagreements, weighted by confidence. Source: by construction
-SURE = 0.6  # probability; a witness below it raises no alarm. Source: the recognizer's threshold
+SURE = 0.6  # probability; an estimator below it raises no alarm. Source: the recognizer's threshold
 # What tells how far errors are from their covariance: a frame's features, and that covariance.
 SPREAD_FEATURES = (*FRAME_FEATURES, "log_sigma")
 _LEAST_SHARE = 1e-6  # rad or of the range; no deviation is smaller. Source: by construction
@@ -40,7 +40,7 @@ _MOST_ODDS = 8.0  # of the log odds of a confidence. Source: by construction
 _LEAST_RESIDUAL_PX = 0.03  # px; a smaller one is no better. Source: by construction
 _MOST_OVERSHOOT, _MOST_MARGIN = 0.3, 0.3  # merit. Source: as in the confidence of edges
 _MOST_YEARS = 20.0  # frames; an older track is no better. Source: length of the fit's sequences
-SAME_RAD = math.radians(10.0)  # rad; two witnesses agree. Source: a sketch's error, photo-accuracy
+SAME_RAD = math.radians(10.0)  # rad; two estimators agree. Source: a sketch's error, photo-accuracy
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,20 +190,20 @@ def frame_features(evidence: Evidence) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class SecondWitness:
-    """What a second witness has said along a track."""
+class SecondEstimator:
+    """What a second estimator has said along a track."""
 
     agreed: float = 0.0  # times, however sure: two searches agree by chance once in a thousand
     against: float = 0.0  # sum of the confidences of those that disagreed
     last: Second | None = None
 
-    def after(self, second: Second | None) -> SecondWitness:
+    def after(self, second: Second | None) -> SecondEstimator:
         """With one more answer; ``None``: it saw nothing."""
         if second is None:
             return replace(self, last=None)
         if second.angle_rad < SAME_RAD:
-            return SecondWitness(self.agreed + 1.0, self.against, second)
-        return SecondWitness(self.agreed, self.against + second.confidence, second)
+            return SecondEstimator(self.agreed + 1.0, self.against, second)
+        return SecondEstimator(self.agreed, self.against + second.confidence, second)
 
     def contradicts(self, attitude_rad: float) -> bool:
         """Whether the last answer is surely another attitude than one with this level."""
@@ -213,15 +213,15 @@ class SecondWitness:
         return last.angle_rad > max(attitude_rad, SAME_RAD)
 
 
-def track_features(followed: int, witness: SecondWitness) -> Array:
-    """(5,) ``TRACK_FEATURES`` of a pose after so many frames, and what the second witness said."""
+def track_features(followed: int, second: SecondEstimator) -> Array:
+    """(5,) ``TRACK_FEATURES`` of a pose after so many frames, and the second estimator's."""
     return np.array(
         [
             1.0 / (1.0 + min(followed, _MOST_YEARS)),
-            min(witness.agreed, 1.0),
-            min(max(witness.agreed - 1.0, 0.0), _MOST_AGAIN),
-            min(witness.against, _MOST_AGAINST),
-            float(witness.agreed + witness.against == 0.0),
+            min(second.agreed, 1.0),
+            min(max(second.agreed - 1.0, 0.0), _MOST_AGAIN),
+            min(second.against, _MOST_AGAINST),
+            float(second.agreed + second.against == 0.0),
         ]
     )
 

@@ -2,8 +2,8 @@
 
 A level has three parts: the tails of the pose's own error, from its covariance; the rival of the
 search; and any other pose, with the probability that the evidence of the track leaves it. Evidence
-is that of each frame (edges, trees, shading), of the motion, and of the sketch as a second witness,
-which is asked where the others leave more doubt than the user's risk.
+is that of each frame (edges, trees, shading), of the motion, and of the sketch as a second
+estimator, which is asked where the others leave more doubt than the user's risk.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.integrity.evidence import Evidence, Second
 from rendezview.sensors.appearance.integrity.model import (
     IntegrityModel,
-    SecondWitness,
+    SecondEstimator,
     frame_features,
     track_features,
 )
 from rendezview.sensors.appearance.observation import AppearanceObservation
-from rendezview.sensors.protection import WITNESSES, Protection
+from rendezview.sensors.protection import ESTIMATORS_DISAGREE, Protection
 
 _JUMP_RAD = math.radians(15.0)  # rad; such a change is no motion. Source: reach of tracking
 
@@ -41,7 +41,7 @@ class IntegrityOptions:
     # Acceleration that is no drift: a slow tumble of 3°/s, a thruster of a small craft.
     turn_rad_s2: float = math.radians(0.1)  # rad/s². Source: torque-free motion
     move_m_s2: float = 2e-3  # m/s². Source: cold-gas thrusters
-    second_every: int = 5  # frames; the second witness is not asked more often. Source: its cost
+    second_every: int = 5  # frames; the second estimator is not asked more often. Source: its cost
 
     def __post_init__(self) -> None:
         if not LEAST_RISK <= self.risk <= MOST_RISK:
@@ -80,7 +80,7 @@ class IntegrityMonitor:
     def _restart(self) -> None:
         self._smoothed: Array | None = None
         self._followed = 0
-        self._witness = SecondWitness()
+        self._second = SecondEstimator()
         self._asked = -self.options.second_every
         self._steps: list[_Step] = []
         self._drift = Drift.none(6)
@@ -100,7 +100,7 @@ class IntegrityMonitor:
             time_s: of the frame, later than those before.
             predicted: camera_from_target that the frames before led to; ``None``: a new track.
             centre_m: (3,) view centre, target frame.
-            second: asks a second witness for its pose beside a given one.
+            second: asks a second estimator for its pose beside a given one.
         """
         evidence = Evidence.of(observation, time_s, predicted, centre_m)
         pose = observation.pose
@@ -112,7 +112,7 @@ class IntegrityMonitor:
     def judge(
         self, evidence: Evidence, ask: Callable[[], Second | None] | None = None
     ) -> Protection:
-        """The protection of the next pose of the track; ``ask`` asks the second witness."""
+        """The protection of the next pose of the track; ``ask`` asks the second estimator."""
         innovation = evidence.innovation
         if innovation is None or np.linalg.norm(innovation[:3]) > _JUMP_RAD:
             self._restart()
@@ -125,17 +125,17 @@ class IntegrityMonitor:
         self._move(evidence)
         protection = self._protection(evidence)
         waited = self._followed - self._asked >= self.options.second_every
-        doubt = protection.wrong > self.options.risk or WITNESSES in protection.alarms
+        doubt = protection.wrong > self.options.risk or ESTIMATORS_DISAGREE in protection.alarms
         if ask is None or evidence.sketched or not (waited and doubt):
-            return protection  # of its own pose a sketch is no second witness
-        self._asked, self._witness = self._followed, self._witness.after(ask())
+            return protection  # of its own pose a sketch is no second estimator
+        self._asked, self._second = self._followed, self._second.after(ask())
         return self._protection(evidence)
 
     @property
     def features(self) -> Array:
         """(21,) ``FRAME_FEATURES`` and ``TRACK_FEATURES`` of the last pose."""
         assert self._smoothed is not None
-        return np.concatenate([self._smoothed, track_features(self._followed, self._witness)])
+        return np.concatenate([self._smoothed, track_features(self._followed, self._second)])
 
     def _move(self, evidence: Evidence) -> None:
         """Compare the pose with the motion of the two before it."""
@@ -186,8 +186,8 @@ class IntegrityMonitor:
             alarms.append("attitude")
         if position_m > options.alarm_position_m or math.isinf(position_m):
             alarms.append("position")
-        if self._witness.contradicts(attitude_rad):
-            alarms.append(WITNESSES)
+        if self._second.contradicts(attitude_rad):
+            alarms.append(ESTIMATORS_DISAGREE)
         if self._drift.largest > self.model.limit:
             alarms.append("drift")
         return tuple(alarms)

@@ -13,7 +13,7 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.refinement import Refined, Refiner
 from rendezview.sensors.appearance.judge.shading import Shading
 from rendezview.sensors.appearance.model.error_model import ErrorModel
-from rendezview.sensors.appearance.model.forest import Ballot
+from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
 from rendezview.sensors.appearance.sky import Sky
@@ -56,7 +56,7 @@ class Found:
     prior: bool  # found near a prior
     rival: Refined | None = None
     shading: float | None = None  # see ``Refiner.shading``; None: not computed
-    votes: float | None = None  # log odds of the outline's voters about it; None: not asked
+    votes: float | None = None  # log odds of the outline's forest about it; None: not asked
     single: bool = False  # only the pose next to the prior was tried
     error_model: ErrorModel = field(default_factory=ErrorModel.packaged)
 
@@ -124,7 +124,7 @@ class Candidates:
     image: Picture
     sky: Sky
     bodies: list[Outlines]
-    ballot: Ballot | None = None
+    forest_scores: ForestScores | None = None
     prior: bool = False  # the search starts from a prior
     _all: list[_Candidate] = field(default_factory=list)
 
@@ -178,11 +178,11 @@ class Candidates:
         return max(others, key=lambda j: merits[j], default=None)
 
     def _votes(self, refined: Refined) -> float | None:
-        """Log odds of the voters, of the outline that gives most; None before a bright sky."""
-        if self.ballot is None or not self.sky.dark:
+        """Log odds of the forest, of the outline that gives most; None before a bright sky."""
+        if self.forest_scores is None or not self.sky.dark:
             return None
         rotation = refined.pose.rotation[None]
-        scores = [float(self.ballot.scores(b.signature, rotation)[0]) for b in self.bodies]
+        scores = [float(self.forest_scores.scores(b.signature, rotation)[0]) for b in self.bodies]
         return max(scores, default=None)
 
     def _overshoot(self, refined: Refined) -> float:

@@ -22,7 +22,7 @@ _ALONG = 7
 # … and across it, 1 % of the target's size: of 1.5, 2.5 and 4 px the narrower tells more on drawn
 # frames, the wider on photographs. Source: frames of sketch-confidence, photo-accuracy
 _ACROSS = 3
-# Sketch px of a first look; no pixel of the strip is stepped over. Source: half a diagonal
+# Sketch px of a first pass; no pixel of the strip is stepped over. Source: half a diagonal
 _STEP_PX = 0.7
 
 
@@ -34,7 +34,7 @@ def explained_share(
     """Sum of a sketch's lines next to the contour points of the view nearest to a pose.
 
     Args:
-        lines: (h, w) how much of a line there is, as a share of the sum; as fine as a first look.
+        lines: (h, w) how much of a line there is, as a share of the sum; as fine as a first pass.
         lens: of a camera whose picture they are.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
         seen: (h, w) scratch.

@@ -19,7 +19,7 @@ PACKAGED = Path(__file__).with_name("sketch_error_model.json")
 PACKAGED_TREES = Path(__file__).with_name("confidence.npz")
 # What a pose is judged by, in the order of the fields of ``SketchPose`` …
 POSE_FEATURES = ("outline", "inner", "contrast", "visible", "explained", "shading", "tones")
-# … and the choice of one: in the closer look, in the first one, and both together.
+# … and the choice of one: in the closer pass, in the first one, and both together.
 CHOICE_FEATURES = (
     "margin", "cut", "lead", "basin", "converged", "scatter", "spread", *POSE_FEATURES,
 )  # fmt: skip
@@ -59,12 +59,12 @@ class SketchPose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Looks:
+class Passes:
     """The poses of one frame that were aligned, in the order in which they were found."""
 
     first: list[SketchPose]  # from all starts, on the first sketch
     around: list[SketchPose]  # from around the best of them, on the finer sketch
-    others: list[SketchPose]  # from other ones of the first look, on the finer sketch
+    others: list[SketchPose]  # from other ones of the first pass, on the finer sketch
 
     @property
     def closer(self) -> list[SketchPose]:
@@ -72,7 +72,7 @@ class Looks:
         return self.around + self.others
 
     def lead(self, best: Pose) -> float:
-        """Merit in the first look of the poses that lead to the best, above the others'."""
+        """Merit in the first pass of the poses that lead to the best, above the others'."""
         merits = np.array([pose.merit for pose in self.first])
         same = np.array([pose.pose.angle_to(best) < RIVAL_RAD for pose in self.first])
         if not same.any() or same.all():
@@ -81,7 +81,7 @@ class Looks:
         return max(-_MOST_MARGIN, min(lead, _MOST_MARGIN))
 
     def basin(self, best: Pose) -> float:
-        """Share of the first look's poses that lead to the best."""
+        """Share of the first pass's poses that lead to the best."""
         return float(np.mean([pose.pose.angle_to(best) < RIVAL_RAD for pose in self.first]))
 
     def scattered(self, best: Pose) -> tuple[float, float]:
@@ -99,7 +99,7 @@ class SketchChoice:
 
     best: SketchPose
     rival: SketchPose | None
-    looks: Looks
+    passes: Passes
     prior: bool  # found near a prior
     cut: bool  # the target leaves the frame
     pose: Pose  # the mean of those that the best leads to in sketches of two scales
@@ -118,9 +118,9 @@ class SketchChoice:
     @property
     def features(self) -> Array:
         """(14,) ``CHOICE_FEATURES``."""
-        pose, looks = self.best.pose, self.looks
+        pose, passes = self.best.pose, self.passes
         margin = min(self.margin, _MOST_MARGIN)
-        seen = [looks.lead(pose), looks.basin(pose), *looks.scattered(pose)]
+        seen = [passes.lead(pose), passes.basin(pose), *passes.scattered(pose)]
         seen.append(min(self.spread_deg, _MOST_SCATTER_DEG))
         return np.array([margin, float(self.cut), *seen, *self.best.features])
 
@@ -162,16 +162,16 @@ class SketchChoice:
 
 
 def chosen(
-    looks: Looks, symmetries: Sequence[Symmetry], *, prior: bool, cut: bool
+    passes: Passes, symmetries: Sequence[Symmetry], *, prior: bool, cut: bool
 ) -> SketchChoice | None:
-    """The pose of most merit in the closer look and its rival; None without any pose."""
-    poses = looks.closer
+    """The pose of most merit in the closer pass and its rival; None without any pose."""
+    poses = passes.closer
     best = max(poses, key=lambda p: p.merit, default=None)
     if best is None:
         return None
     others = [p for p in poses if angle_between(p.pose, best.pose, symmetries) > RIVAL_RAD]
     rival = max(others, key=lambda p: p.merit, default=None)
-    return SketchChoice(best, rival, looks, prior, cut, best.pose)
+    return SketchChoice(best, rival, passes, prior, cut, best.pose)
 
 
 def opinion_features(own: float, other: float, *, agree: bool) -> Array:

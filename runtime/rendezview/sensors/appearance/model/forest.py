@@ -1,10 +1,10 @@
-"""Voters: a few small trees for each node, whose mean says how likely a view is the node's.
+"""The forest: a few small trees for each node, whose mean says how likely a view is the node's.
 
-The tree of a node (`trees`) decides yes or no, and can be read by people. Its voters look at the
+The tree of a node (`trees`) decides yes or no, and can be read by people. Its forest reads the
 same outline in 90 bins. Each has learned other samples and other bins, whole silhouettes and
 silhouettes of sunlit parts, so their mean is a graded answer that holds in hard light too
 (L. Breiman, Random forests, Machine Learning 45, 2001). The votes order the work of a first pose,
-and they are a witness beside the edges.
+and they are evidence beside the edges.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ Bytes = npt.NDArray[np.uint8]
 BINS = SHADOWED_BINS
 LEAF = 255  # as a bin. Source: by construction, format of the model file
 ODDS_UNIT = 1.0 / 16.0  # of a leaf's log odds. Source: by construction, format of the model file
-_INSIDE_EDGES = 1.0  # nodes that should be active. Source: by construction, the paper's figure 3
+INSIDE_EDGES = 1.0  # nodes that should be active. Source: by construction, the paper's figure 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Voters:
+class ScoreForest:
     """Small trees in flat arrays of M entries; the left child follows its parent."""
 
     roots: npt.NDArray[np.int32]  # (nodes, T) entry at which each tree starts
@@ -56,7 +56,7 @@ class Voters:
         if self.roots.ndim != 2 or len(self.roots) != nodes or self.roots.shape[1] == 0:
             raise ValueError(f"voters.roots has shape {self.roots.shape} for {nodes} nodes")
         if int(self.roots.min()) < 0 or int(self.roots.max()) >= entries:
-            raise ValueError("a root of the voters lies outside them")
+            raise ValueError("a root of the forest lies outside them")
         inner = self.component != LEAF
         if np.any(self.component[inner] >= BINS):
             raise ValueError("a voter looks at a bin beyond the signature")
@@ -65,41 +65,43 @@ class Voters:
             raise ValueError("a child of a voter must come after its parent's left one")
 
 
-class VoterTables(NamedTuple):
-    """``Voters`` for the compiled loops: all of an entry in one word, so in one line of memory."""
+class ForestTables(NamedTuple):
+    """``ScoreForest`` for the compiled loops: all of an entry in one word, one line of memory."""
 
     roots: npt.NDArray[np.int32]  # (nodes, T)
     # (M,) component, then threshold, or the odds of a leaf, then right: 8, 8 and 16 bits
     entries: npt.NDArray[np.uint32]
 
     @classmethod
-    def of(cls, voters: Voters) -> VoterTables:
-        """The tables of the voters."""
-        leaf = voters.component == LEAF
-        middle = np.where(leaf, voters.odds.view(np.uint8), voters.threshold)
-        entries = voters.component.astype(np.uint32)
+    def of(cls, forest: ScoreForest) -> ForestTables:
+        """The tables of the forest."""
+        leaf = forest.component == LEAF
+        middle = np.where(leaf, forest.odds.view(np.uint8), forest.threshold)
+        entries = forest.component.astype(np.uint32)
         entries |= middle.astype(np.uint32) << 8
-        entries |= voters.right.astype(np.uint32) << 16
+        entries |= forest.right.astype(np.uint32) << 16
         # Arrays of a file cannot be written to, which would be another type to the compiler.
-        return cls(voters.roots.copy(), entries)
+        return cls(forest.roots.copy(), entries)
 
 
-class Ballot:
-    """The voters of one model beside one signature: a score for any attitude."""
+class ForestScores:
+    """The forest of one model beside one signature: a score for any attitude."""
 
-    def __init__(self, voters: Voters, nodes: Array, rotations: Array, edge_rad: float) -> None:
+    def __init__(
+        self, forest: ScoreForest, nodes: Array, rotations: Array, edge_rad: float
+    ) -> None:
         """Tables of a model.
 
         Args:
-            voters: of the nodes.
+            forest: of the nodes.
             nodes: (N, 3) their directions.
             rotations: (N, 3, 3) centred_from_target of their views.
             edge_rad: mean angle between neighbouring nodes.
         """
-        self._voters = VoterTables.of(voters)
+        self._tables = ForestTables.of(forest)
         self._nodes = np.ascontiguousarray(nodes)
         self._rotations = np.ascontiguousarray(rotations)
-        self._cosine = float(np.cos(_INSIDE_EDGES * edge_rad))
+        self._cosine = float(np.cos(INSIDE_EDGES * edge_rad))
 
     def scores(self, signature: Signature, rotations: Array) -> Array:
         """(K,) mean log odds of the nodes within one edge of each pose.
@@ -112,7 +114,7 @@ class Ballot:
         out = np.empty(len(attitudes))
         _score(
             _coarse(signature.readings), np.ascontiguousarray(attitudes), self._nodes,
-            self._rotations, self._cosine, self._voters, out,
+            self._rotations, self._cosine, self._tables, out,
         )  # fmt: skip
         return out * ODDS_UNIT
 
@@ -125,12 +127,12 @@ class Ballot:
             readings: (N,) of a signature.
             attitude: (3, 3) of the camera turned to the centroid, from target.
             cosine: of the angle from the attitude's direction of view.
-            least_odds: mean log odds of the voters must be above.
+            least_odds: mean log odds of the forest must be above.
         """
         found, odds = np.empty(len(self._nodes), dtype=np.intp), np.empty(len(self._nodes))
         count = _ask_near(
             _coarse(readings), attitude, self._nodes, self._rotations, cosine,
-            least_odds / ODDS_UNIT, self._voters, found, odds,
+            least_odds / ODDS_UNIT, self._tables, found, odds,
         )  # fmt: skip
         return found[:count].copy(), odds[:count] * ODDS_UNIT
 
@@ -143,12 +145,12 @@ class Ballot:
             rolls_rad: (K,) of ``twist``.
         """
         out = np.empty(len(nodes))
-        _ask_each(_coarse(readings), nodes, rolls_rad, self._voters, out)
+        _ask_each(_coarse(readings), nodes, rolls_rad, self._tables, out)
         return out * ODDS_UNIT
 
 
 def _coarse(readings: Readings) -> Readings:
-    """(N,) readings in the bins and units of the voters."""
+    """(N,) readings in the bins and units of the forest."""
     coarse = readings @ rebinning(len(readings), BINS)
     coarse = np.minimum(coarse / np.float32(READING_UNIT), np.float32(255.0))
     return np.ascontiguousarray(coarse, dtype=np.float32)
@@ -157,7 +159,7 @@ def _coarse(readings: Readings) -> Readings:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _score(
     readings: Readings, attitudes: Array, nodes: Array, rotations: Array, cosine: float,
-    voters: VoterTables, out: Array,
+    forest: ForestTables, out: Array,
 ) -> None:  # fmt: skip
     """Fill (K,) with the mean odds, in units, of the nodes about each attitude."""
     rolled = np.empty(len(readings), dtype=np.float32)
@@ -169,7 +171,7 @@ def _score(
             if near < cosine:
                 continue
             roll_readings(readings, roll_against(a, rotations[n]), rolled)
-            total += _ask(rolled, n, voters)
+            total += _ask(rolled, n, forest)
             count += 1
         out[k] = total / count if count > 0 else -127.0
 
@@ -177,7 +179,7 @@ def _score(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _ask_near(
     readings: Readings, a: Array, nodes: Array, rotations: Array, cosine: float, least: float,
-    voters: VoterTables, found: npt.NDArray[np.intp], odds: Array,
+    forest: ForestTables, found: npt.NDArray[np.intp], odds: Array,
 ) -> int:  # fmt: skip
     """Nodes about an attitude (3, 3) with mean odds above the least, in units; how many."""
     rolled = np.empty(len(readings), dtype=np.float32)
@@ -187,7 +189,7 @@ def _ask_near(
         if near < cosine:
             continue
         roll_readings(readings, roll_against(a, rotations[n]), rolled)
-        mean = _ask(rolled, n, voters)
+        mean = _ask(rolled, n, forest)
         if mean > least:
             found[count], odds[count] = n, mean
             count += 1
@@ -196,28 +198,28 @@ def _ask_near(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _ask_each(
-    readings: Readings, nodes: npt.NDArray[np.intp], rolls_rad: Array, voters: VoterTables,
+    readings: Readings, nodes: npt.NDArray[np.intp], rolls_rad: Array, forest: ForestTables,
     out: Array,
 ) -> None:  # fmt: skip
     """Fill (K,) with the mean odds, in units, of each node at its roll."""
     rolled = np.empty(len(readings), dtype=np.float32)
     for k in range(len(nodes)):
         roll_readings(readings, rolls_rad[k], rolled)
-        out[k] = _ask(rolled, nodes[k], voters)
+        out[k] = _ask(rolled, nodes[k], forest)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ask(rolled: Readings, node: int, voters: VoterTables) -> float:
-    """Mean odds, in units, that the voters of a node give to readings at its roll."""
-    trees = voters.roots.shape[1]
+def _ask(rolled: Readings, node: int, forest: ForestTables) -> float:
+    """Mean odds, in units, that the forest of a node gives to readings at its roll."""
+    trees = forest.roots.shape[1]
     total = 0.0
     for t in range(trees):
-        at = np.int64(voters.roots[node, t])
-        entry = np.int64(voters.entries[at])
+        at = np.int64(forest.roots[node, t])
+        entry = np.int64(forest.entries[at])
         while entry & 255 != LEAF:
             goes_left = rolled[entry & 255] <= entry >> 8 & 255
             at += 1 if goes_left else entry >> 16
-            entry = np.int64(voters.entries[at])
+            entry = np.int64(forest.entries[at])
         odds = entry >> 8 & 255
         total += odds - 256 if odds > 127 else odds
     return total / trees  # type: ignore[no-any-return]

@@ -19,7 +19,7 @@ from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance.model.container import read_container, write_container
 from rendezview.sensors.appearance.model.contours import Contours, surfaces_of_cells
 from rendezview.sensors.appearance.model.error_model import ErrorModel
-from rendezview.sensors.appearance.model.forest import Ballot, Voters
+from rendezview.sensors.appearance.model.forest import ForestScores, ScoreForest
 from rendezview.sensors.appearance.model.near_views import NearSphere
 from rendezview.sensors.appearance.model.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.model.sketches import ViewSketches
@@ -105,7 +105,9 @@ class ViewModel:
     provenance: dict[str, Any]  # mesh, options, seed, versions: how the model was made
     shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
     surface: Surface | None = None  # points and albedo, for shading; None: trained without
-    voters: Voters | None = None  # order and confirm first poses; None: trained without, or earlier
+    score_forest: ScoreForest | None = (
+        None  # order and confirm first poses; None: trained without, or earlier
+    )
     sketches: ViewSketches | None = None  # for photographs; None: trained without, or earlier
     error_model: ErrorModel | None = None  # of refined poses; None: the packaged one serves
     # (6, 6) of the strain that calibration left: xx, yy, zz, xy, xz, yz; None: not calibrated
@@ -114,21 +116,21 @@ class ViewModel:
     docking_ring: DockingRing | None = None
     reflectors: tuple[Reflector, ...] = ()
     near: tuple[NearSphere, ...] = ()  # of the part around the docking ring; (): trained without
-    # Of a target with joints: the mesh is at these angles, and ``sheets`` are the same target at
-    # others, with the same view centre and radius.
+    # Of a target with joints: the mesh is at these angles, and ``configurations`` are the same
+    # target at others, with the same view centre and radius.
     joints: tuple[Joint, ...] = ()
     angles_rad: Array = field(default_factory=lambda: np.zeros(0))  # (J,)
-    sheets: tuple[ViewModel, ...] = ()
+    configurations: tuple[ViewModel, ...] = ()
 
-    def sheet_at(self, angles_rad: Array) -> ViewModel:
-        """The sheet whose angles are nearest to some angles (J,); itself without joints."""
+    def configuration_at(self, angles_rad: Array) -> ViewModel:
+        """The configuration whose angles are nearest to some angles (J,); itself without joints."""
         if not self.joints:
             return self
 
-        def farthest(sheet: ViewModel) -> float:
-            return float(np.abs(apart(self.joints, sheet.angles_rad, angles_rad)).max())
+        def farthest(configuration: ViewModel) -> float:
+            return float(np.abs(apart(self.joints, configuration.angles_rad, angles_rad)).max())
 
-        return min((self, *self.sheets), key=farthest)
+        return min((self, *self.configurations), key=farthest)
 
     @property
     def shape_uncertainty(self) -> Array:
@@ -148,13 +150,13 @@ class ViewModel:
         """The sphere of nodes."""
         return Geodesic.of_order(self.order)
 
-    def ballot(self) -> Ballot | None:
-        """Of the voters; None where there are none."""
-        if self.voters is None:
+    def forest_scores(self) -> ForestScores | None:
+        """Of the forest; None where there are none."""
+        if self.score_forest is None:
             return None
         nodes = self.geodesic.nodes
         rotations = self.views.centred_from_target[: len(nodes)]
-        return Ballot(self.voters, nodes, rotations, self.geodesic.mean_edge_rad)
+        return ForestScores(self.score_forest, nodes, rotations, self.geodesic.mean_edge_rad)
 
     @property
     def lattice(self) -> Geodesic:
@@ -164,8 +166,8 @@ class ViewModel:
     def save(self, path: Path | str) -> None:
         """Write the model file, atomically and byte for byte reproducibly."""
         header, arrays = self._stored()
-        for k, sheet in enumerate(self.sheets):
-            its_header, its_arrays = sheet._stored()
+        for k, configuration in enumerate(self.configurations):
+            its_header, its_arrays = configuration._stored()
             header.setdefault("sheets", []).append(its_header)
             arrays |= {f"sheet{k}.{name}": array for name, array in its_arrays.items()}
         write_container(Path(path), header, arrays)
@@ -188,10 +190,10 @@ class ViewModel:
             ) from None
 
     def _stored(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
-        """Header and arrays of the file, without the other sheets."""
+        """Header and arrays of the file, without the other configurations."""
         arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in _ARRAYS}
-        for name in _PARTS:
-            part = getattr(self, name)
+        for own_name, name in _PARTS.items():
+            part = getattr(self, own_name)
             if part is None:
                 continue
             values = {f.name: getattr(part, f.name) for f in fields(part)}
@@ -229,13 +231,13 @@ class ViewModel:
 
     @classmethod
     def _of(cls, header: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> ViewModel:
-        """The model of ``_stored``, with its sheets."""
+        """The model of ``_stored``, with its configurations."""
         # Files of earlier versions have edge profiles of cells.
         if "contours.strip" in arrays and "contours.start" not in arrays:
             cells, kind = arrays["contours.strip"], arrays["contours.kind"]
             arrays["contours.strip"], arrays["contours.start"] = surfaces_of_cells(cells, kind)
             arrays.pop("contours.rim", None)
-        sheets = header.get("sheets", [])
+        configurations = header.get("sheets", [])
         model = cls(
             name=str(header["name"]),
             order=int(header["order"]),
@@ -248,7 +250,7 @@ class ViewModel:
             contours=_part(arrays, "contours", Contours),
             lit=_part(arrays, "lit", ShadowedSilhouettes),
             surface=_part(arrays, "surface", Surface),
-            voters=_part(arrays, "voters", Voters),
+            score_forest=_part(arrays, "voters", ScoreForest),
             sketches=_part(arrays, "sketches", ViewSketches),
             symmetries=tuple(
                 Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
@@ -267,8 +269,9 @@ class ViewModel:
             ),
             joints=tuple(Joint.of_record(joint) for joint in header.get("joints", [])),
             angles_rad=np.array(header.get("angles_rad", []), dtype=np.float64),
-            sheets=tuple(
-                cls._of(sheet, _below(arrays, f"sheet{k}.")) for k, sheet in enumerate(sheets)
+            configurations=tuple(
+                cls._of(configuration, _below(arrays, f"sheet{k}."))
+                for k, configuration in enumerate(configurations)
             ),
             provenance=dict(header["provenance"]),
             **{name: arrays[name] for name in _ARRAYS},
@@ -302,15 +305,15 @@ class ViewModel:
             sphere.check()
         if self.surface is not None:
             self.surface.check()
-        if self.voters is not None:
-            self.voters.check(nodes)
+        if self.score_forest is not None:
+            self.score_forest.check(nodes)
         if self.sketches is not None:
             self.sketches.check()
         if len(self.angles_rad) != len(self.joints):
             raise ValueError(f"{len(self.angles_rad)} angles of {len(self.joints)} joints")
-        for sheet in self.sheets:
-            if len(sheet.joints) != len(self.joints) or sheet.order != self.order:
-                raise ValueError("its sheets are of different targets")
+        for configuration in self.configurations:
+            if len(configuration.joints) != len(self.joints) or configuration.order != self.order:
+                raise ValueError("its configurations are of different targets")
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
                 raise ValueError(f"{name} has shape {array.shape} instead of {shape}")
@@ -353,6 +356,14 @@ def _below(arrays: dict[str, npt.NDArray[Any]], start: str) -> dict[str, npt.NDA
     return {key.removeprefix(start): a for key, a in arrays.items() if key.startswith(start)}
 
 
-# Source: by construction, format of the model file
-_PARTS = ("views", "forest", "contours", "lit", "surface", "voters", "sketches")
+# Fields, and their names in the file. Source: by construction, format of the model file
+_PARTS = {
+    "views": "views",
+    "forest": "forest",
+    "contours": "contours",
+    "lit": "lit",
+    "surface": "surface",
+    "score_forest": "voters",
+    "sketches": "sketches",
+}
 _ARRAYS = ("centre_m", "leaf_on", "leaf_off", "training_accuracy", "held_out_accuracy")

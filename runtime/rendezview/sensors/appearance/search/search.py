@@ -22,7 +22,7 @@ from rendezview.sensors.appearance.edges.refinement import (
 )
 from rendezview.sensors.appearance.judge.confidence import Candidates, Found
 from rendezview.sensors.appearance.judge.shading import Shading
-from rendezview.sensors.appearance.model.forest import Ballot
+from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
@@ -35,14 +35,14 @@ from rendezview.sensors.appearance.sky import Sky
 
 # Source: commit 7a5ba6e, experiment pose-accuracy
 _CONFIDENT = 0.98  # probability; such a pose needs no further search, nor its shading
-# Of the log of the rank by similarity, a unit of the voters' log odds. Source: experiment
-# tree-ablation, seed 4101
+# Of the log of the rank by similarity, a unit of the forest's log odds. Source: experiment
+# tree-ablation (0.1), seed 4101
 _VOTES_WORTH = 0.3
-_REFINED_OF_VOTED = 2  # Source: experiment tree-ablation, seed 4101
-# Log odds of the nodes about a pose: voters that know nothing give −2.2, the share of a node's
-# views among its samples. Source: experiment tree-ablation, seed 4101
+_REFINED_OF_VOTED = 2  # Source: experiment tree-ablation (0.1), seed 4101
+# Log odds of the nodes about a pose: a forest that knows nothing gives −2.2, the share of a node's
+# views among its samples. Source: experiment tree-ablation (0.1), seed 4101
 _LEAST_VOTES = -2.0
-_LEAST_LEAD = 0.5  # log odds above every half turn. Source: experiment tree-ablation, seed 4101
+_LEAST_LEAD = 0.5  # log odds above every half turn. Source: tree-ablation (0.1), seed 4101
 # Inlier ratio of the likeliest starts' best pose: below 0.3, no half turn of it has been right in
 # 120 frames of Mitsuba. Source: docs/notes/photographs.md
 _WORTH_TURNING = 0.2
@@ -65,8 +65,8 @@ class SearchOptions:
     # Views and rolls that are aligned without a prior. Source: by hand, seeds of
     # docs/notes/refinement.md
     retrieved: int = 60
-    # With voters: the likeliest are aligned first, and two of them refined. Where edges and voters
-    # agree on a pose, nothing else is tried. Source: experiment tree-ablation, seed 4101
+    # With a forest: the likeliest are aligned first, and two of them refined. Where edges and the
+    # forest agree on a pose, nothing else is tried. Source: tree-ablation (0.1), seed 4101
     voted_first: int = 8
     retrieved_first: int = 20  # of them, before the others; often enough. Source: commit cb7137c
     # For each of several outlines before a bright sky. Source: by hand, seeds of
@@ -93,14 +93,14 @@ class PoseSearch:
     refiner: Refiner = field(init=False)
     shading: Shading = field(init=False)
     retrieval: Retrieval = field(init=False)
-    ballot: Ballot | None = field(init=False)  # None: the model has no voters
+    forest_scores: ForestScores | None = field(init=False)  # None: the model has no forest
     _half_turns: Array = field(init=False)  # (3, 3, 3)
 
     def __post_init__(self) -> None:
         self.refiner = Refiner(self.model, self.camera, self.refine_options)
         self.shading = Shading(self.model, self.camera)
         self.retrieval = Retrieval(self.model)
-        self.ballot = self.model.ballot()
+        self.forest_scores = self.model.forest_scores()
         self._half_turns = half_turns(self.model)
 
     def _candidates(
@@ -108,12 +108,12 @@ class PoseSearch:
         image: Picture,
         sky: Sky,
         bodies: list[Outlines],
-        ballot: Ballot | None = None,
+        forest_scores: ForestScores | None = None,
         *,
         prior: bool = False,
     ) -> Candidates:
         return Candidates(
-            self.refiner, self.shading, self.retrieval, image, sky, bodies, ballot, prior
+            self.refiner, self.shading, self.retrieval, image, sky, bodies, forest_scores, prior
         )
 
     def anywhere(
@@ -143,8 +143,8 @@ class PoseSearch:
             self._voted(body, *self.retrieval.of(body.signature, each, sun_camera))
             for body in bodies
         ]
-        candidates = self._candidates(image, sky, bodies, self.ballot)
-        if self.ballot is not None and len(bodies) == 1 and not again:
+        candidates = self._candidates(image, sky, bodies, self.forest_scores)
+        if self.forest_scores is not None and len(bodies) == 1 and not again:
             agreed = self._agreed(image, sky, candidates, bodies[0], *starts[0], least)
             if agreed is not None:
                 return agreed
@@ -178,12 +178,13 @@ class PoseSearch:
 
     def _voted(self, body: Outlines, rotations: Array, centres: Array) -> tuple[Array, Array]:
         """Starting poses in the order of similarity and votes together, likeliest first."""
-        if self.ballot is None:
+        if self.forest_scores is None:
             return rotations, centres
         # Whole and sunlit silhouettes come in turns.
         rank = np.log1p(np.arange(len(rotations)) // 2)
         order = np.argsort(
-            rank - _VOTES_WORTH * self.ballot.scores(body.signature, rotations), kind="stable"
+            rank - _VOTES_WORTH * self.forest_scores.scores(body.signature, rotations),
+            kind="stable",
         )
         return rotations[order], centres[order]
 
@@ -197,8 +198,8 @@ class PoseSearch:
         centres: Array,
         least: float,
     ) -> Found | None:
-        """The pose on which edges and voters agree, from the likeliest starts; None without one."""
-        assert self.ballot is not None
+        """The pose on which edges and forest agree, from the likeliest starts; None without one."""
+        assert self.forest_scores is not None
         first = slice(0, self.options.voted_first)
         starts = rotations[first].copy(), centres[first].copy()
         candidates.add(self.refiner.best(image, sky, *starts, _REFINED_OF_VOTED, least=least))
@@ -206,7 +207,7 @@ class PoseSearch:
         if found is None or found.confidence < _CONFIDENT or found.votes is None:
             return None
         turned = found.best.pose.rotation @ self._half_turns
-        other = float(np.max(self.ballot.scores(body.signature, turned)))
+        other = float(np.max(self.forest_scores.scores(body.signature, turned)))
         leads = found.votes >= _LEAST_VOTES and found.votes - other >= _LEAST_LEAD
         return found if leads else None
 
@@ -271,13 +272,13 @@ class PoseSearch:
         self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
         half_turns: bool = True,
     ) -> Found | None:  # fmt: skip
-        """The best of some poses that another witness proposes, and of half turns of it.
+        """The best of some poses that another estimator proposes, and of half turns of it.
 
         Args:
             proposals: right to a few degrees, or another answer.
-            half_turns: ``False`` where the witness has ruled them out.
+            half_turns: ``False`` where the second estimator has ruled them out.
         """
-        candidates = self._candidates(image, sky, bodies, self.ballot)
+        candidates = self._candidates(image, sky, bodies, self.forest_scores)
         refined = [self.refiner.refine(image, sky, pose) for pose in proposals]
         candidates.add([r for r in refined if r is not None])
         if half_turns:

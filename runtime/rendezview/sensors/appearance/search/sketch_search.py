@@ -35,7 +35,7 @@ from rendezview.sensors.appearance.edges.sketch import (
 from rendezview.sensors.appearance.judge.explained import explained_share
 from rendezview.sensors.appearance.judge.shading import SurfaceTables, shading
 from rendezview.sensors.appearance.judge.sketch_choice import (
-    Looks,
+    Passes,
     SketchChoice,
     SketchPose,
     chosen,
@@ -58,10 +58,10 @@ _COARSE = np.array(
 # mean of many edges is nearer to the pose than the few that fit. Source: experiment photo-accuracy
 _FINE = np.array([[18.0, 8.0, 10.0, 2.0, 1.0]])
 # The pose that is given has converged: edges hold it where it is, so it takes more steps. Lengths
-# are of a first look, and grow with its fineness: the mesh's errors do. Source: frames of
+# are of a first pass, and grow with its fineness: the mesh's errors do. Source: frames of
 # sketch-confidence and photo-accuracy (docs/notes/photographs.md)
 _LAST = np.array([[10.0, 4.5, 40.0, 1.0, 0.7]])
-_FINER = 2  # times a first look. Source: experiment photo-accuracy
+_FINER = 2  # times a first pass. Source: experiment photo-accuracy
 # Source: experiment photo-accuracy
 _RETRIEVED = 120  # views and rolls that are aligned without a prior
 _RETRIEVED_NEAR = 30  # the same near a prior. Source: experiment photo-accuracy
@@ -225,7 +225,7 @@ class SketchSearch:
         self, frame: Picture, sky: Sky, first: Reading, poses: list[SketchPose], *, prior: bool,
         turned: bool,
     ) -> SketchChoice | None:  # fmt: skip
-        """The best of some poses of a first sketch after a closer look at the target."""
+        """The best of some poses of a first sketch after a closer pass at the target."""
         best = distinct(poses, _LOOKED_AT, _APART_RAD)
         if not best:
             return None
@@ -237,8 +237,8 @@ class SketchSearch:
         around = self._aligned(reading, starts, places, _FINE)
         starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
         places = np.array([b.pose.apply(centre_m) for b in best[1:]]).reshape(-1, 3)
-        looks = Looks(poses, around, self._aligned(reading, starts, places, _FINE))
-        choice = chosen(looks, self.model.symmetries, prior=prior, cut=sketch.is_cut)
+        passes = Passes(poses, around, self._aligned(reading, starts, places, _FINE))
+        choice = chosen(passes, self.model.symmetries, prior=prior, cut=sketch.is_cut)
         if choice is None:
             return None
         pose, spread_deg, scatter = self._mean(choice.best.pose, [first, reading])
@@ -319,7 +319,7 @@ def _maps(sketch: Sketch) -> Maps:
 def _lines(sketch: Sketch) -> tuple[Float32s, Array]:
     """How much of a line there is, (h, w), as a share of the sum, and its place as of a sketch.
 
-    They are as fine as a first look. Squares of the probabilities of edges and creases: faint
+    They are as fine as a first pass. Squares of the probabilities of edges and creases: faint
     doubts all over a sketch add up to as much as its lines.
     """
     lines = sketch.maps[EDGE] ** 2 + sketch.maps[CREASE] ** 2

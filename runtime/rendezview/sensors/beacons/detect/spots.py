@@ -54,8 +54,8 @@ _RAN_OVER = 0.4
 # less than AcquisitionOptions.size_limit
 _SIZE_KNOWN = 0.1
 # In a crowd of more, chance fits dots of another size, or fainter ones. Source: experiments
-# reflector-tolerance and reflector-nees
-CROWD = 20
+# reflector-tolerance (0.1) and reflector-nees
+MOST_CERTAIN = 20
 # more than that is no picture of a target. Source: by construction, a bound of time
 MOST_SPOTS = 400
 # Columns of the spot table that the compiled loops fill.

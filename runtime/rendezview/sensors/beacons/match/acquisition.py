@@ -105,7 +105,7 @@ class Acquirer:
     def _against_left_out(self, found: Acquisition, spots: SpotTable) -> Acquisition:
         """What was found, unless the spots are those of a group that is said not to be there.
 
-        The last pose is no witness: it is as wrong as the group is. So these groups are looked for
+        The last pose is no evidence: it is as wrong as the group is. So these groups are looked for
         at any range. They count even where several of their poses show the spots.
         """
         notes, margin = [], self.options.rival_margin

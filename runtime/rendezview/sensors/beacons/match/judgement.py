@@ -23,7 +23,7 @@ Tolerances = tuple[float, float, float, float, float, float, float]
 _CORRECTIONS = 2  # rounds. Source: by construction, a bound of time
 # Largest errors of the quick pose in ln(size): in all, and as a multiple of (base / range)².
 _SLACK, _SLACK_NEAR = 0.01, 0.2
-# and without corrections, of base / range. Source: by hand; see reflector-acquisition
+# and without corrections, of base / range. Source: by hand; see reflector-acquisition (0.1)
 _SLACK_FIRST = 0.3
 # ln of a size: by so much the expected one may be smaller than the one visible. Source: by
 # construction, three times the largest σ of a size
@@ -64,7 +64,7 @@ def judge(
     for n in range(triplets.shape[0]):
         for k in range(MAX_ROOTS):
             scores[n, k] = np.inf
-        if screened and _hopeless(
+        if screened and _ruled_out(
             model, triplets[n, 0], triplets[n, 1], triplets[n, 2], directions, log_size, log_peak,
             focal_px, blur_px, tolerances, window, score_limit,
         ):  # fmt: skip
@@ -176,7 +176,7 @@ def _model(points: Array, normals: Array, diameters: Array, out: Array) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
-def _hopeless(
+def _ruled_out(
     model: Array, left: int, centre: int, right: int, directions: Array, log_size: Array,
     log_peak: Array, focal_px: float, blur_px: float, tolerances: Tolerances, window: Array,
     score_limit: float,

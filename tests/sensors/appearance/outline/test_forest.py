@@ -1,4 +1,4 @@
-"""Voters: their score against plain Python, what they decide, and files that hold none."""
+"""The forest: their score against plain Python, what they decide, and files that hold none."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from rendezview.sensors.appearance.model.forest import (
     BINS,
     LEAF,
     ODDS_UNIT,
-    Ballot,
-    Voters,
+    ForestScores,
+    ScoreForest,
     roll_readings,
 )
 from rendezview.sensors.appearance.model.signature import Signature, rebinning, twist
@@ -27,20 +27,20 @@ from rendezview.sensors.appearance.outline.votes import Matcher
 SILENT = -35  # the share of a node's views among its samples, in ODDS_UNIT
 
 
-def ballot_of(model: ViewModel) -> Ballot:
-    ballot = model.ballot()
-    assert ballot is not None
-    return ballot
+def scores_of(model: ViewModel) -> ForestScores:
+    forest_scores = model.forest_scores()
+    assert forest_scores is not None
+    return forest_scores
 
 
 def silenced(model: ViewModel, odds: int = SILENT) -> ViewModel:
-    odds = np.where(model.voters.component == LEAF, odds, 0).astype(np.int8)
-    return replace(model, voters=replace(model.voters, odds=odds))
+    odds = np.where(model.score_forest.component == LEAF, odds, 0).astype(np.int8)
+    return replace(model, score_forest=replace(model.score_forest, odds=odds))
 
 
 def score_twin(model: ViewModel, readings: np.ndarray, attitude: np.ndarray) -> float:
     """Mean log odds, tree by tree."""
-    voters, sphere = model.voters, model.geodesic
+    forest, sphere = model.score_forest, model.geodesic
     odds = []
     for node, direction in enumerate(sphere.nodes):
         if angle_between(-attitude[2], direction) > sphere.mean_edge_rad:
@@ -48,18 +48,18 @@ def score_twin(model: ViewModel, readings: np.ndarray, attitude: np.ndarray) -> 
         roll = float(twist(attitude, model.views.centred_from_target[node]))
         place = np.arange(BINS) - roll * BINS / (2.0 * np.pi)
         rolled = np.interp(place, np.arange(BINS), readings, period=BINS)
-        for root in voters.roots[node]:
+        for root in forest.roots[node]:
             entry = int(root)
-            while voters.component[entry] != LEAF:
-                left = rolled[voters.component[entry]] <= voters.threshold[entry]
-                entry += 1 if left else int(voters.right[entry])
-            odds.append(float(voters.odds[entry]))
+            while forest.component[entry] != LEAF:
+                left = rolled[forest.component[entry]] <= forest.threshold[entry]
+                entry += 1 if left else int(forest.right[entry])
+            odds.append(float(forest.odds[entry]))
     return float(np.mean(odds)) * ODDS_UNIT
 
 
 def test_scores_are_those_of_every_tree_in_turn(refining_model):
     rng = np.random.default_rng(0)
-    ballot = ballot_of(refining_model)
+    forest_scores = scores_of(refining_model)
     for _ in range(5):
         view = int(rng.integers(len(refining_model.lattice.nodes)))
         readings = refining_model.views.readings[view].astype(np.float32)
@@ -67,7 +67,7 @@ def test_scores_are_those_of_every_tree_in_turn(refining_model):
         attitude = refining_model.views.centred_from_target[view]
         near = Rotation.from_rotvec(0.1 * rng.normal(size=(4, 3))).as_matrix() @ attitude
         signature = Signature(readings, 1.0, centred)
-        found = ballot.scores(signature, centred.T @ near)
+        found = forest_scores.scores(signature, centred.T @ near)
         coarse = np.minimum(readings @ rebinning(len(readings), BINS) / 16.0, 255.0)
         wanted = [score_twin(refining_model, coarse, a) for a in near]
         np.testing.assert_allclose(found, wanted, atol=0.3)  # a reading may lie at a threshold
@@ -75,20 +75,22 @@ def test_scores_are_those_of_every_tree_in_turn(refining_model):
 
 
 def test_the_odds_of_a_node_are_those_of_its_own_trees(refining_model):
-    """A node is active by its voters: the view of a node turns it on, that of another one off."""
-    ballot, matcher = ballot_of(refining_model), Matcher(refining_model)
+    """A node is active by its forest: the view of a node turns it on, that of another one off."""
+    forest_scores, matcher = scores_of(refining_model), Matcher(refining_model)
     count, views = len(refining_model.geodesic.nodes), refining_model.views
     nodes, rolls = np.arange(count), np.zeros(count)
     for view in (0, count // 2):
         readings = views.readings[view].astype(np.float32)
-        odds = ballot.node_odds(readings, nodes, rolls)
+        odds = forest_scores.node_odds(readings, nodes, rolls)
         # The score at a node's own attitude is the mean over it and its neighbours.
         sphere = refining_model.geodesic
         near = sphere.within(-views.centred_from_target[view][2], sphere.mean_edge_rad)
         turns = twist(views.centred_from_target[view], views.centred_from_target[near])
         signature = Signature(readings, 1.0, np.eye(3))
-        score = ballot.scores(signature, views.centred_from_target[view][None])[0]
-        assert np.mean(ballot.node_odds(readings, near, turns)) == pytest.approx(score, abs=1e-9)
+        score = forest_scores.scores(signature, views.centred_from_target[view][None])[0]
+        assert np.mean(forest_scores.node_odds(readings, near, turns)) == pytest.approx(
+            score, abs=1e-9
+        )
         trust = matcher.decided(nodes, readings, rolls)
         assert trust[view] > 0.5
         assert np.array_equal(trust > 0.0, odds > -2.0)
@@ -98,7 +100,7 @@ def test_the_odds_of_a_node_are_those_of_its_own_trees(refining_model):
 
 
 def test_near_an_attitude_the_nodes_of_large_odds_are_found(refining_model):
-    ballot, views = ballot_of(refining_model), refining_model.views
+    forest_scores, views = scores_of(refining_model), refining_model.views
     sphere, rng = refining_model.geodesic, np.random.default_rng(6)
     found_some = 0
     for view in rng.integers(len(sphere.nodes), size=6):
@@ -106,8 +108,10 @@ def test_near_an_attitude_the_nodes_of_large_odds_are_found(refining_model):
         turn = Rotation.from_rotvec(0.05 * rng.normal(size=3)).as_matrix()
         attitude = turn @ views.centred_from_target[view]
         near = sphere.within(-attitude[2], reach_rad)
-        odds = ballot.node_odds(readings, near, twist(attitude, views.centred_from_target[near]))
-        nodes, found = ballot.near(readings, attitude, cosine_within(reach_rad), -2.0)
+        odds = forest_scores.node_odds(
+            readings, near, twist(attitude, views.centred_from_target[near])
+        )
+        nodes, found = forest_scores.near(readings, attitude, cosine_within(reach_rad), -2.0)
         assert nodes.tolist() == near[odds > -2.0].tolist()
         np.testing.assert_allclose(found, odds[odds > -2.0], atol=1e-12)
         found_some += len(nodes)
@@ -125,19 +129,19 @@ def test_readings_roll_as_interpolation_does():
         np.testing.assert_allclose(out, twin, atol=1e-2)
 
 
-def test_the_voters_of_a_view_prefer_its_own_attitude(refining_model):
-    ballot, right = ballot_of(refining_model), []
+def test_the_forest_of_a_view_prefers_its_own_attitude(refining_model):
+    forest_scores, right = scores_of(refining_model), []
     for view in range(0, len(refining_model.lattice.nodes), 7):
         attitude = refining_model.views.centred_from_target[view]
         readings = refining_model.views.readings[view].astype(np.float32)
         turned = Rotation.from_rotvec(np.deg2rad([[0, 0, 0], [60, 0, 0], [0, 120, 0]])).as_matrix()
-        scores = ballot.scores(Signature(readings, 1.0, np.eye(3)), attitude @ turned)
+        scores = forest_scores.scores(Signature(readings, 1.0, np.eye(3)), attitude @ turned)
         right.append(np.argmax(scores) == 0)
     assert np.mean(right) > 0.9
 
 
-def test_silencing_the_voters_costs_work(refining_model, bumpy_mesh, camera, draw, monkeypatch):
-    """What the voters say decides how many poses are aligned, and in which order."""
+def test_silencing_the_forest_costs_work(refining_model, bumpy_mesh, camera, draw, monkeypatch):
+    """What the forest says decides how many poses are aligned, and in which order."""
     aligned: list[int] = []
     first: list[np.ndarray] = []
     best = Refiner.best
@@ -166,18 +170,20 @@ def test_silencing_the_voters_costs_work(refining_model, bumpy_mesh, camera, dra
     assert not np.allclose(orders["learned"], orders["silenced"])
 
 
-def test_a_model_without_voters_works_as_before(refining_model, tmp_path, camera, draw, bumpy_mesh):
+def test_a_model_without_a_forest_works_as_before(
+    refining_model, tmp_path, camera, draw, bumpy_mesh
+):
     path = tmp_path / "old.rvm"
-    replace(refining_model, voters=None).save(path)
+    replace(refining_model, score_forest=None).save(path)
     old = ViewModel.load(path)
-    assert old.voters is None
+    assert old.score_forest is None
     pose = Pose(np.eye(3), np.array([0.0, 0.0, 8.0]))
     observation = Recognizer(old, camera).recognize(draw(bumpy_mesh, pose, camera))
     assert observation.found is not None
     assert observation.found.votes is None
 
 
-def test_alone_a_pose_that_the_voters_doubt_is_not_given(refining_model, bumpy_mesh, camera, draw):
+def test_alone_a_pose_that_the_forest_doubts_is_not_given(refining_model, bumpy_mesh, camera, draw):
     given = {}
     models = {
         "learned": refining_model,
@@ -200,7 +206,7 @@ def test_alone_a_pose_that_the_voters_doubt_is_not_given(refining_model, bumpy_m
 
 
 def test_votes_find_the_attitude_of_a_sunlit_part(refining_model):
-    lit, finder = refining_model.lit, VotedPose(refining_model, ballot_of(refining_model))
+    lit, finder = refining_model.lit, VotedPose(refining_model, scores_of(refining_model))
     weights = rebinning(BINS, refining_model.bins)
     off = []
     for entry in range(0, len(lit.sun), len(lit.sun) // 60):
@@ -226,7 +232,7 @@ def test_votes_find_the_attitude_of_a_sunlit_part(refining_model):
         ({"roots": np.full((1, 1), 7, np.int32)}, "outside"),
     ],
 )
-def test_voters_that_do_not_belong_together_are_refused(change, words):
+def test_a_forest_that_does_not_belong_together_is_refused(change, words):
     sound = {
         "roots": np.zeros((1, 1), np.int32),
         "component": np.array([4, LEAF, LEAF], np.uint8),
@@ -234,6 +240,6 @@ def test_voters_that_do_not_belong_together_are_refused(change, words):
         "right": np.array([2, 0, 0], np.uint16),
         "odds": np.array([0, -20, 20], np.int8),
     }
-    Voters(**sound).check(1)
+    ScoreForest(**sound).check(1)
     with pytest.raises(ValueError, match=words):
-        Voters(**(sound | change)).check(1)
+        ScoreForest(**(sound | change)).check(1)

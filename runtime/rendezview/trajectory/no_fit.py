@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Nothing:
+class NoFit:
     """No fit, and why. False, so that ``if not segment`` reads as it should."""
 
     reason: str

@@ -1,0 +1,38 @@
+"""Waiting for an event, however busy the machine is."""
+
+from __future__ import annotations
+
+import random
+import socket
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+MOST_S = 600.0  # A guard against hangs, where loops have to be compiled first too.
+_PAUSE_S = 0.02
+
+_PORTS = range(20_000, 30_000)  # below those that the system gives to connections of others
+
+Value = TypeVar("Value")
+
+
+def wait_until(happened: Callable[[], Value], said: Callable[[], object] = lambda: "") -> Value:
+    """The first value of ``happened`` that is true.
+
+    Args:
+        said: what the failure shows, if it never is.
+    """
+    end_s = time.monotonic() + MOST_S
+    while not (value := happened()):
+        assert time.monotonic() < end_s, said()
+        time.sleep(_PAUSE_S)
+    return value
+
+
+def free_port() -> int:
+    """A port of this machine that nobody listens on."""
+    while True:
+        port = random.SystemRandom().choice(_PORTS)
+        with socket.socket() as trial:
+            if trial.connect_ex(("127.0.0.1", port)) != 0:
+                return port
