@@ -69,10 +69,10 @@ class Clutter:
     background: Float32s | None = None  # grey levels of both pictures
 
 
-def foil(camera: Camera, rng: np.random.Generator, facets: int, motion_px: float = 0.15) -> Clutter:
+def foil(camera: Camera, rng: np.random.Generator, facets: int) -> Clutter:
     """A crumpled sheet of sunlit foil: facets around one place in both pictures, some saturated.
 
-    Between the pictures the foil moves by ``motion_px`` (σ), and each facet flickers by 4 %.
+    Between the pictures the foil moves by 0.15 px (σ), and each facet flickers by 4 %.
     """
     centre = rng.uniform((0.0, 0.0), (camera.width, camera.height))
     spots = np.empty((facets, 9))
@@ -82,7 +82,7 @@ def foil(camera: Camera, rng: np.random.Generator, facets: int, motion_px: float
     spots[:, 4] = rng.uniform(0.0, math.pi, facets)
     spots[:, 5] = np.exp(rng.uniform(math.log(15.0), math.log(600.0), facets))
     spots[:, 6] = spots[:, 5] * (1.0 + rng.normal(0.0, 0.04, facets))
-    spots[:, 7:] = rng.normal(0.0, motion_px, 2)
+    spots[:, 7:] = rng.normal(0.0, 0.15, 2)
     return Clutter(spots)
 
 

@@ -17,7 +17,6 @@ from numba import njit
 
 from rendezview.geometry.pose import Array, Pose
 
-Bools = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int64]
 
 

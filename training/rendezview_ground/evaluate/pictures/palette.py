@@ -48,8 +48,8 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return figure
 
 
-def dress(axes: Axes, *, x: str = "", y: str = "", title: str = "") -> None:
-    """Style axes, with labels and a title at the left."""
+def dress(axes: Axes, *, x: str = "", y: str = "") -> None:
+    """Style axes, with labels."""
     axes.set_facecolor(PANEL)
     for side, spine in axes.spines.items():
         spine.set_visible(side in ("left", "bottom"))
@@ -59,8 +59,6 @@ def dress(axes: Axes, *, x: str = "", y: str = "", title: str = "") -> None:
     axes.set_axisbelow(True)
     axes.set_xlabel(x, color=MUTED, fontsize=10)
     axes.set_ylabel(y, color=MUTED, fontsize=10)
-    if title:
-        axes.set_title(title, color=INK, fontsize=11, loc="left", pad=8)
 
 
 def dress_legend(legend: Legend) -> None:
