@@ -2,7 +2,7 @@
 
 import sys
 
-import rendezview.api as rv
+import rendezview as rv
 
 frames, ring = rv.open_sequence(sys.argv[2]), rv.Target.load(sys.argv[3]).docking_ring
 camera, plate = frames.frames[0].camera, rv.BeamSurface(ring.centre_m, ring.axis, relief_m=0.01)

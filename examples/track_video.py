@@ -4,7 +4,7 @@ import sys
 
 import cv2
 
-from rendezview.api import Recognizer, Tracker, ViewModel, load_camera, open_sequence
+from rendezview import Recognizer, Tracker, ViewModel, load_camera, open_sequence
 
 model, camera = ViewModel.load(sys.argv[1]), load_camera(sys.argv[3])
 lens = camera.distortion or (0.0,) * 4

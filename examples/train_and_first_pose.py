@@ -5,7 +5,7 @@ import sys
 import cv2
 import numpy as np
 
-from rendezview.api import Recognizer, load_camera, train
+from rendezview import Recognizer, load_camera, train
 
 
 def main(mesh, unit, camera_file, picture, options=None):

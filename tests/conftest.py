@@ -154,8 +154,9 @@ def draw() -> Draw:
     ) -> np.ndarray:
         assert camera.fx == camera.fy
         assert not camera.is_distorted
-        window = Window(camera.width, camera.height, camera.fx, camera.cx, camera.cy)
-        fine = NumbaRenderer(mesh).draw(pose, window.supersampled(4))
+        cx, cy = 4 * (camera.cx + 0.5) - 0.5, 4 * (camera.cy + 0.5) - 0.5
+        window = Window(4 * camera.width, 4 * camera.height, 4 * camera.fx, cx, cy)
+        fine = NumbaRenderer(mesh).draw(pose, window)
         cover = cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
         frame = 12.0 + cv2.GaussianBlur(cover, (0, 0), 0.7) * (140.0 / 255.0)
         if rng is not None:

@@ -6,6 +6,7 @@ For tests and experiments, which ask both the same questions.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from tests import plain_lights as plain
@@ -15,15 +16,64 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import Lens, Photodiode, Response, Rig, RigCamera
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview_ground.simulate.led_pictures import PictureOptions, draw, picture_bound, picture_rig
+from rendezview_ground.simulate.led_pictures import PictureOptions, draw
 
 _STEP = 1e-6  # rad, m; of numeric derivatives
 _UP = np.array([0.0, 0.0, -1.0])  # a light's normal in the target's frame
 
 
+def rotation_of(yaw: float, pitch: float, roll: float) -> np.ndarray:
+    """Eq. 3a–c as a matrix: ``p_fixed = rotation @ p_body + (x_cm, y_cm, z_cm)``."""
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    cp, sp = np.cos(pitch), np.sin(pitch)
+    cr, sr = np.cos(roll), np.sin(roll)
+    return np.array(
+        [
+            [cp * cy, -cr * sy + sr * sp * cy, sr * sy + cr * sp * cy],
+            [cp * sy, cr * cy + sr * sp * sy, -sr * cy + cr * sp * sy],
+            [-sp, sr * cp, cr * cp],
+        ]
+    )
+
+
 def pose_of(place: plain.Place) -> Pose:
     """camera_from_room."""
     return Pose(place.rotation, -place.rotation @ place.position)
+
+
+def picture_rig(laboratory: Laboratory, options: PictureOptions) -> Rig:
+    """The laboratory's cameras with a pixel detector of the same size and a perfect lens."""
+    pitch = 2.0 * laboratory.options.half_width_m / options.size_px
+    middle = 0.5 * (options.size_px - 1)
+    return Rig(
+        tuple(
+            replace(
+                camera, fx=camera.fx / pitch, fy=camera.fy / pitch, cx=middle, cy=middle,
+                lens=Lens(), photodiode=None, size=(options.size_px, options.size_px),
+            )
+            for camera in laboratory.rig.cameras
+        )
+    )  # fmt: skip
+
+
+def picture_bound(rig: Rig, leds: np.ndarray, pose: Pose, options: PictureOptions) -> np.ndarray:
+    """(6, 6) Cramér–Rao bound of rig_from_target from one picture of each camera.
+
+    The position of a round Gaussian spot in white noise σ has a standard deviation of at least
+    ``sqrt(2/π) σ / peak`` px per coordinate. Rounding to whole grey levels adds 1/12 to σ².
+    """
+    sigma_px = math.sqrt(2.0 / math.pi * (options.noise_grey**2 + 1.0 / 12.0)) / options.peak_grey
+    information = np.zeros((6, 6))
+    for camera in rig.cameras:
+        jacobian = np.empty((2 * len(leds), 6))
+        for i in range(6):
+            step = np.zeros(6)
+            step[i] = _STEP
+            ahead = camera.project(pose.perturbed(step).apply(leds))
+            behind = camera.project(pose.perturbed(-step).apply(leds))
+            jacobian[:, i] = ((ahead - behind) / (2.0 * _STEP)).ravel()
+        information += jacobian.T @ jacobian / sigma_px**2
+    return np.linalg.inv(information)
 
 
 class PlainLaboratory:

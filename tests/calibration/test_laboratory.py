@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tests.plain_laboratory import picture_rig, rotation_of
 
 from rendezview.calibration.board import BoardViews, Chessboard, calibrate_board
 from rendezview.calibration.board import read_board_views as read_views
@@ -23,14 +24,14 @@ from rendezview.calibration.laboratory_files import load_record, save_record
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import Lens, Rig, RigCamera, Spots, StereoTracker, rotation_of
+from rendezview.sensors.beacons import Lens, Rig, RigCamera, Spots, StereoTracker
 from rendezview.sensors.beacons.match.agreement import LightsFit
 from rendezview.sensors.beacons.readings import picture_pairs
 from rendezview.sensors.beacons.rig import INTRINSICS, POSE, intrinsics_of
 from rendezview.sensors.beacons.rig_files import load_rig, save_opencv, save_rig
 from rendezview.sensors.beacons.stereo_motion import difference
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview_ground.simulate.led_pictures import PictureOptions, picture_rig
+from rendezview_ground.simulate.led_pictures import PictureOptions
 
 DATA = os.environ.get("RENDEZVIEW_TEST_DATA", "")
 needs = pytest.mark.skipif(not DATA, reason="RENDEZVIEW_TEST_DATA is not set")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rendezview.estimation.p3p import solve_p3p, solve_p3p_batch
-from rendezview.sensors.beacons.match.judgement import facing_root
+from rendezview.sensors.beacons.match.judgement import least_facing
 
 TARGET = np.array([[0.0, 0.0, 0.1016], [-0.18415, 0.0, 0.0], [0.18415, 0.0, 0.0]])
 HEAD_ON = np.diag([1.0, -1.0, -1.0])
@@ -42,7 +42,8 @@ def test_the_guidance_target_is_found_with_its_post_towards_the_camera(tilt, way
     ).as_matrix() @ HEAD_ON
     place = range_m * np.array([0.1, -0.2, 1.0])
     r, t, counts = solve_p3p_batch(rays_of(rotation, place)[None], TARGET)
-    k = facing_root(r[0], t[0], counts[0], TARGET, np.tile([0.0, 0.0, 1.0], (3, 1)))
+    normals = np.tile([0.0, 0.0, 1.0], (3, 1))
+    k = max(range(counts[0]), key=lambda k: least_facing(r[0, k], t[0, k], TARGET, normals))
     assert np.abs(r[0, k] - rotation).max() < 1e-9
     assert np.linalg.norm(t[0, k] - place) < 1e-9 * range_m
 

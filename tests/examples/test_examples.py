@@ -18,7 +18,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import save_camera
 from rendezview.sensors.appearance import ViewModel
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.simulate import SceneOptions, looking_at, simulate
+from rendezview_ground.simulate import SceneOptions, simulate
+from rendezview_ground.simulate.trajectories import looking_at
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 

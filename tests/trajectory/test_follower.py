@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from oem import OrbitEphemerisMessage
 from scipy.spatial.transform import Rotation
+from tests.trajectory.closed_loop import FlightErrors, fly
 from tests.trajectory.paths import circle, off
 
 from rendezview.geometry.pose import Pose
@@ -24,7 +25,6 @@ from rendezview.trajectory import (
     Spin,
 )
 from rendezview.trajectory.follower import record
-from rendezview_ground.simulate.closed_loop import FlightErrors, fly
 from rendezview_ground.simulate.trajectories import looking_at
 
 CENTRE = np.array([0.5, -1.0, 2.0])

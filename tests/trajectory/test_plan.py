@@ -14,10 +14,10 @@ from rendezview.trajectory import (
     PointCloud,
     Segment,
     Shape,
-    correct,
     fit_segment,
     load_plan,
 )
+from rendezview.trajectory.guidance import correct
 from rendezview.trajectory.relative_orbit import transition
 
 CIRCULAR = """

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests.trajectory.closed_loop import push
 
-from rendezview.trajectory.relative_orbit import push, transition, velocity_to_reach
+from rendezview.trajectory.relative_orbit import transition, velocity_to_reach
 
 N = 0.0011
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from tests.trajectory.closed_loop import push
 from tests.trajectory.paths import RANGE_M, SPAN_S, TIMES, circle, nodes, off, refined
 
 from rendezview.geometry.pose import Pose
@@ -17,7 +18,7 @@ from rendezview.trajectory import (
     centre_place,
     fit_segment,
 )
-from rendezview.trajectory.relative_orbit import push, transition
+from rendezview.trajectory.relative_orbit import transition
 from rendezview.trajectory.shapes import code_of
 from rendezview.trajectory.simplex import RESIDUALS, cost, downhill_simplex
 

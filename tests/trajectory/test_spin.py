@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.trajectory import NoFit, Spin, fit_spin, fit_spin_of_directions, in_line_of_sight
+from rendezview.trajectory import NoFit, Spin, fit_spin, fit_spin_of_directions
 from rendezview.trajectory.rotation import rotations
+from rendezview.trajectory.spin import in_line_of_sight
 from rendezview_ground.simulate.trajectories import torque_free
 
 TIMES = np.linspace(0.0, 200.0, 101)

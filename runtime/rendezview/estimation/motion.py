@@ -15,8 +15,6 @@ from numba import njit
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 
-MOTION = 12  # states: attitude, place, angular rate, velocity. Source: by construction
-
 
 def extrapolate(pose: Pose, rates: Array, dt_s: float, about_m: npt.ArrayLike = (0, 0, 0)) -> Pose:
     """The pose ``dt_s`` later.

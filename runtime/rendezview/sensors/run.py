@@ -13,7 +13,6 @@ from rendezview.errors import RendezviewError
 from rendezview.io.results import JsonLinesWriter, ResultRow, json_line, write_results
 from rendezview.sensors.observation import Observation, Status
 
-FrameT = TypeVar("FrameT")
 FrameT_co = TypeVar("FrameT_co", covariant=True)
 ObservationT = TypeVar("ObservationT", bound=Observation)
 

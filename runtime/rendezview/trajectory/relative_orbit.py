@@ -84,15 +84,6 @@ def transition(mean_motion_rad_s: float, dt_s: float) -> Array:
     return matrix
 
 
-def push(mean_motion_rad_s: float, dt_s: float, acceleration_m_s2: npt.ArrayLike) -> Array:
-    """(6,) change of the state in ``dt_s`` by a constant acceleration, Hill's frame."""
-    rr, rv, pushed = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    response(mean_motion_rad_s, dt_s, rr, rv, pushed)
-    # The velocity is the integral of that which a thrust adds: the place's own response.
-    acceleration = np.asarray(acceleration_m_s2, dtype=np.float64)
-    return np.concatenate([pushed @ acceleration, rv @ acceleration])
-
-
 def velocity_to_reach(
     mean_motion_rad_s: float, dt_s: float, shift_m: npt.ArrayLike
 ) -> Array | None:

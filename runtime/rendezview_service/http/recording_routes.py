@@ -20,7 +20,6 @@ from rendezview_service.messages.messages import Contour, History
 from rendezview_service.messages.model_messages import Geometry, RecordedList
 
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"], responses=FAULTS)
-Frame = Annotated[int, Query(ge=0, le=2**53)]
 
 
 @router.get("")

@@ -25,7 +25,6 @@ from rendezview_service.messages.model_messages import JobInfo, JobState
 log = logging.getLogger("rendezview_service")
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".3mf", ".dae")
-UNITS = ("m", "cm", "mm", "in", "ft")
 _KEPT = 100  # finished jobs in the list. Source: a chosen limit
 _QUEUED = 16  # jobs that may wait. Source: a chosen limit
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -34,8 +33,6 @@ from rendezview_service.messages.messages import (
 from rendezview_service.messages.wire import Header
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.sensor_health import STALE_S, Arrivals, OtherSensors
-
-log = logging.getLogger("rendezview_service")
 
 ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
 

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from tests.ground.evaluate.figures import pixels
 
 from rendezview_ground.evaluate.doctor import Diagnosis, Finding, Mark, diagnose
 from rendezview_ground.evaluate.doctor_command import doctor
 from rendezview_ground.evaluate.pictures.doctor_pictures import doctor_picture
-from rendezview_ground.evaluate.pictures.palette import pixels
 from rendezview_ground.mesh.mesh import load_mesh
 
 

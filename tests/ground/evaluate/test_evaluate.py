@@ -18,7 +18,8 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Frame, Sequence
-from rendezview_ground.evaluate import Evaluation, evaluate
+from rendezview_ground.evaluate import evaluate
+from rendezview_ground.evaluate.evaluation import Evaluation
 
 TRUTH = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
 

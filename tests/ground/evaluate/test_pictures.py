@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pytest
 import trimesh
 from matplotlib.figure import Figure
+from tests.ground.evaluate.figures import pixels
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -20,23 +21,17 @@ from rendezview.io.sequences import Sequence, open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
 from rendezview.sensors.appearance.outline.reading import OutlineReading
 from rendezview.sensors.observation import Status
-from rendezview_ground.evaluate import (
-    Evaluation,
-    error_curves,
-    evaluate,
-    frame_overlay,
-    model_picture,
-    observation_curves,
-    pixels,
-    png,
-    point_cloud,
-    signature_picture,
-    sphere_picture,
-    stage_picture,
-    tree_tests,
-    write_report,
-)
+from rendezview_ground.evaluate import evaluate, frame_overlay, png, write_report
+from rendezview_ground.evaluate.evaluation import Evaluation
 from rendezview_ground.evaluate.page import _STYLE, WEBM, Card, _figure
+from rendezview_ground.evaluate.pictures.signature_pictures import signature_picture, tree_tests
+from rendezview_ground.evaluate.pictures.sphere_pictures import model_picture, sphere_picture
+from rendezview_ground.evaluate.pictures.track_pictures import (
+    error_curves,
+    observation_curves,
+    point_cloud,
+    stage_picture,
+)
 from rendezview_ground.evaluate.report_frames import shown_frames
 from rendezview_ground.learn.job import train
 from rendezview_ground.learn.options import TrainingOptions
@@ -153,10 +148,11 @@ def test_the_sphere_outlines_the_nodes_that_are_on(run: Run) -> None:
 def test_the_sphere_is_drawn_from_the_poles_and_with_values_that_are_missing(run: Run) -> None:
     count = len(run.model.geodesic.nodes)
     values = np.full(count, np.nan)
-    for direction in ((0.0, 0.0, 1.0), (0.0, 0.0, -2.0)):
-        drawn(sphere_picture(run.model, direction=direction, values=values, label="nothing"))
-        drawn(sphere_picture(run.model, active_nodes=range(count), truth=direction))
     unmeasured = replace(run.model, held_out_accuracy=values)
+    without = replace(unmeasured, training_accuracy=values)
+    for direction in ((0.0, 0.0, 1.0), (0.0, 0.0, -2.0)):
+        drawn(sphere_picture(without, direction=direction))
+        drawn(sphere_picture(run.model, active_nodes=range(count), truth=direction))
     drawn(model_picture(unmeasured))
 
 

@@ -9,12 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import Symmetry
-from rendezview_ground.evaluate import (
+from rendezview.geometry.symmetry import Symmetry, discrete_turns, nearest_alike
+from rendezview_ground.evaluate.pose_errors import (
     SPEED_PLUS_ROTATION_RAD,
     SPEED_PLUS_TRANSLATION,
-    discrete_turns,
-    nearest_alike,
     pose_errors,
     speed_terms,
 )

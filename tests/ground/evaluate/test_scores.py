@@ -18,15 +18,16 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Frame, Sequence
-from rendezview_ground.evaluate import (
-    ModelPoints,
+from rendezview_ground.evaluate import evaluate
+from rendezview_ground.evaluate.comparison import (
+    common_frames,
     comparison_dict,
     comparison_table,
-    evaluate,
-    scores,
+    score_table,
 )
-from rendezview_ground.evaluate.comparison import common_frames, score_table
 from rendezview_ground.evaluate.nees import nees_text, normalised_errors
+from rendezview_ground.evaluate.scores import scores
+from rendezview_ground.evaluate.surface import ModelPoints
 
 RANGE_M = 10.0
 TRUTH = Pose(np.eye(3), np.array([0.0, 0.0, RANGE_M]))

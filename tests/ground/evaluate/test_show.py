@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.ground.evaluate.figures import pixels
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera, LensModel
@@ -27,7 +28,6 @@ from rendezview_ground.evaluate.pictures.log_pictures import (
     track_of_records,
     track_picture,
 )
-from rendezview_ground.evaluate.pictures.palette import pixels
 from rendezview_ground.evaluate.pose_errors import pose_errors
 from rendezview_ground.evaluate.show_command import show
 

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry
-from rendezview_ground.evaluate import ModelPoints, alike_of, surface_errors
 from rendezview_ground.evaluate.bop_models import bop_model
-from rendezview_ground.evaluate.surface import turns_about
+from rendezview_ground.evaluate.surface import ModelPoints, alike_of, surface_errors, turns_about
 
 Z = np.array([0.0, 0.0, 1.0])
 K = np.array([[800.0, 0.0, 320.0], [0.0, 790.0, 240.0], [0.0, 0.0, 1.0]])

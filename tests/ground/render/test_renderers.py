@@ -87,7 +87,11 @@ def test_a_square_before_the_camera_falls_where_pinhole_geometry_says():
 def test_a_finer_window_covers_the_same_part_of_the_picture(bumpy_mesh):
     pose = some_pose(np.random.default_rng(3))
     coarse = NumbaRenderer(bumpy_mesh).draw(pose, WINDOW)
-    fine = NumbaRenderer(bumpy_mesh).draw(pose, WINDOW.supersampled(5))
+    w = WINDOW
+    finer = Window(
+        5 * w.width, 5 * w.height, 5 * w.focal_px, 5 * (w.cx + 0.5) - 0.5, 5 * (w.cy + 0.5) - 0.5
+    )
+    fine = NumbaRenderer(bumpy_mesh).draw(pose, finer)
     assert fine.shape == (350, 450)
     # the centre of a pixel is the centre of its middle sub-pixel
     assert np.array_equal(fine[2::5, 2::5], coarse)

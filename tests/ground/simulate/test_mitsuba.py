@@ -8,14 +8,9 @@ import pytest
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview_ground.simulate import (
-    MitsubaOptions,
-    SceneOptions,
-    ShadingOptions,
-    render,
-    render_frame,
-)
+from rendezview_ground.simulate import MitsubaOptions, SceneOptions, ShadingOptions, render_frame
 from rendezview_ground.simulate.mitsuba_renderer import render_mitsuba
+from rendezview_ground.simulate.shading import render
 
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: rendezview[mitsuba]")
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from tests.plain_laboratory import rotation_of
 
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import rotation_of, yaw_pitch_roll
+from rendezview.sensors.beacons import yaw_pitch_roll
 from rendezview.sensors.beacons.match.agreement import iterate
 from rendezview.sensors.beacons.pose.collinearity import (
     count_lights,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rendezview.sensors.beacons import Normalisation, Photodiode, Response, fit_response
+from rendezview.sensors.beacons import Normalisation, Photodiode, Response
 from rendezview.sensors.beacons.detect.detectors import read_currents
-from rendezview.sensors.beacons.detect.photodiode import place_light, terms
+from rendezview.sensors.beacons.detect.photodiode import fit_response, place_light, terms
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
 
 SIDE = np.linspace(-0.9, 0.9, 30) * 0.005

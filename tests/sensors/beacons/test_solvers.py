@@ -9,16 +9,9 @@ import pytest
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import (
-    ClosedFormCalibration,
-    SixNumbers,
-    calibrate,
-    closed_form,
-    pose_of,
-    predict_spots,
-    refine,
-    six_numbers,
-)
+from rendezview.sensors.beacons import SixNumbers, pose_of, predict_spots, six_numbers
+from rendezview.sensors.beacons.closed_form import ClosedFormCalibration, calibrate, closed_form
+from rendezview.sensors.beacons.pose.refinement import refine
 from rendezview.sensors.beacons.triangulation import (
     alternate_iteration,
     newton_raphson,

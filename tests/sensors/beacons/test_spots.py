@@ -5,8 +5,15 @@ import numpy as np
 import pytest
 
 from rendezview.errors import RendezviewError
-from rendezview.sensors.beacons import Centroid, LitDark, Opening, ThresholdOptions, find_spots
-from rendezview.sensors.beacons.detect.difference import noise_grey, registered, spot_mask
+from rendezview.sensors.beacons import LitDark, find_spots
+from rendezview.sensors.beacons.detect.difference import (
+    Centroid,
+    Opening,
+    ThresholdOptions,
+    noise_grey,
+    registered,
+    spot_mask,
+)
 
 PLACES = np.array([[40.3, 30.7], [90.1, 40.4], [60.6, 80.2]])
 

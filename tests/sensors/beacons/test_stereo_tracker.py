@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.plain_laboratory import rotation_of
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
@@ -18,7 +19,6 @@ from rendezview.sensors.beacons import (
     StereoTracker,
     TrackerOptions,
     reprocess,
-    rotation_of,
 )
 from rendezview.sensors.beacons.match.agreement import LightsFit, distance
 from rendezview.sensors.observation import Status

@@ -11,7 +11,6 @@ from tests.plain_pictures import Look, Pinhole, discs, eight_bits, pair
 
 from rendezview.io.target import Target
 from rendezview.sensors.beacons import (
-    AcquisitionOptions,
     LitDark,
     ReflectorSensor,
     SixNumbers,
@@ -21,6 +20,7 @@ from rendezview.sensors.beacons import (
 )
 from rendezview.sensors.beacons.card import dots_m, write_card
 from rendezview.sensors.beacons.detect.difference import background_of, faint_mask
+from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.beacons.tolerance import fit_dots, scaled
 
 SIX = SixNumbers(2.0, 0.02, -0.03, 0.3, 0.2, -0.15)

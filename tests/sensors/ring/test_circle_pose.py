@@ -10,13 +10,11 @@ import pytest
 from rendezview.sensors.ring import (
     CirclePose,
     Ellipse,
-    MotionChooser,
-    by_attitude,
-    by_point,
     circle_poses,
     shape_of_circle,
     tangent_basis,
 )
+from rendezview.sensors.ring.choice import MotionChooser, by_attitude
 from rendezview.sensors.ring.concentric import fit_joint, joint_poses
 from rendezview_ground.simulate.ring_frames import tilted_axis
 
@@ -104,15 +102,6 @@ def test_prior_attitude_chooses_and_says_so(ring_camera):
     assert "prior attitude" in choice.reason
     along = -centre / np.linalg.norm(centre)  # half-way between the two
     assert by_attitude(poses, along).index is None
-
-
-def test_a_point_off_the_plane_chooses(ring_camera):
-    centre = np.array([0.5, 0.2, 6.0])
-    axis = tilted_axis(centre, 0.6, 2.0)
-    poses = two_poses(ring_camera, centre, axis)
-    tip = ring_camera.project(centre - 0.3 * axis)
-    assert by_point(poses, ring_camera, tip, -0.3).index == right_one(poses, axis)
-    assert by_point(poses, ring_camera, tip, -0.3, sigma_px=20.0).index is None
 
 
 def test_motion_chooses_the_axis_that_keeps_still(ring_camera):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from tests.sensors.ring.paper_ellipse import fit_paper
 
-from rendezview.sensors.ring import Ellipse, fit_hyper
+from rendezview.sensors.ring import Ellipse
+from rendezview.sensors.ring.ellipse import fit_hyper
 
 THIRD = 2.0 * math.pi / 3.0
 

@@ -26,16 +26,6 @@ class Window:
     cx: float  # the boresight, in pixels from the centre of the top-left pixel
     cy: float
 
-    def supersampled(self, factor: int) -> Window:
-        """The same rectangle with each pixel split into ``factor × factor``."""
-        return Window(
-            self.width * factor,
-            self.height * factor,
-            self.focal_px * factor,
-            (self.cx + 0.5) * factor - 0.5,
-            (self.cy + 0.5) * factor - 0.5,
-        )
-
 
 class SilhouetteRenderer(Protocol):
     """Draws silhouettes of one mesh."""

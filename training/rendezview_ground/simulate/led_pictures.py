@@ -8,16 +8,14 @@ pixel.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.beacons import Lens, Rig
-from rendezview_ground.simulate.led_laboratory import Laboratory
+from rendezview.geometry.pose import Array
+from rendezview.sensors.beacons import Rig
 
-_STEP = 1e-6  # rad, m; step of the numeric derivatives of the bound
 _REACH = 5.0  # σ; extent of a drawn spot
 
 
@@ -35,21 +33,6 @@ class PictureOptions:
     def noise_grey(self) -> float:
         """R.m.s. noise of a pixel before it is rounded."""
         return self.peak_grey / self.signal_to_noise
-
-
-def picture_rig(laboratory: Laboratory, options: PictureOptions) -> Rig:
-    """The laboratory's cameras with a pixel detector of the same size and a perfect lens."""
-    pitch = 2.0 * laboratory.options.half_width_m / options.size_px
-    middle = 0.5 * (options.size_px - 1)
-    return Rig(
-        tuple(
-            replace(
-                camera, fx=camera.fx / pitch, fy=camera.fy / pitch, cx=middle, cy=middle,
-                lens=Lens(), photodiode=None, size=(options.size_px, options.size_px),
-            )
-            for camera in laboratory.rig.cameras
-        )
-    )  # fmt: skip
 
 
 def draw(
@@ -71,23 +54,3 @@ def draw(
         y = np.exp(-0.5 * ((np.arange(top, bottom) - v) / s) ** 2)
         grey[top:bottom, left:right] += options.peak_grey * np.outer(y, x)
     return np.asarray(np.clip(np.rint(grey), 0.0, 255.0), dtype=np.uint8)
-
-
-def picture_bound(rig: Rig, leds: Array, pose: Pose, options: PictureOptions) -> Array:
-    """(6, 6) Cramér–Rao bound of rig_from_target from one picture of each camera.
-
-    The position of a round Gaussian spot in white noise σ has a standard deviation of at least
-    ``sqrt(2/π) σ / peak`` px per coordinate. Rounding to whole grey levels adds 1/12 to σ².
-    """
-    sigma_px = math.sqrt(2.0 / math.pi * (options.noise_grey**2 + 1.0 / 12.0)) / options.peak_grey
-    information = np.zeros((6, 6))
-    for camera in rig.cameras:
-        jacobian = np.empty((2 * len(leds), 6))
-        for i in range(6):
-            step = np.zeros(6)
-            step[i] = _STEP
-            ahead = camera.project(pose.perturbed(step).apply(leds))
-            behind = camera.project(pose.perturbed(-step).apply(leds))
-            jacobian[:, i] = ((ahead - behind) / (2.0 * _STEP)).ravel()
-        information += jacobian.T @ jacobian / sigma_px**2
-    return np.asarray(np.linalg.inv(information))

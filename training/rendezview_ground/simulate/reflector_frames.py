@@ -18,7 +18,6 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview_ground.render.directions import perpendicular
-from rendezview_ground.simulate.background import Earth, Stars, earth_radiance, star_radiance
 from rendezview_ground.simulate.sensor import with_shot_noise
 
 Grey = npt.NDArray[np.uint8]
@@ -70,10 +69,10 @@ class Clutter:
     background: Float32s | None = None  # grey levels of both pictures
 
 
-def foil(camera: Camera, rng: np.random.Generator, facets: int, motion_px: float = 0.15) -> Clutter:
+def foil(camera: Camera, rng: np.random.Generator, facets: int) -> Clutter:
     """A crumpled sheet of sunlit foil: facets around one place in both pictures, some saturated.
 
-    Between the pictures the foil moves by ``motion_px`` (σ), and each facet flickers by 4 %.
+    Between the pictures the foil moves by 0.15 px (σ), and each facet flickers by 4 %.
     """
     centre = rng.uniform((0.0, 0.0), (camera.width, camera.height))
     spots = np.empty((facets, 9))
@@ -83,7 +82,7 @@ def foil(camera: Camera, rng: np.random.Generator, facets: int, motion_px: float
     spots[:, 4] = rng.uniform(0.0, math.pi, facets)
     spots[:, 5] = np.exp(rng.uniform(math.log(15.0), math.log(600.0), facets))
     spots[:, 6] = spots[:, 5] * (1.0 + rng.normal(0.0, 0.04, facets))
-    spots[:, 7:] = rng.normal(0.0, motion_px, 2)
+    spots[:, 7:] = rng.normal(0.0, 0.15, 2)
     return Clutter(spots)
 
 
@@ -96,31 +95,6 @@ def glints(camera: Camera, rng: np.random.Generator, count: int) -> Clutter:
     spots[:, 4] = rng.uniform(0.0, math.pi, count)
     spots[:, 5] = rng.uniform(40.0, 400.0, count)
     return Clutter(spots)
-
-
-def sky(
-    camera: Camera,
-    rng: np.random.Generator,
-    *,
-    earth_grey: float | None = None,
-    star_grey: float | None = None,
-) -> Float32s:
-    """Background of both pictures: the sunlit Earth or stars at given grey levels."""
-    out = np.zeros((camera.height, camera.width), np.float32)
-    if earth_grey is not None:
-        down = rng.normal(size=3) * (1.0, 1.0, 0.3) + (0.0, 0.0, 0.8)
-        sun = rng.normal(size=3)
-        radiance, _ = earth_radiance(
-            camera, down / np.linalg.norm(down), sun / np.linalg.norm(sun),
-            Earth(seed=int(rng.integers(1 << 31))),
-        )  # fmt: skip
-        out += np.float32(earth_grey) * radiance
-    if star_grey is not None:
-        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        turn[:, 0] *= np.linalg.det(turn)
-        stars = star_radiance(camera, turn, Stars(seed=int(rng.integers(1 << 31))))
-        out += np.float32(star_grey) * stars
-    return out
 
 
 def render_pair(

@@ -58,10 +58,6 @@ class Mounting:
     trust: float  # 0 … 1: what one of its edges is worth beside one of the rest
     edges: int  # of it, in all frames
 
-    @property
-    def turn_deg(self) -> float:
-        return float(np.rad2deg(np.linalg.norm(self.motion[:3])))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AsBuilt:

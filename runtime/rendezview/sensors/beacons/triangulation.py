@@ -17,7 +17,6 @@ from numba import njit
 
 from rendezview.geometry.pose import Array, Pose
 
-Bools = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int64]
 
 
@@ -71,20 +70,6 @@ def alternate_iteration(
     are taken as 0 then. That reaches the truth in most cases, not in all.
     """
     return _one(rays, base_m, post_m, most, tolerance, 1)
-
-
-def triangulate_batch(
-    rays: npt.ArrayLike, base_m: float, post_m: float, *, alternate: bool = False
-) -> tuple[Array, Counts, Bools]:
-    """Either method for (N, 3, 3) rays: distances (N, 3), iterations (N,), converged (N,)."""
-    given = np.ascontiguousarray(rays, dtype=np.float64)
-    if given.ndim != 3 or given.shape[1:] != (3, 3):
-        raise ValueError(f"rays must be (N, 3, 3), not {given.shape}")
-    distances, counts = np.empty((len(given), 3)), np.empty(len(given), np.int64)
-    residuals = np.empty(len(given))
-    most = 2000 if alternate else 30
-    _batch(given, base_m, post_m, most, 1e-13, int(alternate), distances, counts, residuals)
-    return distances, counts, (counts < most) & (residuals < 1e-9)
 
 
 def pose_from_distances(

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.geometry.camera import Camera
 from rendezview.sensors.ring.circle_pose import CirclePose, tangent_basis
 
 Array = npt.NDArray[np.float64]
@@ -24,7 +23,6 @@ _MARGIN = 1.5
 # By which the false pose must misfit, and four times as much as the true one. Source: by
 # construction, odds of e¹⁵
 _PLANE_CHI2 = 30.0
-_POINT_SIGMAS = 3.0  # σ by which the point must tell. Source: normal distribution, 0.3 %
 _MOTION_LEAST_RAD = math.radians(2.0)  # the false axis must have turned by so much. Source: by hand
 _MOTION_SHARE = 0.35  # and the true one by no more than this of it. Source: by hand
 
@@ -81,40 +79,6 @@ def by_plane(misfits: Sequence[float]) -> Choice:
     )
     if max(misfits) < _PLANE_CHI2 + 4.0 * misfits[best]:
         return Choice(None, "the ring's edges fit both poses")
-    return Choice(best, evidence)
-
-
-def by_point(
-    poses: Sequence[CirclePose],
-    camera: Camera,
-    point_px: npt.ArrayLike,
-    height_m: float,
-    sigma_px: float = 1.0,
-) -> Choice:
-    """The pose that predicts a given picture point for a point of the ring's axis.
-
-    Args:
-        poses: of the circle.
-        camera: lens distortion included.
-        point_px: (2,) the point in the picture.
-        height_m: of the point above the ring's plane along the axis, towards the camera positive:
-            the tip of a nozzle, a mark at the bottom of the adapter.
-        sigma_px: error of that place.
-    """
-    single = only_one(poses)
-    if single is not None:
-        return single
-    given_px = np.asarray(point_px, dtype=np.float64)
-    places = np.array([pose.centre_m + height_m * pose.axis for pose in poses])
-    off = np.linalg.norm(camera.project(places) - given_px, axis=1)
-    off = np.where(np.isfinite(off), off, np.inf)
-    best = int(np.argmin(off))
-    evidence = (
-        f"a point off the plane lies {off[best]:.1f} px from its place in the picture, "
-        f"by the other pose {off.max():.1f} px"
-    )
-    if not off.max() - off[best] > _POINT_SIGMAS * sigma_px:
-        return Choice(None, f"the point off the plane does not distinguish the poses: {evidence}")
     return Choice(best, evidence)
 
 

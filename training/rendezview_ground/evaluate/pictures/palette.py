@@ -48,8 +48,8 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return figure
 
 
-def dress(axes: Axes, *, x: str = "", y: str = "", title: str = "") -> None:
-    """Style axes, with labels and a title at the left."""
+def dress(axes: Axes, *, x: str = "", y: str = "") -> None:
+    """Style axes, with labels."""
     axes.set_facecolor(PANEL)
     for side, spine in axes.spines.items():
         spine.set_visible(side in ("left", "bottom"))
@@ -59,8 +59,6 @@ def dress(axes: Axes, *, x: str = "", y: str = "", title: str = "") -> None:
     axes.set_axisbelow(True)
     axes.set_xlabel(x, color=MUTED, fontsize=10)
     axes.set_ylabel(y, color=MUTED, fontsize=10)
-    if title:
-        axes.set_title(title, color=INK, fontsize=11, loc="left", pad=8)
 
 
 def dress_legend(legend: Legend) -> None:
@@ -108,13 +106,6 @@ def png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", facecolor=figure.get_facecolor(), metadata=_NO_METADATA)
     return buffer.getvalue()
-
-
-def pixels(figure: Figure) -> npt.NDArray[np.uint8]:
-    """The figure as RGB (height, width, 3)."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()  # type: ignore[no-untyped-call]
-    return np.array(canvas.buffer_rgba(), dtype=np.uint8)[..., :3]  # type: ignore[no-untyped-call]
 
 
 _NO_METADATA: dict[str, str | None] = {"Software": None}

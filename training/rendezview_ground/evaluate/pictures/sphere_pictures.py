@@ -41,21 +41,16 @@ def sphere_picture(
     active_nodes: npt.ArrayLike = (),
     direction: npt.ArrayLike | None = None,
     truth: npt.ArrayLike | None = None,
-    values: npt.ArrayLike | None = None,
-    label: str = _HELD_OUT,
 ) -> Figure:
-    """The sphere seen from the camera's side, with the target's +Z upwards.
+    """The accuracy map seen from the camera's side, with the target's +Z upwards.
 
     Args:
         model: whose sphere it is.
         active_nodes: (K,) indices of nodes to outline.
         direction: (3,) estimated, view centre → camera, target frame; seen from there.
         truth: (3,) the true one.
-        values: (nodes,) that colour the cells; None: the accuracy on held-out views.
-        label: of ``values``.
     """
-    if values is None:
-        values, label = _accuracy(model)
+    values, label = _accuracy(model)
     seen_from = direction if direction is not None else truth
     figure = new_figure(6.2, 5.6)
     axes = figure.add_subplot()

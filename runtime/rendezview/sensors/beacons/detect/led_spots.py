@@ -16,7 +16,6 @@ from rendezview.errors import RendezviewError
 from rendezview.estimation.spot_centroid import centre_spot, ring_plane, saturated_error
 from rendezview.sensors.beacons.detect.detectors import UNKNOWN, Spots
 
-Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 
 _SATURATED = 254  # Source: by construction, the last but one of 8 bits

@@ -371,19 +371,3 @@ def least_facing(rotation: Array, translation: Array, points: Array, normals: Ar
         nx, ny, nz = turned(rotation, normals, i)
         least = min(least, -(nx * x + ny * y + nz * z) / math.sqrt(x * x + y * y + z * z))
     return float(least)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def facing_root(
-    rotations: Array, translations: Array, count: int, points: Array, normals: Array
-) -> int:
-    """Of the roots the one whose least-facing reflector faces the camera most; −1 if none does.
-
-    With a post (Bales) it is the only one; of reflectors in a plane there may be others.
-    """
-    best, chosen = 0.0, -1
-    for k in range(count):
-        least = least_facing(rotations[k], translations[k], points, normals)
-        if least > best:
-            best, chosen = least, k
-    return chosen

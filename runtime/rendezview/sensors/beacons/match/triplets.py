@@ -20,7 +20,6 @@ from rendezview.sensors.beacons.constellation import ReflectorPattern
 
 Ints = npt.NDArray[np.int64]
 
-Table = npt.NDArray[np.float64]
 
 # ln of the sizes of two spots of equal reflectors, at most. Source: by hand; see
 # reflector-acquisition (0.1)
@@ -46,11 +45,6 @@ class Hourglass:
     slope: float
     x_intercept: float
     y_intercept: float
-
-    def contains(self, x: float, y: float) -> bool:
-        """Whether a centre spot may be there."""
-        dx = abs(x - self.x0)
-        return dx <= self.x_intercept and abs(y - self.y0) <= self.slope * dx + self.y_intercept
 
     @property
     def longest_side(self) -> float:
@@ -118,29 +112,6 @@ def hourglass_of(
         x_intercept=1.02 * float(dx.max()),
         y_intercept=1.02 * float(np.max(dy - slope * dx)),
     )
-
-
-def paper_tests(spots_px: npt.ArrayLike, hourglass: Hourglass = PAPER_HOURGLASS) -> int | None:
-    """Book et al.'s tests on three spots (3, 2), in pixels, as printed.
-
-    Returns:
-        Which of the three is the centre spot; None where the base ties or the hourglass is missed.
-
-    Raises:
-        ValueError: not three spots.
-    """
-    spots = np.asarray(spots_px, dtype=np.float64)
-    if spots.shape != (3, 2):
-        raise ValueError(f"spots_px must be (3, 2), not {spots.shape}")
-    squared = [float(np.sum((spots[(k + 1) % 3] - spots[(k + 2) % 3]) ** 2)) for k in range(3)]
-    centre = int(np.argmax(squared))  # opposite the longest side
-    if sum(side == squared[centre] for side in squared) > 1:
-        return None
-    a, b = sorted((spots[(centre + 1) % 3], spots[(centre + 2) % 3]), key=lambda p: (p[0], p[1]))
-    # roll = atan(…) of the base; shift to its middle and turn by −roll
-    base = complex(*(b - a))
-    shifted = complex(*(spots[centre] - 0.5 * (a + b))) / base
-    return centre if hourglass.contains(shifted.real, shifted.imag) else None
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

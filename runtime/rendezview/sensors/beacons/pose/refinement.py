@@ -24,7 +24,6 @@ from rendezview.sensors.beacons.detect.discs import LAW, camera_numbers, project
 from rendezview.sensors.beacons.detect.spots import SATURATED
 
 Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
 
 _ITERATIONS = 30  # Source: by construction, a bound only
 # Of damping, before the last pose is taken as the minimum.

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.trajectory import Correction, PathFollower, Plan, Report
-from rendezview.trajectory.relative_orbit import push, transition, velocity_to_reach
+from rendezview.trajectory.relative_orbit import response, transition, velocity_to_reach
 from rendezview_ground.simulate.trajectories import looking_at
 
 # Time and true camera_from_target → measurement of the follower: pose, covariance, points, weights.
@@ -57,6 +58,15 @@ class Flight:
         """Root mean square of the distance to the plan."""
         off = self.places_m - self.planned_m
         return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
+def push(mean_motion_rad_s: float, dt_s: float, acceleration_m_s2: npt.ArrayLike) -> Array:
+    """(6,) change of the state in ``dt_s`` by a constant acceleration, Hill's frame."""
+    rr, rv, pushed = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    response(mean_motion_rad_s, dt_s, rr, rv, pushed)
+    # The velocity is the integral of that which a thrust adds: the place's own response.
+    acceleration = np.asarray(acceleration_m_s2, dtype=np.float64)
+    return np.concatenate([pushed @ acceleration, rv @ acceleration])
 
 
 def fly(
