@@ -266,7 +266,10 @@ def test_the_processor_time_of_a_worker_is_its_own() -> None:
     handle: WorkerHandle[Session] = WorkerHandle(4096, 5.0)
     with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as handle._process:
         wait_until(lambda: handle._wants_processor)
-        wait_until(lambda: handle._processor_s() > 0.5)
+        before_s, ours_s = handle._processor_s(), time.process_time()
+        wait_until(lambda: handle._processor_s() - before_s > 0.5)
+        spent_s = handle._processor_s() - before_s
+        assert spent_s > time.process_time() - ours_s  # this process has only waited
         handle._process.kill()
     asleep = [sys.executable, "-c", "import time; print(flush=True); time.sleep(600)"]
     with subprocess.Popen(asleep, stdout=subprocess.PIPE) as handle._process:
