@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from rendezview.client import Client, ServiceError
 from rendezview.geometry.camera import Camera
+from rendezview_service.client import Client, ServiceError
 
 _FROM_OURS = (3, 4, 5, 0, 1, 2)  # ROS has the translation first
 

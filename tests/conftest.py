@@ -11,19 +11,23 @@ import cv2
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from tests.ground.mesh.mesh_samples import boxes, grey_mesh
 from tests.left_behind import none_left_behind
 from tests.quick_training import REFINING
-from tests.training.mesh_samples import boxes, grey_mesh
 
 from rendezview.cli.compiling import compile_ahead
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.io.bundled import find_target
+from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
-from rendezview.training.job import train
-from rendezview.training.mesh import Mesh
-from rendezview.training.options import TrainingOptions
-from rendezview.training.projection import Window
-from rendezview.training.rasterizer import NumbaRenderer
+from rendezview.sensors.beacons import Rig, Spots
+from rendezview_ground.learn.job import train
+from rendezview_ground.learn.options import TrainingOptions
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.render.projection import Window
+from rendezview_ground.render.rasterizer import NumbaRenderer
+from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
 
 # The same examples in every run, however slow the machine is.
 settings.register_profile(
@@ -159,3 +163,29 @@ def draw() -> Draw:
         return np.clip(np.rint(frame), 0, 255).astype(np.uint8)
 
     return frame_of
+
+
+@pytest.fixture(scope="session")
+def scole() -> Target:
+    return find_target("scole")
+
+
+@pytest.fixture(scope="session")
+def leds(scole: Target) -> np.ndarray:
+    return np.array([led.position_m for led in scole.leds])
+
+
+@pytest.fixture(scope="session")
+def laboratory(leds: np.ndarray) -> Laboratory:
+    """Perfect lens and detectors, so that its own rig reads it without bias."""
+    return Laboratory(leds, LaboratoryOptions(distorted=False), seed=1)
+
+
+@pytest.fixture(scope="session")
+def read():
+    """Currents (C, L, 4) of one reading → spots of each camera."""
+
+    def of(rig: Rig, currents: np.ndarray) -> list[Spots]:
+        return [c.photodiode.read(row) for c, row in zip(rig.cameras, currents, strict=True)]
+
+    return of

@@ -1,6 +1,6 @@
 """The training options of the tests that need contour points and next to no trees."""
 
-from rendezview.training.options import TrainingOptions
+from rendezview_ground.learn.options import TrainingOptions
 
 REFINING = TrainingOptions(
     order=2,

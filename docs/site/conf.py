@@ -10,7 +10,7 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
-from rendezview import api
+import rendezview
 
 project = "rendezview"
 author = "the authors of rendezview"
@@ -68,6 +68,12 @@ def _name_files_outside(app: Sphinx, page: str, source: list[str]) -> None:
     source[0] = _OUTSIDE.sub(path, source[0])
 
 
+def _keep_notes_aside(app: Sphinx, page: str, source: list[str]) -> None:
+    """Notes are for maintainers: built and linked, but in no sidebar and not in the search."""
+    if page.startswith("notes/"):
+        source[0] = "---\norphan: true\nnosearch: true\n---\n\n" + source[0]
+
+
 def _field_comments(
     app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]
 ) -> None:
@@ -75,7 +81,7 @@ def _field_comments(
     if what != "attribute" or lines:
         return
     owner, _, field = name.rpartition(".")
-    found = getattr(api, owner.removeprefix("rendezview.api."), None)
+    found = getattr(rendezview, owner.removeprefix("rendezview."), None)
     for base in getattr(found, "__mro__", ()):
         if field in getattr(base, "__annotations__", {}):
             comment = _comment_of(inspect.getsource(base).splitlines(), field)
@@ -100,4 +106,5 @@ def _comment_of(source: list[str], field: str) -> str:
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     app.connect("source-read", _name_files_outside)
+    app.connect("source-read", _keep_notes_aside)
     app.connect("autodoc-process-docstring", _field_comments)

@@ -34,11 +34,7 @@ class Requirement:
 
 
 def requirements(path: Path = REQUIREMENTS) -> dict[str, Requirement]:
-    """All requirements by id.
-
-    Raises:
-        ValueError: an entry is not complete, has unknown keys, or stands twice.
-    """
+    """All requirements by id; ValueError where one is not complete, odd, or stands twice."""
     found: dict[str, Requirement] = {}
     for entry in tomllib.loads(path.read_text(encoding="utf-8"))["requirement"]:
         odd = set(entry) - KEYS or KEYS - {"experiment"} - set(entry)
@@ -53,18 +49,12 @@ def requirements(path: Path = REQUIREMENTS) -> dict[str, Requirement]:
 def count_results(junit: Path, known: dict[str, Requirement]) -> list[str]:
     """Add the results of a JUnit file to the requirements; returns ids that are not known."""
     unknown = []
+    outcomes = {"failure": "failed", "error": "failed", "skipped": "skipped"}
     for case in ElementTree.parse(junit).iter("testcase"):
-        ids = [
-            prop.get("value", "")
-            for prop in case.iter("property")
-            if prop.get("name") == "requirement"
-        ]
-        outcome = "passed"
-        if case.find("failure") is not None or case.find("error") is not None:
-            outcome = "failed"
-        elif case.find("skipped") is not None:
-            outcome = "skipped"
-        for name in ids:
+        marks = [p for p in case.iter("property") if p.get("name") == "requirement"]
+        found = (outcomes[kind] for kind in outcomes if case.find(kind) is not None)
+        outcome = next(found, "passed")
+        for name in (mark.get("value", "") for mark in marks):
             if name in known:
                 known[name].results[outcome] += 1
             else:

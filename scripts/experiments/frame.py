@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import inspect
-import json
-from collections.abc import Callable, Iterable, Sequence
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -16,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from rendezview.training.mesh import Mesh
+    from rendezview_ground.mesh.mesh import Mesh
 
 ROOT = Path(__file__).resolve().parents[2]  # the checkout
 MODELS_CAD = ROOT / "models_cad"
@@ -24,16 +25,13 @@ CLIENT = MODELS_CAD / "client"
 PICTURES = ROOT / "docs" / "pictures"
 
 PeerPython = Annotated[Path | None, "an interpreter with opencv-contrib"]
-Log = Annotated[Path | None, "every answer, JSON lines"]
-Dask = Annotated[str | None, "scheduler of a cluster that has the files too"]
 
 
 def run(name: str, experiment: Callable[..., object], words: Sequence[str]) -> object:
     """Call an experiment with the arguments of a command line.
 
     Positional parameters are positional arguments, keyword-only ones are options. Their types
-    are those of the signature; ``Annotated[type, "help"]`` adds the help, and a dictionary after
-    it more settings of `argparse`.
+    are those of the signature; ``Annotated[type, "help"]`` adds the help.
     """
     parser = argparse.ArgumentParser(
         prog=f"python -m experiments {name}",
@@ -61,9 +59,7 @@ def _settings(hint: Any) -> dict[str, Any]:
     """What `argparse` needs to know of a type."""
     settings: dict[str, Any] = {}
     if get_origin(hint) is Annotated:
-        hint, settings["help"], *more = get_args(hint)
-        for extra in more:
-            settings |= extra
+        hint, settings["help"] = get_args(hint)
     if isinstance(hint, UnionType):  # X | None
         hint = next(kind for kind in get_args(hint) if kind is not type(None))
     if hint is bool:
@@ -82,7 +78,7 @@ def _settings(hint: Any) -> dict[str, Any]:
 def table_of(title: str, columns: str | Sequence[str], *, left: int = 1) -> Table:
     """An empty table; all columns but the first ``left`` ones are on the right.
 
-    ``columns`` is a sequence, or one string with " | " between the names.
+    Columns may be one string with " | " between the names.
     """
     made = Table(title=title)
     for k, column in enumerate(columns.split(" | ") if isinstance(columns, str) else columns):
@@ -96,30 +92,28 @@ def show(*tables: Table, width: int | None = None) -> None:
         Console(width=width).print(one)
 
 
-def write_log(path: Path | None, records: Iterable[dict[str, Any]]) -> None:
-    """Records as JSON lines, where a path is given."""
-    if path is not None:
-        path.write_text("".join(json.dumps(record) + "\n" for record in records))
-
-
-def two(
-    values: Sequence[float] | np.ndarray, high: float = 95, form: str = "{:.3f} / {:.3f}"
-) -> str:
+def two(values: npt.ArrayLike, high: float = 95, form: str = "{:.3f} / {:.3f}") -> str:
     """Median and a high percentile."""
     return form.format(np.median(values), np.percentile(values, high))
 
 
 def nees(error: npt.ArrayLike, covariance: npt.ArrayLike) -> float:
     """Normalised estimation error squared."""
-    return float(
-        np.dot(np.asarray(error), np.linalg.solve(np.asarray(covariance), np.asarray(error)))
-    )
+    off = np.asarray(error)
+    return float(np.dot(off, np.linalg.solve(np.asarray(covariance), off)))
+
+
+def tests_module(name: str) -> Any:
+    """A module of the tests' folder: simulators that share no code with the product."""
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))
+    return importlib.import_module(f"tests.{name}")
 
 
 def mesh_of(target: str | Path) -> tuple[str, Mesh]:
     """Name and mesh of a bundled target, a target file or a bare mesh."""
     from rendezview.io.bundled import find_target
-    from rendezview.training.mesh import load_mesh
+    from rendezview_ground.mesh.mesh import load_mesh
 
     found = find_target(str(target))
     return found.name, load_mesh(found.mesh_path, found.unit)

@@ -6,7 +6,7 @@ import json
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Literal
 
 import cv2
 import matplotlib
@@ -15,21 +15,11 @@ import numpy as np
 from matplotlib.patches import Circle, Polygon, Rectangle
 
 from experiments.frame import CLIENT, MODELS_CAD, PICTURES
-from experiments.reflectors.run import CAMERA
-from experiments.stereo.accuracy import (
-    AVERAGED,
-    POSITIONS,
-    by_paper,
-    by_pictures,
-    by_tracker,
-    turned_deg,
-)
-from experiments.stereo.cases import leds_of
-from experiments.stereo.plain import OwnLaboratory
+from experiments.reflectors.accuracy import CAMERA
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
-from rendezview.sensors.reflectors import (
+from rendezview.sensors.beacons import (
     LitDark,
     ReflectorSensor,
     SixNumbers,
@@ -40,9 +30,8 @@ from rendezview.sensors.reflectors import (
 )
 from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview.sensors.ring.overlay import draw_reading
-from rendezview.sensors.stereo import MotionOptions, Normalisation
-from rendezview.sensors.stereo.laboratory import calibrate_laboratory
-from rendezview.simulation import (
+from rendezview_ground.mesh.mesh import load_mesh
+from rendezview_ground.simulate import (
     SceneOptions,
     SensorOptions,
     TrajectoryOptions,
@@ -50,11 +39,13 @@ from rendezview.simulation import (
     sun_at_phase,
     trajectory,
 )
-from rendezview.simulation.led_laboratory import LaboratoryOptions
-from rendezview.simulation.led_pictures import PictureOptions
-from rendezview.simulation.mesh_error import deformed
-from rendezview.simulation.reflector_frames import ReflectorFrameOptions, foil, glints, render_pair
-from rendezview.training.mesh import load_mesh
+from rendezview_ground.simulate.mesh_error import deformed
+from rendezview_ground.simulate.reflector_frames import (
+    ReflectorFrameOptions,
+    foil,
+    glints,
+    render_pair,
+)
 
 matplotlib.use("Agg")
 
@@ -62,17 +53,12 @@ FRAMES = 4
 CROP = (slice(50, 410), slice(110, 530))  # the target, without the report's status bar
 
 
-def readme(demo: Annotated[Path, "folder that the demo wrote"]) -> None:
-    """The README's picture: four frames of a finished demo, side by side.
-
-    rendezview demo -o rendezview-demo && python -m experiments readme-picture rendezview-demo
-    """
+def readme(demo: Path) -> None:
+    """Four frames of a finished demo, side by side: a folder that ``rendezview demo -o`` wrote."""
     paths = sorted(demo.glob("frame_*.png"))
     chosen = [paths[k] for k in np.linspace(0, len(paths) - 1, FRAMES).round().astype(int)]
     strip = np.hstack([cv2.imread(str(path))[CROP] for path in chosen])
-    PICTURES.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(PICTURES / "approach.png"), strip)
-    print(PICTURES / "approach.png")
 
 
 PHOTOGRAPHS = {
@@ -85,8 +71,8 @@ PHOTOGRAPHS = {
 }
 
 
-def simulation(*, seed: int = 4) -> None:
-    """The picture of docs/simulation.md: one frame with each option that photographs need."""
+def simulation(_: Path) -> None:
+    """One frame with each option that photographs need."""
     target = Target.load(MODELS_CAD / "hubble")
     mesh = load_mesh(target.mesh_path, target.unit)
     centre_m, radius_m = mesh.bounding_sphere
@@ -97,22 +83,18 @@ def simulation(*, seed: int = 4) -> None:
     tiles = []
     for caption, options in PHOTOGRAPHS.items():
         changed = dict(options)
-        bent = deformed(mesh, changed.pop("mesh_error", 0.0), np.random.default_rng(seed))
-        sensor = SensorOptions(
-            noise_sigma_grey=1.0,
-            **{k: changed.pop(k) for k in ("overexposure", "bloom") if k in changed},
-        )
-        scene = SceneOptions(sensor=sensor, **changed)
-        tile = render_frame(bent, camera, pose, sun, scene, np.random.default_rng(seed))
+        bent = deformed(mesh, changed.pop("mesh_error", 0.0), np.random.default_rng(4))
+        light = {k: changed.pop(k) for k in ("overexposure", "bloom") if k in changed}
+        scene = SceneOptions(sensor=SensorOptions(noise_sigma_grey=1.0, **light), **changed)
+        tile = render_frame(bent, camera, pose, sun, scene, np.random.default_rng(4))
         cv2.putText(tile, caption, (6, 172), cv2.FONT_HERSHEY_SIMPLEX, 0.4, 255, 1, cv2.LINE_AA)
         tiles.append(tile)
     sheet = np.vstack([np.hstack(tiles[:3]), np.hstack(tiles[3:])])
     cv2.imwrite(str(PICTURES / "simulation.png"), sheet)
-    print(PICTURES / "simulation.png")
 
 
-def ring(output: Path, *, seed: int = 3) -> None:
-    """The picture of docs/ring.md: the client's ring as the sensor reads it."""
+def ring(_: Path) -> None:
+    """The client's ring as the sensor reads it."""
     target = Target.load(CLIENT)
     ring = target.docking_ring
     assert ring is not None
@@ -124,30 +106,25 @@ def ring(output: Path, *, seed: int = 3) -> None:
     ((_, pose),) = trajectory("vbar", options)
     mesh = load_mesh(target.mesh_path, target.unit)
     sun = np.array([0.3, -0.35, -0.9])
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(3)
     image = render_frame(mesh, camera, pose, sun / np.linalg.norm(sun), SceneOptions(), rng)
     prior = RingPrior(centre_m=pose.apply(ring.centre_m), axis=pose.rotation @ ring.axis)
     sensor = RingSensor(camera, ring.radius_m, circles=ring.circles)
     reading = sensor.update(0.0, image, prior)
-    cv2.imwrite(str(output), draw_reading(image, reading, camera))
-    if reading.circle is not None:
-        far = np.linalg.norm(prior.centre_m)
-        off = 100.0 * np.linalg.norm(reading.circle.centre_m - prior.centre_m) / far
-        angle = math.degrees(math.acos(min(1.0, float(reading.circle.axis @ prior.axis))))
-        print(f"centre off by {off:.3f} % of range, axis by {angle:.2f} degrees")
+    cv2.imwrite(str(PICTURES / "ring.png"), draw_reading(image, reading, camera))
 
 
 ORANGE, GREY = "#f0922b", "#9a9a9a"
 
 
-def reflectors(*, seed: int = 6, output: Path = PICTURES / "reflectors.png") -> None:
-    """The picture of docs/reflectors.md: pair, spots, triplet, windows and pose.
+def reflectors(_: Path) -> None:
+    """Pair, spots, triplet, windows and pose.
 
     A simulated pair of the far target at 5 m with crumpled foil and false spots. Left: the lit
     picture. Middle: the difference with every spot (grey) and the triplet (orange). Right: the
     target with the windows that the reading searched, and the face frame at the pose.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(6)
     pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
     six = SixNumbers(5.0, 0.03, 0.02, 0.4, 0.25, -0.2)
     clutter = (foil(CAMERA, rng, 30), glints(CAMERA, rng, 6))
@@ -164,23 +141,19 @@ def reflectors(*, seed: int = 6, output: Path = PICTURES / "reflectors.png") -> 
     three = reading.spots.centroids_px
     figure, axes = plt.subplots(1, 3, figsize=(10.0, 2.9), constrained_layout=True)
     difference = np.clip(frames.lit.astype(int) - frames.dark, 0, 255)
-    for panel, image, title in zip(
-        axes, (frames.lit, difference, difference),
-        (f"lit ({reading.six.range_m:.2f} m)", f"lit − dark: {len(spots)} spots, the triplet",
-         "the windows it looked into, and the pose"), strict=True,
-    ):  # fmt: skip
+    shown = {f"lit ({reading.six.range_m:.2f} m)": frames.lit,
+             f"lit − dark: {len(spots)} spots, the triplet": difference,
+             "the windows it looked into, and the pose": difference}  # fmt: skip
+    for panel, (title, image) in zip(axes, shown.items(), strict=True):
         panel.imshow(image, cmap="gray", vmin=0, vmax=200, interpolation="nearest")
         panel.set_title(title, fontsize=9)
-        panel.set_xticks([])
-        panel.set_yticks([])
+        panel.set(xticks=[], yticks=[])
     for place, size in zip(spots.centroids_px, spots.size_px, strict=True):
         axes[1].add_patch(Circle(place, 3.0 * size + 5.0, fill=False, color=GREY, lw=0.8))
     axes[1].add_patch(Polygon(three, fill=False, color=ORANGE, lw=0.9))
-    looked = sensor._fit
-    windows = zip(looked.expected[:, :2], looked.half, strict=True)
-    for (middle, half), place, size, name in zip(
-        windows, three, reading.spots.size_px, reading.reflectors, strict=True
-    ):
+    looked, named = sensor._fit, (reading.spots.size_px, reading.reflectors)
+    windows = zip(looked.expected[:, :2], looked.half, three, *named, strict=True)
+    for middle, half, place, size, name in windows:
         axes[1].add_patch(Circle(place, 3.0 * size + 5.0, fill=False, color=ORANGE, lw=1.2))
         corner = middle - half
         axes[2].add_patch(Rectangle(corner, 2 * half, 2 * half, fill=False, color=ORANGE, lw=1.2))
@@ -189,60 +162,10 @@ def reflectors(*, seed: int = 6, output: Path = PICTURES / "reflectors.png") -> 
     face = CAMERA.project((reading.pose @ pattern.target_from_face).apply(tips))
     for tip, colour in zip(face[1:], ("#ff5050", "#50dc50", "#50a0ff"), strict=True):
         axes[2].plot(*np.transpose([face[0], tip]), color=colour, lw=1.3)
-    shown = predict_spots(CAMERA, pattern, reading.pose)
-    middle, reach = shown.mean(axis=0), 0.9 * np.ptp(shown, axis=0).max()
-    axes[2].set_xlim(middle[0] - 1.33 * reach, middle[0] + 1.33 * reach)
-    axes[2].set_ylim(middle[1] + reach, middle[1] - reach)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(output, dpi=90)
-    print(output, f"seed {seed}")
-
-
-def stereo(*, target: str = "models_cad/scole", seed: int = 11) -> None:
-    """The picture of docs/stereo.md: figure 8 of Welch et al. (1991), one run of 2° steps.
-
-    Measured angle minus the line through it, over the stage's angle: the paper's solver on single
-    and on averaged scans of photodiodes, ours, and two picture cameras. stereo-accuracy
-    --part figure8 has the figures of many runs.
-    """
-    craft = Target.load(target)
-    laboratory = OwnLaboratory(leds_of(craft), LaboratoryOptions(), seed)
-    rng = np.random.default_rng(seed)
-    record = laboratory.calibration(rng)
-    rig = calibrate_laboratory(record).rig
-    plain = calibrate_laboratory(record, Normalisation.PAIR, order=3).rig
-    angles = 2.0 * (np.arange(POSITIONS) - POSITIONS // 2)
-    poses = laboratory.stage(np.deg2rad(angles))
-    single = laboratory.currents(poses, rng)
-    noise = laboratory.noise / np.sqrt(AVERAGED)
-    mean = laboratory.currents(poses, None) + rng.normal(0.0, noise, single.shape)
-    options = PictureOptions(signal_to_noise=200.0)
-    panels = {
-        "photodiodes, one scan a reading": {
-            "the paper's solver": by_paper(plain, craft, single, poses[0]),
-            "ours": turned_deg(by_tracker(rig, craft, single, None, poses)[0]),
-            "ours, filter": turned_deg(by_tracker(rig, craft, single, MotionOptions(), poses)[0]),
-        },
-        f"the mean of {AVERAGED} scans, and single pictures": {
-            "the paper's solver": by_paper(plain, craft, mean, poses[0]),
-            "ours": turned_deg(by_tracker(rig, craft, mean, None, poses)[0]),
-            "ours, two picture cameras, no mean": turned_deg(
-                by_pictures(laboratory, craft, poses, options, rng)[0]
-            ),
-        },
-    }
-    colours = ("#d9731a", "#2b7bba", "#222222")
-    figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
-    for axis, (title, lines) in zip(axes, panels.items(), strict=True):
-        for colour, (name, read) in zip(colours, lines.items(), strict=True):
-            left = read - np.polyval(np.polyfit(angles, read, 1), angles)
-            axis.plot(angles, left, ".-", color=colour, lw=0.8, ms=4, label=name)
-        axis.set(title=title, xlabel="stage, °")
-        axis.set_ylabel("read less its line, °")
-        axis.grid(alpha=0.3)
-        axis.legend(fontsize=7)
-    figure.savefig((PICTURES / "stereo.png"), dpi=110)
-    print(PICTURES / "stereo.png")
+    places = predict_spots(CAMERA, pattern, reading.pose)
+    (x, y), reach = places.mean(axis=0), 0.9 * np.ptp(places, axis=0).max()
+    axes[2].set(xlim=(x - 1.33 * reach, x + 1.33 * reach), ylim=(y + reach, y - reach))
+    figure.savefig(PICTURES / "reflectors.png", dpi=90)
 
 
 EDGES_M = np.geomspace(0.99, 60.1, 25)
@@ -251,18 +174,14 @@ COLOURS = {"fused": "#222222", "appearance": "#d9731a", "ring": "#2b7bba", "lase
 
 def curve(range_m: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middle of each bin and median error, where at least ten frames are."""
-    middles, medians = [], []
-    for near, far in pairwise(EDGES_M):
-        inside = error[(range_m >= near) & (range_m < far)]
-        inside = inside[np.isfinite(inside)]
-        if len(inside) >= 10:
-            middles.append(np.sqrt(near * far))
-            medians.append(np.median(inside))
-    return np.array(middles), np.array(medians)
+    inside = [((range_m >= a) & (range_m < b) & np.isfinite(error)) for a, b in pairwise(EDGES_M)]
+    full = [k for k, some in enumerate(inside) if some.sum() >= 10]
+    middles = np.sqrt(EDGES_M[:-1] * EDGES_M[1:])[full]
+    return middles, np.array([np.median(error[inside[k]]) for k in full])
 
 
 def fusion(samples: Path) -> None:
-    """The picture of docs/fusion.md: errors of sensors and filter over the range, and its σ."""
+    """Errors of sensors and filter over the range, of the samples of fusion-approach."""
     rows = json.loads(samples.read_text())
     range_m = np.array([row["range_m"] for row in rows])
     figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.8), constrained_layout=True)
@@ -280,5 +199,22 @@ def fusion(samples: Path) -> None:
         panel.invert_xaxis()
         panel.grid(True, which="major", alpha=0.3)
     axes[0].legend(frameon=False)
-    figure.savefig((PICTURES / "fusion.png"), dpi=110)
-    print(PICTURES / "fusion.png")
+    figure.savefig(PICTURES / "fusion.png", dpi=110)
+
+
+DRAWN = {"readme": readme, "simulation": simulation, "ring": ring, "reflectors": reflectors,
+         "fusion": fusion}  # fmt: skip
+
+
+def run(
+    name: Literal["readme", "simulation", "ring", "reflectors", "fusion"],
+    source: Path | None = None,
+) -> None:
+    """Draw one picture of the README or the docs again, into docs/pictures.
+
+    readme needs the folder that rendezview demo wrote; fusion, what fusion-approach --samples did.
+    """
+    if source is None and name in ("readme", "fusion"):
+        raise SystemExit(f"picture {name} needs a SOURCE, see --help")
+    DRAWN[name](source or PICTURES)
+    print(PICTURES, name)

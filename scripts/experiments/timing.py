@@ -24,10 +24,7 @@ class Way:
 
 
 def race(ways: dict[str, Way], seconds: float, rounds: int = 15) -> dict[str, float]:
-    """Seconds an answer: least of the medians of ``rounds`` turns, after a warm-up.
-
-    ``seconds`` is for all of it; a turn has at least one call, so slow ways may take longer.
-    """
+    """Seconds an answer: least of the medians of ``rounds`` turns; ``seconds``: for all of it."""
     other_process = any(way.own_clock for way in ways.values())
     now = time.perf_counter if other_process else time.process_time
     for way in ways.values():
@@ -44,41 +41,3 @@ def race(ways: dict[str, Way], seconds: float, rounds: int = 15) -> dict[str, fl
                 spent.append(float(returned) if way.own_clock else took / way.answers)
             best[name] = min(best[name], float(np.median(spent)))
     return best
-
-
-def medians_in_turns_ms(
-    ways: dict[str, Callable[[], object]], turns: int, seed: int = 0
-) -> dict[str, float]:
-    """Median milliseconds of some calls on the wall clock, taken in turns after a warm-up.
-
-    The order of every turn is drawn: each way then starts with the caches that the others leave.
-    """
-    rng, spent = np.random.default_rng(seed), {name: list[float]() for name in ways}
-    for call in ways.values():
-        call()
-    for _ in range(turns):
-        for name in rng.permutation(list(ways)):
-            start = time.perf_counter()
-            ways[name]()
-            spent[name].append(time.perf_counter() - start)
-    return {name: 1e3 * float(np.median(times)) for name, times in spent.items()}
-
-
-def median_ms(
-    call: Callable[[], object], calls: int = 60, *, seconds: float = 0.0, rounds: int = 1
-) -> float:
-    """Median milliseconds of a call on the wall clock, after a warm-up; the least of ``rounds``.
-
-    A round has at least ``calls`` calls, and lasts at least ``seconds``.
-    """
-    call()
-    medians = []
-    for _ in range(rounds):
-        spent: list[float] = []
-        until = time.perf_counter() + seconds
-        while len(spent) < calls or time.perf_counter() < until:
-            start = time.perf_counter()
-            call()
-            spent.append(time.perf_counter() - start)
-        medians.append(1e3 * float(np.median(spent)))
-    return min(medians)

@@ -16,7 +16,7 @@ from tests.waiting import MOST_S, wait_until
 
 from rendezview.cli.main import main
 from rendezview.io.sequences import open_sequence
-from rendezview.training.mesh import Mesh
+from rendezview_ground.mesh.mesh import Mesh
 
 # What a command says of compiling depends on the cache of the machine: not here.
 _COMPILING = ("Compiling ", "Compiled ")

@@ -20,10 +20,10 @@ from rendezview.io.sequences.bop_writer import BopSceneWriter
 from rendezview.io.sequences.frame import Frame
 from rendezview.io.sequences.live import is_live, live_frames, with_rate
 from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptions
+from rendezview.sensors.beacons.observation import ReflectorObservation
+from rendezview.sensors.beacons.run import FramePair, wrong_mode
 from rendezview.sensors.observation import Status
-from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions
-from rendezview.sensors.reflectors.observation import ReflectorObservation
-from rendezview.sensors.reflectors.run import FramePair, wrong_mode
 
 CAMERA = Camera(640, 480, 620.0, 625.0, 322.0, 236.0)
 SQUARE = 40  # px of the printed board

@@ -10,8 +10,8 @@ import cv2
 from tests.sensors.appearance.sketch.test_search import hard_frame
 
 from rendezview.cli import compiling
-from rendezview.simulation.scene import SceneOptions, simulate
-from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
+from rendezview_ground.simulate.scene import SceneOptions, simulate
+from rendezview_ground.simulate.trajectories import TrajectoryOptions, trajectory
 
 _TRACK = """
 import json, sys
@@ -19,7 +19,7 @@ from rendezview.cli.compiling import recorded
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.following import follow
-from rendezview.service.tracking import warm_up
+from rendezview_service.tracker.tracking import warm_up
 
 model, sequence = ViewModel.load(sys.argv[1]), open_sequence(sys.argv[2])
 

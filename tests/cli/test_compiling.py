@@ -16,7 +16,7 @@ from numba.core.event import install_listener
 from tests.waiting import MOST_S
 
 from rendezview.cli import compiling
-from rendezview.sensors.appearance.edges.view_tables import ViewTables
+from rendezview.sensors.appearance.model.view_tables import ViewTables
 
 
 @pytest.mark.parametrize(

@@ -11,18 +11,20 @@ def test_flight_code_goes_into_a_folder(run, files_below, tiny_model_path: Path,
     folder = tmp_path / "new" / "flight"
     ran = run("export", tiny_model_path, "--c", folder)
     assert (ran.code, ran.out) == (0, "")
-    assert ran.err == f"{folder}: 10 files, start with README.md\n"
+    assert ran.err == f"{folder}: 12 files, start with README.md\n"
     assert files_below(folder) == {
         "README.md",
         "rendezview_flight.h",
         "rendezview_frame.h",
         "rendezview_model.h",
         "rendezview_model.c",
+        "rendezview_forest.c",
         "sky.c",
         "borders.c",
         "silhouette.c",
         "signature.c",
         "trees.c",
+        "forest.c",
     }
     assert "rdv_search" in (folder / "README.md").read_text()
 

@@ -16,7 +16,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_json_lines
 from rendezview.io.sequences import BopSceneWriter
 from rendezview.sensors.appearance import ViewModel
-from rendezview.training.mesh import Mesh
+from rendezview_ground.mesh.mesh import Mesh
 
 FRAMES = 4
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rendezview.training.stages import Shards
+from rendezview_ground.learn.jobs.stages import Shards
 
 LONG = ["--order", "1", "--views", "40000", "--held-out", "0", "--resolution", "96", "--jobs", "1"]
 

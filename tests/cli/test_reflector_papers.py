@@ -13,8 +13,8 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import save_camera
 from rendezview.io.sequences import BopSceneWriter
 from rendezview.io.target import Target
-from rendezview.sensors.reflectors import SixNumbers, patterns_of, pose_of
-from rendezview.simulation.reflector_frames import ReflectorFrameOptions, render_pair
+from rendezview.sensors.beacons import SixNumbers, patterns_of, pose_of
+from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
 
 CLIENT = Path(__file__).resolve().parents[2] / "models_cad" / "client"
 CAMERA = Camera(512, 384, 651.975, 651.975, 255.5, 191.5)

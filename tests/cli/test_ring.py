@@ -12,7 +12,7 @@ import pytest
 
 from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import save_camera
-from rendezview.simulation.ring_frames import RingSceneOptions, random_scene, render_ring_frame
+from rendezview_ground.simulate.ring_frames import RingSceneOptions, random_scene, render_ring_frame
 
 CLIENT = Path(__file__).resolve().parents[2] / "models_cad" / "client"
 

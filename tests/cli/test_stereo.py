@@ -12,14 +12,14 @@ import cv2
 import numpy as np
 import pytest
 
+from rendezview.calibration.laboratory_files import save_record
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_results
 from rendezview.io.target import Target
-from rendezview.sensors.stereo import rotation_of
-from rendezview.sensors.stereo.laboratory_files import save_record
-from rendezview.sensors.stereo.rig_files import load_rig, save_rig
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.simulation.led_pictures import PictureOptions, draw, picture_rig
+from rendezview.sensors.beacons import rotation_of
+from rendezview.sensors.beacons.rig_files import load_rig, save_rig
+from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
+from rendezview_ground.simulate.led_pictures import PictureOptions, draw, picture_rig
 
 SCOLE = Path(__file__).resolve().parents[2] / "models_cad" / "scole"
 RUN = "from rendezview.cli.main import main; main()"

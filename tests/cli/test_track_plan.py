@@ -9,14 +9,14 @@ from oem import OrbitEphemerisMessage
 from rendezview.cli.guide import Guide, chaser_attitudes
 from rendezview.cli.track import track
 from rendezview.errors import RendezviewError
-from rendezview.evaluation.show_command import show
 from rendezview.io.ccsds import parse_epoch
 from rendezview.io.results import JsonLinesWriter
 from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.appearance.outline.reading import OutlineReading
 from rendezview.sensors.observation import Status
-from rendezview.simulation.trajectories import looking_at
 from rendezview.trajectory import PathFollower, Shape, load_plan
+from rendezview_ground.evaluate.show_command import show
+from rendezview_ground.simulate.trajectories import looking_at
 
 PLAN = """
 [circular]

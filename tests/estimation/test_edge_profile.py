@@ -11,7 +11,7 @@ from rendezview.estimation.edge_profile import (
     TAPS,
     WINDOWS,
     allowed_square,
-    fit_crowded,
+    fit_adjacent,
     fit_step,
     narrow_step,
     residual_square,
@@ -51,7 +51,7 @@ def test_crowded_steps_are_fitted_as_by_numpys_normal_equations():
     for _ in range(50):
         inner, outer = -rng.uniform(2.2, 6.0), rng.uniform(2.2, 6.0)
         profile, solved = rng.uniform(0.0, 255.0, TAPS), np.zeros(5)
-        variance = fit_crowded(profile, inner, outer, BLUR, solved)
+        variance = fit_adjacent(profile, inner, outer, BLUR, solved)
         rows = np.column_stack([*basis, ndtr((D - outer) / BLUR), ndtr((D - inner) / BLUR) - 1.0])
         normal = rows.T @ rows + np.diag([1e-4, 1e-4, 1e-4, 1e-2, 1e-2])
         wanted = np.linalg.solve(normal, rows.T @ profile)

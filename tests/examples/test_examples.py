@@ -17,8 +17,8 @@ from tests.quick_training import REFINING
 from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import save_camera
 from rendezview.sensors.appearance import ViewModel
-from rendezview.simulation import SceneOptions, looking_at, simulate
-from rendezview.training.mesh import Mesh
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate import SceneOptions, looking_at, simulate
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 

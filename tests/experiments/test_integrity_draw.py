@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.integrity.draw import OFF, alike, is_off, looks
-from experiments.integrity.frames import CAMERA, CONDITIONS
+from experiments.integrity.draw import CAMERA, CONDITIONS, OFF, alike, is_off, looks
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import exp
 from rendezview.sensors.appearance import Recognizer

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.integrity.fit import NAMES, Poses, spread, widened, wrong_odds
-from rendezview.sensors.appearance.integrity_model import FRAME_FEATURES, SPREAD_FEATURES
+from rendezview.sensors.appearance.integrity.model import FRAME_FEATURES, SPREAD_FEATURES
 
 DOUBT = NAMES.index("doubt")
 

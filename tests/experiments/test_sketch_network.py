@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from experiments.training import sketch_network
-from rendezview.sensors.appearance.sketch.network import MAPS, SIDE_PX
-from rendezview.simulation.sketch_frames import DRAWINGS
+from rendezview.sensors.appearance.edges.network import SIDE_PX
+from rendezview.sensors.appearance.model.sketches import MAPS
+from rendezview_ground.simulate.sketch_frames import DRAWINGS
 
 
 def test_without_pytorch_it_says_what_to_install(
@@ -20,14 +21,6 @@ def test_without_pytorch_it_says_what_to_install(
     with pytest.raises(SystemExit, match="pip install torch"):
         sketch_network.run(tmp_path / "sketch.onnx", folder=tmp_path / "frames")
     assert not any(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("keep", "start"), [(0.3, None), (1.0, Path("a.pt")), (-0.1, Path("a.pt"))]
-)
-def test_weights_are_kept_of_a_start_only_and_not_all(keep, start, tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match="--keep"):
-        sketch_network.run(tmp_path / "sketch.onnx", keep=keep, start=start)
 
 
 def test_drawings_are_kept_and_read_again(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ from rendezview.fusion.model_kernels import (
     pose_covariance,
     pose_model,
     ring_expected,
-    ring_look,
     ring_model,
+    ring_residual,
 )
 
 
@@ -94,7 +94,7 @@ def test_a_circle_beside_the_expected_one_is_that_of_numpy():
     normal = -(axis + 0.05 * rng.standard_normal(3))
     normal /= np.linalg.norm(normal)
     args = (measured, normal, given, centre, axis, basis, 1.2, 0.1, 0.02, 0.6)
-    residual, white, root = ring_look(*args)
+    residual, white, root = ring_residual(*args)
     flat = np.zeros((5, 6))
     flat[:3, :3], flat[3:, 3:] = np.eye(3), -basis.T  # a circle has no front
     whole = 1.2 * flat @ given @ flat.T
@@ -133,7 +133,7 @@ def test_one_candidate_alone_is_its_own_measurement():
     found, direction, basis, slope = ring_model(centre, axis, rotation, place, 1.0, 0.0)
     given = covariance_of(rng, 6)
     measured = found + 0.01 * rng.standard_normal(3)
-    look = ring_look(measured, direction, given, found, direction, basis, 1.0, 0.0, 0.0, 0.5)
+    look = ring_residual(measured, direction, given, found, direction, basis, 1.0, 0.0, 0.0, 0.5)
     before, other, residual, slopes, white, root = ring_expected(
         measured[None], direction[None], given[None], centre, axis, rotation, place, np.zeros(2),
         np.eye(14), 14, 1.0, 0.0, 0.0, 0.5, 0.0,

@@ -12,13 +12,12 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import DockingRing, Led, Reflector, Target
+from rendezview.sensors.beacons import Rig, patterns_of
+from rendezview.sensors.beacons.rig import RigCamera
 from rendezview.sensors.observation import Status
-from rendezview.sensors.reflectors import patterns_of
-from rendezview.sensors.stereo import Rig
-from rendezview.sensors.stereo.rig import RigCamera
-from rendezview.simulation.reflector_frames import ReflectorFrameOptions, render_pair
-from rendezview.simulation.ring_frames import Circle, Plate, RingScene, render_ring_frame
-from rendezview.simulation.sensor import SensorOptions
+from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
+from rendezview_ground.simulate.ring_frames import Circle, Plate, RingScene, render_ring_frame
+from rendezview_ground.simulate.sensor import SensorOptions
 
 README = Path(__file__).resolve().parents[2] / "runtime" / "rendezview" / "fusion" / "README.md"
 RING_M = 0.5

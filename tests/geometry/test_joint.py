@@ -1,4 +1,4 @@
-"""Joints: angles, ranges and sheets."""
+"""Joints: angles, ranges and configurations."""
 
 import numpy as np
 import pytest
@@ -30,9 +30,11 @@ def test_angles_of_repeating_turns_are_apart_the_shorter_way() -> None:
 
 @pytest.mark.parametrize("joint", [DOOR, WING])
 def test_every_angle_of_the_range_is_within_half_a_step_of_a_sheet(joint: Joint) -> None:
-    sheets = joint.sheets(0.26)
+    configurations = joint.configurations(0.26)
     for angle in np.linspace(joint.lowest_rad, joint.highest_rad, 200):
-        assert min(abs(joint.apart(angle, sheet)) for sheet in sheets) <= 0.131
+        assert (
+            min(abs(joint.apart(angle, configuration)) for configuration in configurations) <= 0.131
+        )
 
 
 def test_a_joint_survives_its_record() -> None:

@@ -19,8 +19,8 @@ from PIL import Image
 from tests.waiting import MOST_S
 
 from rendezview.io.target import Target
-from rendezview.training.joints import posed, with_parts
-from rendezview.training.mesh import load_mesh
+from rendezview_ground.mesh.joints import posed, with_parts
+from rendezview_ground.mesh.mesh import load_mesh
 
 MODELS = Path(__file__).resolve().parents[2] / "models_cad"
 VEHICLES = ("hubble", "client", "scole", "shuttle")

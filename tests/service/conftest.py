@@ -21,15 +21,14 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.service import page_feed
+from tests.service import approach, page_feed
 from tests.service.browser import Stepwise
 from tests.waiting import MOST_S, wait_until
 
-from experiments.service import approach
-from rendezview.client import Client
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import ViewModel
+from rendezview_service.client import Client
 
 TOUR = 24  # frames
 # A test that a busy machine holds up must not run into a limit of the service.
@@ -52,7 +51,7 @@ class Served:
     def client(self, token: str | None = None) -> Client:
         return Client(self.url, token, timeout_s=MOST_S)
 
-    def states_told(self, session: str, last: str, message: str | None = None) -> list[str]:
+    def states_reported(self, session: str, last: str, message: str | None = None) -> list[str]:
         """States in the log's lines on a session, once ``last`` is: lines come in behind."""
 
         def states() -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from tests.waiting import wait_until
 
-from rendezview.client import SessionClient
+from rendezview_service.client import SessionClient
 
 SIZES = {"desk": (1400, 900), "phone": (390, 844)}
 _DRAWN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(0))))"

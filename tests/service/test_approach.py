@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
-from rendezview.service.approach import ApproachMonitor
-from rendezview.service.approach_messages import Approach, ApproachRequest
-from rendezview.service.fusion_messages import FusionRequest
+from rendezview_service.messages.approach_messages import Approach, ApproachRequest
+from rendezview_service.messages.fusion_messages import FusionRequest
+from rendezview_service.tracker.approach import ApproachMonitor
 
 PORT = {"centre_m": [-1.6, 0.2, 0.1], "axis": [-2.0, 0.0, 0.0]}
 COVARIANCE = np.diag([1e-4] * 3 + [4e-4] * 3 + [1e-6] * 3 + [1e-4] * 3)

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.observation import Observation, Status
-from rendezview.service.camera_filter import CameraFilter
-from rendezview.service.fusion_messages import FusionRequest
+from rendezview_service.messages.fusion_messages import FusionRequest
+from rendezview_service.tracker.camera_filter import CameraFilter
 
 WHITE = np.sqrt(0.1)
 SIGMA = np.array([4e-4] * 3 + [1e-3, 1e-3, 3e-3])

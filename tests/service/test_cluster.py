@@ -14,15 +14,15 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from tests.service.ray_nodes import Gateway, Nodes, slots_of, wait_for
 from tests.waiting import MOST_S, wait_until
 from websockets.sync.client import connect
 
-from experiments.service.cluster import Gateway, Nodes, seats_of, wait_for
 from experiments.service.kill import states_of
-from rendezview.client import Client
-from rendezview.client.messages import ServiceError
 from rendezview.errors import RendezviewError
-from rendezview.service.log_repair import mend
+from rendezview_service.client import Client
+from rendezview_service.client.messages import ServiceError
+from rendezview_service.logs.log_repair import mend
 
 pytest.importorskip("ray", reason="needs ray: pip install 'rendezview[ray]'")
 
@@ -46,8 +46,8 @@ class Cluster:
         return Client(self.gateways[gateway].url, sender=_SENDER, timeout_s=MOST_S, reconnect_s=0.0)
 
     def node_of(self, session: str) -> int:
-        seat = next(s for s in seats_of(self.gateways[0]) if s["session"] == session)
-        return [node.node_id for node in self.nodes.nodes].index(seat["node"])
+        slot = next(s for s in slots_of(self.gateways[0]) if s["session"] == session)
+        return [node.node_id for node in self.nodes.nodes].index(slot["node"])
 
     def logged(self, session: str) -> dict[int, list[dict[str, Any]]]:
         """The states in the parts of a session's log, by frame."""
@@ -97,7 +97,7 @@ def test_nodes_gateways_and_models_change_under_a_session(
         states += [session.track(image, time_s) for time_s, _, image in tour[:4]]
         first_model = states[0]["model_sha256"]
 
-        # A new file of its model: the session takes it along to the free seat.
+        # A new file of its model: the session takes it along to the free slot.
         replace(refining_model, provenance={"why": "newer"}).save(tmp_path / "new.rvm")
         answer = httpx.put(
             f"{cluster.gateways[1].url}v1/models/bumpy?replace=true",
@@ -134,8 +134,8 @@ def test_nodes_gateways_and_models_change_under_a_session(
     place, before = cluster.node_of("run"), place
     assert place != before
 
-    # kill -9 of the steward: the session stays where it is, and gets no second seat.
-    cluster.nodes.kill_steward()
+    # kill -9 of the orchestrator: the session stays where it is, and gets no second slot.
+    cluster.nodes.kill_orchestrator()
     health = httpx.get(cluster.gateways[0].url + "healthz", timeout=MOST_S)
     assert (health.status_code, health.json()["status"]) == (200, "not ready")
 

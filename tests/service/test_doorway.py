@@ -14,9 +14,9 @@ import pytest
 from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
-from rendezview.service.connections import HEAD_S, MOST_HEAD
-from rendezview.training import mesh_containers
-from rendezview.training.mesh import load_mesh
+from rendezview_ground.mesh import containers as mesh_containers
+from rendezview_ground.mesh.mesh import load_mesh
+from rendezview_service.http.connections import HEAD_S, MOST_HEAD
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 
@@ -34,7 +34,7 @@ def _resident_mb(pid: int) -> float:
 NO_HURRY = """
 import sys
 if "serve" in sys.orig_argv:
-    import rendezview.service.connections as connections
+    import rendezview_service.http.connections as connections
     connections.HEAD_S = 1e6
 """
 

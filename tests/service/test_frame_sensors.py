@@ -18,20 +18,20 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
 from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.beacons import LitDark, ReflectorPattern, ReflectorSensor
 from rendezview.sensors.observation import Observation, Status
-from rendezview.sensors.reflectors import LitDark, ReflectorPattern, ReflectorSensor
 from rendezview.sensors.ring import RingPrior, RingSensor
-from rendezview.service.frame_sensor_messages import RingReading
-from rendezview.service.fusion_messages import FusionRequest
-from rendezview.service.messages import SessionRequest, State
-from rendezview.service.progress import Progress
-from rendezview.service.session_defaults import SessionDefaults
-from rendezview.service.session_filter import SessionFilter
-from rendezview.service.settings import Settings
-from rendezview.service.tracking import SessionTracker, camera_message
-from rendezview.simulation.reflector_frames import ReflectorFrameOptions, render_pair
-from rendezview.simulation.ring_frames import RingSceneOptions, random_scene, render_ring_frame
-from rendezview.simulation.sensor import SensorOptions
+from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
+from rendezview_ground.simulate.ring_frames import RingSceneOptions, random_scene, render_ring_frame
+from rendezview_ground.simulate.sensor import SensorOptions
+from rendezview_service.hub.progress import Progress
+from rendezview_service.hub.session_defaults import SessionDefaults
+from rendezview_service.messages.frame_sensor_messages import RingReading
+from rendezview_service.messages.fusion_messages import FusionRequest
+from rendezview_service.messages.messages import SessionRequest, State
+from rendezview_service.settings import Settings
+from rendezview_service.tracker.session_filter import SessionFilter
+from rendezview_service.tracker.tracking import SessionTracker, camera_message
 
 PAPER = Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
 FOUR = ReflectorPattern(  # the fourth tells the roll

@@ -16,13 +16,13 @@ from tests.service.sensors import RING, Sensors
 from tests.waiting import MOST_S, wait_until
 from websockets.sync.client import connect
 
-from rendezview.client import ServiceError, fused_pose_of_state, pose_of_state
 from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, PoseMeasurement
 from rendezview.fusion.logs import LogContext, kind_of, read_record
-from rendezview.service.fusion_messages import LoggedMeasurement, Marks, Measured
-from rendezview.service.messages import State, WatchState
-from rendezview.service.replay import model_of, read_log, repeat
+from rendezview_service.client import ServiceError, fused_pose_of_state, pose_of_state
+from rendezview_service.logs.replay import model_of, read_log, repeat
+from rendezview_service.messages.fusion_messages import LoggedMeasurement, Marks, Measured
+from rendezview_service.messages.messages import State, WatchState
 
 POSTED = {"ring": False}  # the ring's readings come as lines
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 
+from tests.service import fuzz as fuzz_module
+from tests.service.fuzz import SESSION, Fuzz
 from tests.waiting import MOST_S
 
-from experiments.service import fuzz as fuzz_module
-from experiments.service.fuzz import SESSION, Fuzz
 from experiments.service.serving import Processes
-from rendezview.client import Client
+from rendezview_service.client import Client
 
 CASES = 600
 

@@ -11,10 +11,10 @@ from rendezview.geometry import so3
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import ViewModel
-from rendezview.service.message_parts import PoseMessage
-from rendezview.service.messages import IntegrityRequest, SessionRequest, State
-from rendezview.service.tracking import SessionTracker, camera_message
-from rendezview.training.mesh import Mesh
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_service.messages.message_parts import PoseMessage
+from rendezview_service.messages.messages import IntegrityRequest, SessionRequest, State
+from rendezview_service.tracker.tracking import SessionTracker, camera_message
 
 
 @pytest.mark.parametrize("asked", [None, IntegrityRequest(alarm_attitude_rad=1e-6)])

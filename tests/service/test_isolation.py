@@ -18,12 +18,12 @@ import httpx
 import pytest
 from tests.waiting import MOST_S, wait_until
 
-from rendezview.client import ServiceError
-from rendezview.service.clock import SessionClock
-from rendezview.service.lease import Lease, Taken
-from rendezview.service.replay import model_of, read_log
-from rendezview.service.sessions import Session
-from rendezview.service.worker_handle import WorkerHandle
+from rendezview_service.client import ServiceError
+from rendezview_service.hub.clock import SessionClock
+from rendezview_service.hub.lease import Lease, Taken
+from rendezview_service.hub.sessions import Session
+from rendezview_service.hub.worker_handle import WorkerHandle
+from rendezview_service.logs.replay import model_of, read_log
 
 # Runs before the service: `time.time` is off by what the file says.
 CLOCK = """
@@ -40,9 +40,9 @@ time.time = time_with_steps
 # A decoder that never ends, for one file.
 SLOW_DECODER = """
 import sys
-if "rendezview.service.worker" in sys.orig_argv:
+if "rendezview_service.worker.worker" in sys.orig_argv:
     import rendezview.io.sequences.decoding as decoding
-    import rendezview.service.frames as frames
+    import rendezview_service.messages.frames as frames
     real = frames.read_frame
     def read_frame(content, camera):
         while bytes(content[:7]) == b"\\xff\\xd8\\xffslow":
@@ -214,7 +214,12 @@ def test_a_decoder_that_takes_long_ends_its_process_and_then_its_session_but_no_
         # The spare process goes on with it: nobody waited for a new one to start.
         assert _writers(served, session, tmp_path / "logs") == {spare}
         trouble.join()
-        wait_until(lambda: attack() or len(client.sessions()) == 1)  # it has ended three processes
+
+        def only_mine() -> bool:
+            attack()
+            return len(client.sessions()) == 1
+
+        wait_until(only_mine)  # it has ended three processes
         assert [one["id"] for one in client.sessions()] == ["mine"]
         session.close()
     logs = sorted((tmp_path / "logs").glob("mine-*.mcap"))

@@ -17,14 +17,14 @@ from pydantic_core import to_json
 from tests.waiting import wait_until
 
 from rendezview.errors import RendezviewError
-from rendezview.service.log_folder import mend_folder, part_path, remove_old
-from rendezview.service.log_lock import folder_lock
-from rendezview.service.log_repair import LogPart, join, mend
-from rendezview.service.messages import SessionRequest
-from rendezview.service.recording import LogWriter, RecordingOptions
-from rendezview.service.replay import model_of, read_log, repeat
-from rendezview.service.tracking import SessionTracker, camera_message
-from rendezview.service.worker import session_notes
+from rendezview_service.logs.log_folder import mend_folder, part_path, remove_old
+from rendezview_service.logs.log_lock import folder_lock
+from rendezview_service.logs.log_repair import LogPart, join, mend
+from rendezview_service.logs.recording import LogWriter, RecordingOptions
+from rendezview_service.logs.replay import model_of, read_log, repeat
+from rendezview_service.messages.messages import SessionRequest
+from rendezview_service.tracker.tracking import SessionTracker, camera_message
+from rendezview_service.worker.worker import session_notes
 
 FRAMES = 30
 PICTURE = np.random.default_rng(0).integers(0, 256, 400 * 400, np.uint8).tobytes()

@@ -12,11 +12,11 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from tests.waiting import MOST_S
 
-from rendezview.client import ServiceError, ServiceTimeout
 from rendezview.errors import RendezviewError
-from rendezview.service.messages import EventList, History, State
-from rendezview.service.model_messages import Geometry, RecordedList
-from rendezview.service.replay import model_of, read_log, repeat
+from rendezview_service.client import ServiceError, ServiceTimeout
+from rendezview_service.logs.replay import model_of, read_log, repeat
+from rendezview_service.messages.messages import EventList, History, State
+from rendezview_service.messages.model_messages import Geometry, RecordedList
 
 PORT = {"centre_m": [-1.0, 0.0, 0.0], "axis": [-1.0, 0.0, 0.0]}
 
@@ -146,7 +146,7 @@ def _send_all(stream, frames) -> None:
 
 
 def test_errors_of_the_client_are_its_own() -> None:
-    from rendezview.client import Client
+    from rendezview_service.client import Client
 
     for url in ("http://[", "http://127.0.0.1:99999", "ftp://127.0.0.1", "127.0.0.1:8360"):
         with pytest.raises(RendezviewError, match="http://host:port"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 
 from rendezview.errors import RendezviewError
-from rendezview.service.model_store import ModelStore, StoredModel
+from rendezview_service.hub.model_store import ModelStore, StoredModel
 
 
 def test_of_uploads_with_one_name_at_once_one_is_kept(model_path, tmp_path):

@@ -16,14 +16,14 @@ import pytest
 import trimesh
 from tests.waiting import MOST_S, wait_until
 
-from rendezview.client import ServiceError
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import BopSceneWriter
-from rendezview.service.log_repair import mend
-from rendezview.service.model_messages import JobInfo, ModelInfo
-from rendezview.service.replay import read_log
-from rendezview.service.service import Service
-from rendezview.service.settings import Settings
+from rendezview_service.client import ServiceError
+from rendezview_service.hub.service import Service
+from rendezview_service.logs.log_repair import mend
+from rendezview_service.logs.replay import read_log
+from rendezview_service.messages.model_messages import JobInfo, ModelInfo
+from rendezview_service.settings import Settings
 
 
 def test_the_service_says_that_it_lives_and_is_ready(service):
@@ -276,7 +276,7 @@ def test_a_full_disk_is_seen_by_the_operator_and_tracking_goes_on(service, clien
     info = session.info()["recording"]
     assert info["state"] == "on"
     assert info["name"].endswith("-2.mcap")
-    assert service.states_told("full", last="on", message="recording") == ["failed", "on"]
+    assert service.states_reported("full", last="on", message="recording") == ["failed", "on"]
     session.close()
 
 
@@ -312,4 +312,4 @@ def test_commands_say_what_is_wrong_in_one_line(tmp_path, model_path):
 
 def test_the_log_of_the_service_is_json_lines(service, client, camera):
     client.open(camera, name="logged").close()
-    assert service.states_told("logged", last="closed") == ["opened", "closed"]
+    assert service.states_reported("logged", last="closed") == ["opened", "closed"]

@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 from tests.service.page_feed import Feed, until, word_is
 from tests.waiting import wait_until
 
-from rendezview.client import Client, SessionClient
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview_service.client import Client, SessionClient
 
 pytest.importorskip("playwright", reason="the page's tests want playwright")
 

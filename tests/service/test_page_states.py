@@ -15,9 +15,9 @@ import pytest
 from tests.service.page_feed import SIZES, text_has, until, word_is
 from tests.waiting import MOST_S, wait_until
 
-from rendezview.client import Client
 from rendezview.errors import RendezviewError
 from rendezview.io.camera_files import save_camera
+from rendezview_service.client import Client
 
 pytest.importorskip("playwright", reason="the page's tests want playwright")
 

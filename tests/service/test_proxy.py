@@ -16,7 +16,7 @@ import httpx
 import pytest
 from tests.waiting import MOST_S, free_port, wait_until
 
-from rendezview.client import Client
+from rendezview_service.client import Client
 
 CADDYFILE = Path(__file__).resolve().parents[2] / "deploy" / "Caddyfile"
 TOKEN = "behind-the-proxy-0123"

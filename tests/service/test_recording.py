@@ -16,15 +16,15 @@ from mcap_protobuf.decoder import DecoderFactory
 from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
-from rendezview.interchange.runs import moments
 from rendezview.io.sequences import open_sequence
-from rendezview.service.log_file import records
-from rendezview.service.log_repair import mend
-from rendezview.service.messages import SessionRequest
-from rendezview.service.recording import LogWriter, RecordingOptions
-from rendezview.service.replay import model_of, read_log, repeat
-from rendezview.service.tracking import SessionTracker, camera_message
-from rendezview.service.worker import session_notes
+from rendezview_service.logs.log_file import records
+from rendezview_service.logs.log_repair import mend
+from rendezview_service.logs.recording import LogWriter, RecordingOptions
+from rendezview_service.logs.replay import model_of, read_log, repeat
+from rendezview_service.messages.messages import SessionRequest
+from rendezview_service.tracker.tracking import SessionTracker, camera_message
+from rendezview_service.viewers.runs import moments
+from rendezview_service.worker.worker import session_notes
 
 
 @pytest.fixture
@@ -165,7 +165,7 @@ def _replay(*arguments: object) -> str:
 
 def test_a_full_disk_is_told_and_recording_resumes(tmp_path, camera, tour, monkeypatch):
     """By the process' own limit of a file's size, which fails as a full disk does."""
-    from rendezview.service import recording
+    from rendezview_service.logs import recording
 
     monkeypatch.setattr(recording, "_RETRY_S", MOST_S)
     content = np.random.default_rng(0).integers(0, 256, camera.width * camera.height, np.uint8)

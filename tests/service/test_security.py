@@ -12,11 +12,11 @@ import pytest
 import trustme
 from tests.waiting import MOST_S
 
-from rendezview.client import Client, ServiceError
 from rendezview.errors import RendezviewError
-from rendezview.service.metrics import Metrics
-from rendezview.service.security import Guard, Right, read_tokens
-from rendezview.service.settings import Settings, load_settings
+from rendezview_service.client import Client, ServiceError
+from rendezview_service.http.security import Guard, Right, read_tokens
+from rendezview_service.hub.metrics import Metrics
+from rendezview_service.settings import Settings, load_settings
 
 TOKENS = """
 [eve]

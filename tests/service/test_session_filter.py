@@ -11,10 +11,10 @@ from tests.service.sensors import Sensors, plain
 
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.observation import Observation, Status
-from rendezview.service.fusion_messages import FusionRequest
-from rendezview.service.messages import ObservationMessage, State
-from rendezview.service.sensor_lines import split_records
-from rendezview.service.session_filter import SessionFilter
+from rendezview_service.messages.fusion_messages import FusionRequest
+from rendezview_service.messages.messages import ObservationMessage, State
+from rendezview_service.tracker.sensor_lines import split_records
+from rendezview_service.tracker.session_filter import SessionFilter
 
 
 def _observed(time_s: float, pose: Pose) -> Observation:

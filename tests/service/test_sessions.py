@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from tests.waiting import MOST_S
 
-from rendezview.client import ServiceError, pose_of_state
 from rendezview.sensors.appearance import Recognizer, Tracker
-from rendezview.service.messages import History, SessionInfo, State
-from rendezview.service.model_messages import Geometry
+from rendezview_service.client import ServiceError, pose_of_state
+from rendezview_service.messages.messages import History, SessionInfo, State
+from rendezview_service.messages.model_messages import Geometry
 
 
 @pytest.fixture

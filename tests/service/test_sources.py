@@ -18,8 +18,8 @@ from tests.io.bags import START_S, Shot, write_foxglove, write_ros1, write_ros2
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
-from rendezview.service.source_process import open_apart
-from rendezview.service.sources import SourceFrame, open_source
+from rendezview_service.hub.source_process import open_apart
+from rendezview_service.hub.sources import SourceFrame, open_source
 
 CAMERA = Camera.from_fov(64, 48, 1.0)
 
@@ -76,7 +76,7 @@ def network_camera() -> Iterator[str]:
 
 
 def test_a_network_stream_is_opened_again_when_it_breaks_off(network_camera, monkeypatch) -> None:
-    monkeypatch.setattr("rendezview.service.sources.RECONNECT_S", 0.05)
+    monkeypatch.setattr("rendezview_service.hub.sources.RECONNECT_S", 0.05)
     with pytest.raises(RendezviewError, match="--camera"):
         open_source(network_camera, None)
     source = open_source(network_camera, CAMERA)
@@ -104,7 +104,7 @@ def test_a_network_stream_is_opened_again_when_it_breaks_off(network_camera, mon
 
 
 def test_a_network_stream_that_is_not_there_is_tried_again(monkeypatch) -> None:
-    monkeypatch.setattr("rendezview.service.sources.RECONNECT_S", 0.05)
+    monkeypatch.setattr("rendezview_service.hub.sources.RECONNECT_S", 0.05)
     source = open_source("http://127.0.0.1:9/nothing", CAMERA)
     first, second = itertools.islice(source.frames(threading.Event()), 2)
     assert isinstance(first, RendezviewError)
@@ -113,7 +113,7 @@ def test_a_network_stream_that_is_not_there_is_tried_again(monkeypatch) -> None:
 
 
 def test_why_a_source_cannot_be_opened_is_said(monkeypatch) -> None:
-    monkeypatch.setattr("rendezview.service.sources.RECONNECT_S", 0.05)
+    monkeypatch.setattr("rendezview_service.hub.sources.RECONNECT_S", 0.05)
     for name, why in (
         ("http://127.0.0.1:9/nothing", "Connection refused"),
         ("http://no-such-host.invalid/x", "no such host"),
@@ -145,7 +145,7 @@ def test_a_source_is_decoded_in_a_process_of_its_own(tmp_path: Path) -> None:
 def test_a_decoder_that_ends_is_said_and_a_live_one_is_started_again(
     tmp_path: Path, network_camera, monkeypatch
 ) -> None:
-    monkeypatch.setattr("rendezview.service.source_process.RECONNECT_S", 0.05)
+    monkeypatch.setattr("rendezview_service.hub.source_process.RECONNECT_S", 0.05)
     _scene(tmp_path, 300)
     file = open_apart(str(tmp_path), CAMERA)
     frames = file.frames(threading.Event())

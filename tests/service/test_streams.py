@@ -14,14 +14,14 @@ import pytest
 from tests.waiting import MOST_S, wait_until
 from websockets.sync.client import connect
 
-from rendezview.client import ServiceError, pose_of_state
-from rendezview.service.inputs import SessionInput
-from rendezview.service.messages import SessionRequest, WatchState
-from rendezview.service.metrics import Metrics
-from rendezview.service.sessions import Session
-from rendezview.service.settings import Settings
-from rendezview.service.tracking import camera_message
-from rendezview.service.watching import Watcher, Watchers
+from rendezview_service.client import ServiceError, pose_of_state
+from rendezview_service.hub.inputs import SessionInput
+from rendezview_service.hub.metrics import Metrics
+from rendezview_service.hub.sessions import Session
+from rendezview_service.hub.watching import Watcher, Watchers
+from rendezview_service.messages.messages import SessionRequest, WatchState
+from rendezview_service.settings import Settings
+from rendezview_service.tracker.tracking import camera_message
 
 
 @pytest.fixture

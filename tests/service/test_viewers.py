@@ -18,8 +18,8 @@ from tests.waiting import MOST_S, free_port, wait_until
 from websockets.sync.client import connect
 
 from rendezview.errors import RendezviewError
-from rendezview.service import viewers
-from rendezview.service.settings import Settings
+from rendezview_service.hub import viewers
+from rendezview_service.settings import Settings
 
 _FUSED = {"fusion": True}  # the filter runs from the first frame on
 

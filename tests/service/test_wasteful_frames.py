@@ -13,7 +13,7 @@ import pytest
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.decoding import PNG, decode_grey
-from rendezview.service.frames import read_frame
+from rendezview_service.messages.frames import read_frame
 
 CAMERA = Camera.from_fov(640, 480, 0.7)
 GREY = np.random.default_rng(1).integers(0, 256, (480, 640), np.uint8)

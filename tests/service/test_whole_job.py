@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from tests.service import approach
 from tests.waiting import wait_until
 
-from experiments.service import approach
-from rendezview.client import ServiceError, fused_pose_of_state, pose_of_state
 from rendezview.io.bundled import find_target
 from rendezview.io.results import read_json_lines
 from rendezview.io.sequences import open_sequence
-from rendezview.service.messages import SessionInfo, State
-from rendezview.service.replay import model_of, read_log, repeat
+from rendezview_service.client import ServiceError, fused_pose_of_state, pose_of_state
+from rendezview_service.logs.replay import model_of, read_log, repeat
+from rendezview_service.messages.messages import SessionInfo, State
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def open_session(client, flown: Path, **more):
 
 
 def test_frames_and_ranges_alone_give_what_the_commands_give(served, flown):
-    """As experiment service-approach, on a shorter flight; the log repeats it bit for bit."""
+    """The log repeats it bit for bit."""
     model = flown / "client.rvm"
     outcome = approach.Outcome()
     with served.client() as client:

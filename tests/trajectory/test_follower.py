@@ -12,12 +12,10 @@ from tests.trajectory.paths import circle, off
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.ccsds import attitude_message, orbit_message
-from rendezview.simulation.closed_loop import FlightErrors, fly
-from rendezview.simulation.trajectories import looking_at
 from rendezview.trajectory import (
     Correction,
     FollowerOptions,
-    Nothing,
+    NoFit,
     Orbit,
     PathFollower,
     Plan,
@@ -26,6 +24,8 @@ from rendezview.trajectory import (
     Spin,
 )
 from rendezview.trajectory.follower import record
+from rendezview_ground.simulate.closed_loop import FlightErrors, fly
+from rendezview_ground.simulate.trajectories import looking_at
 
 CENTRE = np.array([0.5, -1.0, 2.0])
 TIMES = np.linspace(0.0, 400.0, 101)
@@ -108,7 +108,7 @@ def test_nonsense_is_answered_with_a_reason_and_forgotten():
         (TIMES[40], np.full((4, 3), np.nan), "a point is not finite"),
     ):
         report = follower.update(time_s, poses[40], COVARIANCE, points, np.ones(4))
-        assert isinstance(report.segment, Nothing)
+        assert isinstance(report.segment, NoFit)
         assert words in report.segment.reason
         assert record(report)["segment"] is None
     assert follower.update(TIMES[41], poses[41], COVARIANCE).segment

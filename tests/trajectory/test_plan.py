@@ -9,7 +9,7 @@ from tests.trajectory.paths import TIMES, refined
 from rendezview.errors import RendezviewError
 from rendezview.trajectory import (
     Correction,
-    Nothing,
+    NoFit,
     Plan,
     PointCloud,
     Segment,
@@ -150,7 +150,7 @@ def test_a_plan_elsewhere_or_over_gets_a_reason(tmp_path):
         (plan_of(tmp_path, "end_s = 150.0\n" + CIRCULAR), (200.0, 400.0), "ends at 150"),
     ):
         found = correct(segment, other, *times)
-        assert isinstance(found, Nothing)
+        assert isinstance(found, NoFit)
         assert words in found.reason
 
 

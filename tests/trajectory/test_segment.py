@@ -9,7 +9,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.trajectory import (
     FitOptions,
     Method,
-    Nothing,
+    NoFit,
     PointCloud,
     Segment,
     Shape,
@@ -184,7 +184,7 @@ def cloud_of(times, places) -> PointCloud:
 )
 def test_nonsense_gets_a_reason_and_no_curve(shape, cloud, words):
     found = fit_segment(cloud, shape)
-    assert isinstance(found, Nothing)
+    assert isinstance(found, NoFit)
     assert not found
     assert words in found.reason
 
@@ -193,7 +193,7 @@ def test_scattered_points_turn_about_nothing():
     rng = np.random.default_rng(11)
     cloud = cloud_of(TIMES, RANGE_M * np.array([1.0, 0, 0]) + rng.standard_normal((101, 3)))
     found = fit_segment(cloud, Shape.CIRCULAR)
-    assert isinstance(found, Nothing)
+    assert isinstance(found, NoFit)
     assert "no turn" in found.reason
 
 

@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.simulation.trajectories import torque_free
-from rendezview.trajectory import Nothing, Spin, fit_spin, fit_spin_of_directions, in_line_of_sight
+from rendezview.trajectory import NoFit, Spin, fit_spin, fit_spin_of_directions, in_line_of_sight
 from rendezview.trajectory.rotation import rotations
+from rendezview_ground.simulate.trajectories import torque_free
 
 TIMES = np.linspace(0.0, 200.0, 101)
 INERTIA = (1.0, 1.6, 2.0)
@@ -106,8 +106,8 @@ def test_line_of_sight_forgets_how_the_camera_points():
 def test_nonsense_gets_a_reason(times, change, words):
     truth, _ = torque_free((1.0, 1.0, 1.0), RATE, TIMES[: len(times)])
     found = fit_spin(times, change * truth)
-    assert isinstance(found, Nothing)
+    assert isinstance(found, NoFit)
     assert words in found.reason
     of_directions = fit_spin_of_directions(times, change * truth[:, 2])
-    assert isinstance(of_directions, Nothing)
+    assert isinstance(of_directions, NoFit)
     assert words in of_directions.reason

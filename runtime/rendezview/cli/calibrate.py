@@ -11,6 +11,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from rendezview.calibration.as_built import (
+    AsBuilt,
+    ShapeEstimator,
+    strain_names,
+)
+from rendezview.calibration.as_built.picture import shape_picture
+from rendezview.calibration.board import Chessboard
+from rendezview.calibration.one_camera import CharucoBoard, calibrate_camera
 from rendezview.cli.progress import say
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
@@ -21,15 +29,7 @@ from rendezview.io.sequences import Sequence, open_sequence
 from rendezview.io.sequences.images import write_png
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.appearance.as_built import (
-    AsBuilt,
-    ShapeEstimator,
-    strain_names,
-)
-from rendezview.sensors.appearance.as_built.picture import shape_picture
-from rendezview.sensors.reflectors.card import write_card
-from rendezview.sensors.stereo.board import Chessboard
-from rendezview.sensors.stereo.one_camera import CharucoBoard, calibrate_camera
+from rendezview.sensors.beacons.card import write_card
 
 calibrate = typer.Typer(
     help="Calibrate a camera from pictures of a board, or a target's shape from frames.",

@@ -161,12 +161,12 @@ class _Teller(Listener):
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell = tell
-        self._told = False
+        self._reported = False
 
     def on_start(self, event: Event) -> None:
         """A loop is being compiled."""
-        if not self._told:
-            self._told = True
+        if not self._reported:
+            self._reported = True
             self._tell("Compiling loops for this machine, only once …")
 
     def on_end(self, event: Event) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rendezview.errors import RendezviewError
-from rendezview.flight_code import write_c, write_onnx
+from rendezview.export import write_c, write_onnx
 from rendezview.io.files import atomic_write_text
 from rendezview.sensors.appearance import ViewModel
 

@@ -20,7 +20,7 @@ from rendezview.io.files import atomic_write_text, read_text
 from rendezview.trajectory import (
     Correction,
     FollowerOptions,
-    Nothing,
+    NoFit,
     PathFollower,
     Report,
     Segment,
@@ -214,7 +214,7 @@ def describe(report: Report) -> str:
     """A report in one line for the screen."""
     parts = [f"segment {report.number}, to {report.time_s:.1f} s"]
     segment, correction, spin = report.segment, report.correction, report.spin
-    if isinstance(segment, Nothing):
+    if isinstance(segment, NoFit):
         parts.append(segment.reason)
     else:
         place = segment.places(report.time_s)[0]
@@ -232,14 +232,14 @@ def describe(report: Report) -> str:
         direction = correction.direction
         if direction is not None:
             parts.append(f"Δv {1e3 * correction.size_m_s:.2f} mm/s along {_vector(direction)}")
-    elif isinstance(correction, Nothing) and isinstance(segment, Segment):
+    elif isinstance(correction, NoFit) and isinstance(segment, Segment):
         parts.append(f"no correction: {correction.reason}")
     if isinstance(spin, Spin):
         parts.append(
             f"{'tumble' if spin.tumbling else 'spin'} {np.rad2deg(spin.speed_rad_s):.4f} ± "
             f"{np.rad2deg(spin.speed_sigma_rad_s):.4f} °/s about {_vector(spin.axis)}"
         )
-    elif isinstance(spin, Nothing):
+    elif isinstance(spin, NoFit):
         parts.append(f"no spin: {spin.reason}")
     return "; ".join(parts)
 

@@ -77,7 +77,7 @@ def _load(point: metadata.EntryPoint) -> Callable[..., Any] | typer.Typer:
     try:
         command: Callable[..., Any] | typer.Typer = point.load()
     except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] == "rendezview":
+        if (error.name or "").startswith("rendezview"):
             raise
         raise RendezviewError(
             f"`rendezview {point.name}` belongs to the ground side and {error.name} is not "

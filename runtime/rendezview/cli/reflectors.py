@@ -21,22 +21,21 @@ from rendezview.io.files import check_place, make_folder
 from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.images import write_png
 from rendezview.io.sequences.live import is_live, live_frames, with_rate
-from rendezview.sensors.observation import Status
-from rendezview.sensors.reflectors.accelerations import Accelerations
-from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
-from rendezview.sensors.reflectors.camera_set import follow_cameras, load_cameras
-from rendezview.sensors.reflectors.closed_form import ClosedFormCalibration
-from rendezview.sensors.reflectors.difference import (
+from rendezview.sensors.beacons.accelerations import Accelerations
+from rendezview.sensors.beacons.camera_set import follow_cameras, load_cameras
+from rendezview.sensors.beacons.closed_form import ClosedFormCalibration
+from rendezview.sensors.beacons.constellation import ReflectorPattern, left_out_of, patterns_of
+from rendezview.sensors.beacons.detect.difference import (
     Centroid,
     LitDark,
     Opening,
     ThresholdOptions,
 )
-from rendezview.sensors.reflectors.observation import ReflectorObservation
-from rendezview.sensors.reflectors.overlay import draw_reading
-from rendezview.sensors.reflectors.paper_forms import PaperForms
-from rendezview.sensors.reflectors.pattern import ReflectorPattern, left_out_of, patterns_of
-from rendezview.sensors.reflectors.run import (
+from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
+from rendezview.sensors.beacons.observation import ReflectorObservation
+from rendezview.sensors.beacons.overlay import draw_reading
+from rendezview.sensors.beacons.paper_forms import PaperForms
+from rendezview.sensors.beacons.run import (
     FramePair,
     Mode,
     calibrate_run,
@@ -46,7 +45,8 @@ from rendezview.sensors.reflectors.run import (
     record,
     wrong_mode,
 )
-from rendezview.sensors.reflectors.triangulation import Iteration
+from rendezview.sensors.beacons.triangulation import Iteration
+from rendezview.sensors.observation import Status
 from rendezview.sensors.run import Line, run
 
 _CALIBRATE = "calibrate"

@@ -13,15 +13,21 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from rendezview.calibration.board import (
+    OPENCV_FIVE,
+    Chessboard,
+    calibrate_board,
+    read_board_views,
+)
+from rendezview.calibration.laboratory import calibrate_laboratory
+from rendezview.calibration.laboratory_files import load_record
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
 from rendezview.cli.progress import ProgressBar, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
 from rendezview.io.files import check_place
 from rendezview.io.results import ResultRow
-from rendezview.sensors.run import Line, run
-from rendezview.sensors.sensor import Sensor
-from rendezview.sensors.stereo import (
+from rendezview.sensors.beacons import (
     MotionOptions,
     Rig,
     Spots,
@@ -29,21 +35,14 @@ from rendezview.sensors.stereo import (
     StereoTracker,
     TrackerOptions,
 )
-from rendezview.sensors.stereo.board import (
-    OPENCV_FIVE,
-    Chessboard,
-    calibrate_board,
-    picture_pairs,
-    read_board_views,
-)
-from rendezview.sensors.stereo.bundle import INTRINSICS
-from rendezview.sensors.stereo.laboratory import calibrate_laboratory
-from rendezview.sensors.stereo.laboratory_files import load_record
-from rendezview.sensors.stereo.multiplex import MultiplexedTracker
-from rendezview.sensors.stereo.readings import open_readings
-from rendezview.sensors.stereo.response import Normalisation
-from rendezview.sensors.stereo.rig_files import load_rig, save_opencv, save_rig
-from rendezview.sensors.stereo.spots import SpotOptions
+from rendezview.sensors.beacons.detect.led_spots import SpotOptions
+from rendezview.sensors.beacons.detect.photodiode import Normalisation
+from rendezview.sensors.beacons.multiplex import MultiplexedTracker
+from rendezview.sensors.beacons.readings import open_readings, picture_pairs
+from rendezview.sensors.beacons.rig import INTRINSICS
+from rendezview.sensors.beacons.rig_files import load_rig, save_opencv, save_rig
+from rendezview.sensors.run import Line, run
+from rendezview.sensors.sensor import Sensor
 
 stereo = typer.Typer(
     help="Track a target's lights with two or more cameras.",

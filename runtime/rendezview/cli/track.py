@@ -31,7 +31,7 @@ from rendezview.io.pose_log import poses_by_frame
 from rendezview.io.sequences import Sequence, open_sequence
 from rendezview.sensors.appearance import SilhouetteOptions, Threshold, ViewModel
 from rendezview.sensors.appearance.following import follow, record, result_row
-from rendezview.sensors.appearance.integrity import IntegrityOptions
+from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
 from rendezview.sensors.appearance.video import video_of
 from rendezview.sensors.protection import Levels
 from rendezview.sensors.run import Line, run

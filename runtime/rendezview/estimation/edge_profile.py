@@ -2,7 +2,7 @@
 
 The model of one edge is ``b + c Φ((d − δ)/σ)``: level b, contrast c, place δ (px), blur σ (px).
 Linear in b, c and c δ at δ = 0, so that least squares is one multiplication by a filter. Other
-edges nearby are part of the model where they are known (`fit_crowded`); where they are not known,
+edges nearby are part of the model where they are known (`fit_adjacent`); where they are not known,
 a narrower window of the profile leaves them out (`narrow_step`).
 """
 
@@ -52,7 +52,9 @@ def fit_step(profile: Array, window: Array) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True)
-def fit_crowded(profile: Array, inner: float, outer: float, blur_px: float, solved: Array) -> float:
+def fit_adjacent(
+    profile: Array, inner: float, outer: float, blur_px: float, solved: Array
+) -> float:
     """Fit a profile by the edge at 0 together with known ones at ``inner`` and ``outer``, px.
 
     ``solved`` gets level, contrast, contrast × place, and the contrasts of the outer and the inner
@@ -92,13 +94,13 @@ def fit_crowded(profile: Array, inner: float, outer: float, blur_px: float, solv
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def residual_square(
     profile: Array, basis: Array, level: float, contrast: float, shifted: float, inner: float,
-    outer: float, blur_px: float, solved: Array, crowd: bool,
+    outer: float, blur_px: float, solved: Array, adjacent: bool,
 ) -> float:  # fmt: skip
-    """Sum of squared residuals of a profile; with the two known edges where ``crowd``."""
+    """Sum of squared residuals of a profile; with the two known edges where ``adjacent``."""
     left = 0.0
     for k in range(TAPS):
         e = profile[k] - level - contrast * basis[1, k] - shifted * basis[2, k]
-        if crowd:
+        if adjacent:
             e -= solved[3] * normal_cdf((k - REACH - outer) / blur_px)
             e -= solved[4] * normal_cdf((k - REACH - inner) / blur_px)
         left += e * e

@@ -100,7 +100,7 @@ def ring_model(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def ring_look(
+def ring_residual(
     measured_centre: Array,
     measured_axis: Array,
     covariance: Array,
@@ -232,7 +232,7 @@ def ring_expected(
     residuals, logs = np.zeros((count, 5)), np.zeros(count)
     whites, roots = np.zeros((count, 5, 5)), np.zeros((count, 5, 10))
     for k in range(known):
-        residual, white, root = ring_look(
+        residual, white, root = ring_residual(
             centres[k], axes[k], covariances[k], centre, axis, basis,
             inflation, floor_rad, floor_range, share,
         )  # fmt: skip

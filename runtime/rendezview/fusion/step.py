@@ -27,7 +27,7 @@ from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
 # Sensors that must agree against the state to overrule it.
-_VOTES = 2  # Source: by construction, the least number of witnesses that outvote one
+_VOTES = 2  # Source: by construction, the least number of sensors that outvote one
 # Times in a row that a sensor was turned away, or not taken whole, to have a vote. Source: by
 # construction, a single one may be an outlier
 _DOUBT = 2

@@ -70,13 +70,13 @@ class Joint:
             difference = (difference + half) % self.period_rad - half
         return difference
 
-    def sheets(self, step_rad: float) -> Array:
+    def configurations(self, step_rad: float) -> Array:
         """(K,) angles that cover the range, at most a step apart."""
         span = self.highest_rad - self.lowest_rad
         if self.period_rad is not None:
             count = max(1, math.ceil(self.period_rad / step_rad - 1e-9))
             return np.asarray(self.lowest_rad + self.period_rad / count * np.arange(count))
-        # Each end lies half a step beyond the outermost sheets.
+        # Each end lies half a step beyond the outermost configurations.
         count = max(1, math.ceil(span / step_rad - 1e-9))
         return np.asarray(self.lowest_rad + span / count * (np.arange(count) + 0.5))
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from rendezview.geometry.pose import Array
 
-WITNESSES = "witnesses"  # the alarm of two that disagree
+ESTIMATORS_DISAGREE = "witnesses"  # the alarm of two that disagree
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +24,7 @@ class Protection:
     axes: Array  # (6,) of each axis: rotation vector rad, translation m; camera frame
     wrong: float  # probability that another answer than the pose is the truth
     drift: float  # largest cumulative sum of the innovations, standard deviations
-    # Why the pose must not be used: a level above its limit (attitude, position), two witnesses
+    # Why the pose must not be used: a level above its limit (attitude, position), two estimators
     # that disagree (witnesses), a drift (drift). Empty: it may be used.
     alarms: tuple[str, ...] = ()
 

@@ -4,7 +4,7 @@ from rendezview.trajectory.cloud import NodeErrors, PointCloud, camera_place, ce
 from rendezview.trajectory.descent import Method
 from rendezview.trajectory.follower import FollowerOptions, PathFollower, Report
 from rendezview.trajectory.guidance import Correction, correct
-from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.plan import Orbit, Plan, PlanFile, load_plan, plan_of, read_plan
 from rendezview.trajectory.segment import FitOptions, Segment, fit_segment
 from rendezview.trajectory.shapes import Shape
@@ -15,8 +15,8 @@ __all__ = [
     "FitOptions",
     "FollowerOptions",
     "Method",
+    "NoFit",
     "NodeErrors",
-    "Nothing",
     "Orbit",
     "PathFollower",
     "Plan",

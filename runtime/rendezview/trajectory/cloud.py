@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.no_fit import NoFit
 
 # Of a pose's place over its range: no covariance is as small as that. Source: by construction, a
 # bound only
@@ -115,27 +115,27 @@ class PointCloud:
             self.weights[first:],
         )
 
-    def trouble(self, frames: int) -> Nothing | None:
+    def trouble(self, frames: int) -> NoFit | None:
         """Why no segment goes through these points; None where nothing speaks against it.
 
         Args:
             frames: how many different times the segment needs.
         """
         if not np.isfinite(self.times_s).all():
-            return Nothing("a time is not finite")
+            return NoFit("a time is not finite")
         numbers = (self.points, self.whitening, self.weights)
         if not all(np.isfinite(values).all() for values in numbers):
-            return Nothing("a point, or its covariance, is not finite")
+            return NoFit("a point, or its covariance, is not finite")
         if np.any(np.diff(self.times_s) < 0.0):
-            return Nothing("the times do not rise")
+            return NoFit("the times do not rise")
         different = 1 + int(np.count_nonzero(np.diff(self.times_s))) if len(self) else 0
         if different < frames:
-            return Nothing(f"points of {different} frames: a segment needs {frames}")
+            return NoFit(f"points of {different} frames: a segment needs {frames}")
         places = self.places_m
         if np.all(np.ptp(places, axis=0) <= 1e-9 * np.abs(places).max()):
-            return Nothing("all points are one: nothing moves")
+            return NoFit("all points are one: nothing moves")
         if not np.any(self.weights > 0.0):
-            return Nothing("no point is trusted")
+            return NoFit("no point is trusted")
         return None
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
-from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.scaling import typical_sizes
 from rendezview.trajectory.shapes import DRIFT, HOPS, LINE, SPIRAL
 from rendezview.trajectory.simplex import (
@@ -36,13 +36,13 @@ _NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ. Sou
 # χ² that hops must save: five parameters, and chance. Source: experiment trajectory-accuracy
 _HOPS_WORTH = 30.0
 _SUBSETS = 40  # of three frames: with 40 % outliers nine are clean. Source: by construction
-_LED = 3  # starts that the simplex goes down from. Source: experiment trajectory-methods, seed 1
+_LED = 3  # starts that the simplex goes down from. Source: trajectory-methods (0.1), seed 1
 _SIDES = 0.02  # of the typical sizes, longest sides of a first simplex. Source: the same
 _LEAST_SIDES = 1e-4  # of the same: the shortest. Source: by construction
-_RESTARTS = 4  # Source: experiment trajectory-methods, seed 1
-# Where either holds, several valleys are likely. Source: experiment trajectory-methods, seed 1
+_RESTARTS = 4  # Source: experiment trajectory-methods (0.1), seed 1
+# Where either holds, several valleys are likely. Source: trajectory-methods (0.1), seed 1
 _FEW_FRAMES = 20
-# Share of the points that are more than 3.5 σ off. Source: experiment trajectory-methods, seed 1
+# Share of the points that are more than 3.5 σ off. Source: trajectory-methods (0.1), seed 1
 _OUTLIERS = 0.05
 
 
@@ -218,7 +218,7 @@ def _starts(fit: Descent, places_m: Array) -> list[Array]:
         guess = first_guess(
             fit.code, times[chosen], places_m[chosen], fit.weights[chosen], constants[0]
         )
-        if isinstance(guess, Nothing):
+        if isinstance(guess, NoFit):
             continue
         own, parameters = guess
         if fit.code <= SPIRAL:

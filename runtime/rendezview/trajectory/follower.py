@@ -12,7 +12,7 @@ import numpy.typing as npt
 from rendezview.geometry.pose import Array, Pose
 from rendezview.trajectory.cloud import PointCloud, camera_place, centre_place
 from rendezview.trajectory.guidance import Correction, correct
-from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.plan import Plan
 from rendezview.trajectory.relative_orbit import transition
 from rendezview.trajectory.segment import Carrier, FitOptions, Segment, fit_segment
@@ -55,9 +55,9 @@ class Report:
     time_s: float
     number: int  # of the segment, from 0
     ended: bool  # this frame ends it
-    segment: Segment | Nothing
-    correction: Correction | Nothing | None  # None without a plan
-    spin: Spin | Nothing | None  # None where it is not asked for
+    segment: Segment | NoFit
+    correction: Correction | NoFit | None  # None without a plan
+    spin: Spin | NoFit | None  # None where it is not asked for
 
 
 class PathFollower:
@@ -96,8 +96,8 @@ class PathFollower:
         self._since_s = -np.inf  # of the window
         self._began_s: float | None = None  # of the segment
         self._number = 0
-        self._segment: Segment | Nothing = Nothing("no points yet")
-        self._spin: Spin | Nothing | None = None
+        self._segment: Segment | NoFit = NoFit("no points yet")
+        self._spin: Spin | NoFit | None = None
         self._spun_s = -np.inf
         self._last_s = -np.inf
         self._lock = threading.Lock()  # of all of the above
@@ -117,7 +117,7 @@ class PathFollower:
             if not self._deviates:
                 self._since_s = float(time_s)
                 self._cloud = self._cloud.since(self._since_s)
-                self._segment = Nothing("a correction was flown: no points yet")
+                self._segment = NoFit("a correction was flown: no points yet")
 
     def update(
         self,
@@ -160,7 +160,7 @@ class PathFollower:
         self._take(time_s, pose, covariance, points_m, weights, attitude)
         self._refit(time_s)
         ended = self._advance(time_s)
-        correction: Correction | Nothing | None = None
+        correction: Correction | NoFit | None = None
         if self.plan is not None:
             correction = self._correction(time_s)
         if self.options.spin:
@@ -182,16 +182,16 @@ class PathFollower:
         pose: Pose | None,
         covariance: npt.ArrayLike | None,
         points_m: npt.ArrayLike | None,
-    ) -> Nothing | None:
+    ) -> NoFit | None:
         if not np.isfinite(time_s):
-            return Nothing(f"a time is not finite: {time_s}")
+            return NoFit(f"a time is not finite: {time_s}")
         if time_s <= self._last_s:
-            return Nothing(f"the times do not rise: {time_s:g} s after {self._last_s:g} s")
+            return NoFit(f"the times do not rise: {time_s:g} s after {self._last_s:g} s")
         for values, words in ((covariance, "the covariance"), (points_m, "a point")):
             if values is not None and not np.isfinite(np.asarray(values, np.float64)).all():
-                return Nothing(f"{words} is not finite")
+                return NoFit(f"{words} is not finite")
         if pose is not None and not pose.apply(self.centre_m).any():
-            return Nothing("the camera is at the centre of the path: there is no line of sight")
+            return NoFit("the camera is at the centre of the path: there is no line of sight")
         return None
 
     def _take(
@@ -286,7 +286,7 @@ class PathFollower:
         self._turns = [turn for turn in self._turns if turn[0] >= self._since_s - 1e-9]
         return self._began_s is not None and time_s - self._began_s >= span_s * (1.0 - 1e-9)
 
-    def _correction(self, time_s: float) -> Correction | Nothing:
+    def _correction(self, time_s: float) -> Correction | NoFit:
         assert self.plan is not None
         if not isinstance(self._segment, Segment):
             return self._segment

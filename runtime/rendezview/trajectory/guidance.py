@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rendezview.geometry.pose import Array
-from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.plan import Plan
 from rendezview.trajectory.relative_orbit import transition, velocity_to_reach
 from rendezview.trajectory.segment import Segment
@@ -39,7 +39,7 @@ class Correction:
         return None if self.size_m_s == 0.0 else self.delta_v_m_s / self.size_m_s
 
 
-def correct(segment: Segment, plan: Plan, time_s: float, reach_s: float) -> Correction | Nothing:
+def correct(segment: Segment, plan: Plan, time_s: float, reach_s: float) -> Correction | NoFit:
     """The impulse at ``time_s`` that leads back to the plan at ``reach_s``.
 
     Thrusts superpose on the craft's present motion, forced or not: the shift of the place
@@ -47,16 +47,16 @@ def correct(segment: Segment, plan: Plan, time_s: float, reach_s: float) -> Corr
     motion without gravity where the plan has no orbit.
     """
     if not np.isfinite([time_s, reach_s]).all() or reach_s <= time_s:
-        return Nothing(f"no time to correct in: from {time_s:g} s to {reach_s:g} s")
+        return NoFit(f"no time to correct in: from {time_s:g} s to {reach_s:g} s")
     missing = plan.out_of(time_s) or plan.out_of(reach_s)
     if missing is not None:
-        return Nothing(missing)
+        return NoFit(missing)
     now, then = segment.places([time_s, reach_s])
     planned_now, planned_then = plan.places([time_s, reach_s])
     error_m = now - planned_now
     far = min(np.linalg.norm(now), np.linalg.norm(planned_now))
     if np.linalg.norm(error_m) > _FARTHEST * far:
-        return Nothing(
+        return NoFit(
             f"the plan is {np.linalg.norm(error_m):.3g} m away at a range of "
             f"{np.linalg.norm(now):.3g} m: the craft does not fly it"
         )
@@ -64,7 +64,7 @@ def correct(segment: Segment, plan: Plan, time_s: float, reach_s: float) -> Corr
     dt_s = reach_s - time_s
     delta_v = velocity_to_reach(plan.mean_motion_rad_s, dt_s, shift_m)
     if delta_v is None:
-        return Nothing(f"no thrust now shifts the place in {dt_s:.0f} s: near half an orbit")
+        return NoFit(f"no thrust now shifts the place in {dt_s:.0f} s: near half an orbit")
     moved = transition(plan.mean_motion_rad_s, dt_s)[3:, 3:] @ delta_v
     arrival = plan.velocity(reach_s) - segment.velocity(reach_s) - moved
     spread = np.linalg.eigvalsh(segment.place_covariance(reach_s))[-1]

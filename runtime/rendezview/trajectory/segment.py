@@ -12,7 +12,7 @@ from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.cloud import PointCloud
 from rendezview.trajectory.descent import CUT, Descent, Method, descend
-from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.scaling import inverse_of, sigmas_of, solved, typical_sizes
 from rendezview.trajectory.shapes import (
     HOPS,
@@ -45,7 +45,7 @@ _COMMON = (0.35, 1.1)
 class FitOptions:
     """How a segment is fitted."""
 
-    method: Method = Method.BEST  # Source: experiment trajectory-methods, seed 1
+    method: Method = Method.BEST  # Source: experiment trajectory-methods (0.1), seed 1
     hops: bool = True  # look for hops of a V-bar approach
     # Of circular and spiral: a less certain rate is rejected. Source: normal distribution, 0.3 %
     least_turn_sigma: float = 3.0
@@ -149,7 +149,7 @@ def fit_segment(
     carrier: Carrier | None = None,
     previous: Segment | None = None,
     options: FitOptions | None = None,
-) -> Segment | Nothing:
+) -> Segment | NoFit:
     """The segment of a shape that fits a cloud best, by a robust cost.
 
     Cleghorn & Sternberg (1991), "Trajectory": the downhill simplex is theirs, as are circular,
@@ -179,13 +179,13 @@ def fit_segment(
     constants = np.array([mean_motion_rad_s, 0.0])
     places_m = cloud.places_m - ridden
     length_m = float(np.median(np.linalg.norm(cloud.places_m, axis=1)))
-    guess: tuple[Array, Array] | Nothing | None = None
+    guess: tuple[Array, Array] | NoFit | None = None
     if previous is not None and previous.shape is shape:
         guess = _moved(previous, middle_s)
     near = guess is not None
     if guess is None:
         guess = first_guess(code, times, places_m, cloud.weights, mean_motion_rad_s)
-    if isinstance(guess, Nothing):
+    if isinstance(guess, NoFit):
         return guess
     base, start = guess
     scales = typical_sizes(code, length_m, 0.5 * (end_s - start_s))
@@ -208,13 +208,13 @@ def _finished(
     middle_s: float,
     carrier: Carrier | None,
     options: FitOptions,
-) -> Segment | Nothing:
+) -> Segment | NoFit:
     """The segment, with the covariance where the descent has ended."""
     parameters, least = fit.parameters, fit.cost()
     if options.method is not Method.SIMPLEX:
         parameters, least = fit.down()
     if not (np.isfinite(parameters).all() and np.isfinite(least)):
-        return Nothing("the fit runs away: these points belong to no such segment")
+        return NoFit("the fit runs away: these points belong to no such segment")
     matrix, right = normal_equations(fit.code, parameters, fit.scales, fit.data, fit.weights, CUT)
     gap = np.abs(solved(matrix, right, fit.scales)) / sigmas_of(matrix, fit.scales)
     covariance = _covariance(fit, parameters, matrix)
@@ -223,7 +223,7 @@ def _finished(
             fit, parameters, covariance = _turned_over(fit, parameters, covariance)
         rate, rate_sigma = parameters[4], np.sqrt(covariance[4, 4])
         if not rate > options.least_turn_sigma * rate_sigma or parameters[3] <= 0.0:
-            return Nothing(
+            return NoFit(
                 f"no turn about the target is significant: {rate:.2g} ± {rate_sigma:.2g} rad/s"
             )
     return Segment(

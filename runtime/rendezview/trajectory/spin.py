@@ -23,7 +23,7 @@ from rendezview.estimation.least_squares import (
 )
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.trajectory.descent import CUT
-from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.rotation import rotations
 
 _LEAST_FRAMES = 6  # Source: by construction, the six unknowns of a spin
@@ -113,7 +113,7 @@ def fit_spin(
     covariances: npt.ArrayLike | None = None,
     *,
     tumbling: bool | None = None,
-) -> Spin | Nothing:
+) -> Spin | NoFit:
     """Spin from attitudes ``reference_from_target``.
 
     Args:
@@ -132,7 +132,7 @@ def fit_spin(
     else:
         given = np.asarray(covariances, np.float64)
         if not np.isfinite(given).all():
-            return Nothing("a covariance is not finite")
+            return NoFit("a covariance is not finite")
         values, vectors = np.linalg.eigh(given)
         lengths = np.sqrt(np.maximum(values, _LEAST_RAD**2))
         roots = (vectors / lengths[:, None, :]) @ np.swapaxes(vectors, 1, 2)
@@ -151,7 +151,7 @@ def fit_spin_of_directions(
     *,
     tumbling: bool | None = None,
     sigma_rad: float = 0.12,
-) -> Spin | Nothing:
+) -> Spin | NoFit:
     """Spin from directions to the camera, target frame: from active nodes only, range held.
 
     The reference is the line of sight, its −z towards the camera. Roll about it is unobservable: at
@@ -167,19 +167,19 @@ def fit_spin_of_directions(
     times, observed = np.asarray(times_s, np.float64), np.asarray(directions, np.float64)
     trust = np.ones(len(times)) if weights is None else np.asarray(weights, np.float64)
     if not (np.isfinite(times).all() and np.isfinite(observed).all() and np.isfinite(trust).all()):
-        return Nothing("a time, direction or weight is not finite")
+        return NoFit("a time, direction or weight is not finite")
     if len(times) == 0 or np.any(np.diff(times) < 0.0):
-        return Nothing("the times do not rise")
+        return NoFit("the times do not rise")
     first = np.flatnonzero(np.concatenate([[True], np.diff(times) > 0.0]))
     unit = observed / np.maximum(np.linalg.norm(observed, axis=1), 1e-300)[:, None]
     mean = np.add.reduceat(trust[:, None] * unit, first)
     length = np.linalg.norm(mean, axis=1)
     if np.any(length < 1e-9):
-        return Nothing("the directions of a frame cancel each other")
+        return NoFit("the directions of a frame cancel each other")
     mean /= length[:, None]
     frames = times[first]
     if len(frames) < _LEAST_FRAMES:
-        return Nothing(f"{len(frames)} frames: a spin needs {_LEAST_FRAMES}")
+        return NoFit(f"{len(frames)} frames: a spin needs {_LEAST_FRAMES}")
     middle_s = 0.5 * (frames[0] + frames[-1])
     start = mean[np.argmin(np.abs(frames - middle_s))]
     # Rate across the sight: directions move by −ω × u in target axes, so ω = −u × u'.
@@ -230,19 +230,19 @@ class _SpinState:
         return _SpinState(turn @ self.rotation, self.rate + step[3:6], ratios)
 
 
-def _trouble(times: Array, turned: Array) -> Nothing | None:
+def _trouble(times: Array, turned: Array) -> NoFit | None:
     if len(times) < _LEAST_FRAMES:
-        return Nothing(f"{len(times)} frames: a spin needs {_LEAST_FRAMES}")
+        return NoFit(f"{len(times)} frames: a spin needs {_LEAST_FRAMES}")
     if not (np.isfinite(times).all() and np.isfinite(turned).all()):
-        return Nothing("a time or attitude is not finite")
+        return NoFit("a time or attitude is not finite")
     if np.any(np.diff(times) <= 0.0):
-        return Nothing("the times do not rise")
+        return NoFit("the times do not rise")
     return None
 
 
 def _best(
     data: _Data, rotation: Array, rate: Array, tumbling: bool | None, middle_s: float
-) -> Spin | Nothing:
+) -> Spin | NoFit:
     still = _down(data, _SpinState(rotation, rate, np.zeros(2)), 6, np.inf)
     dof = 3 if data.sight is None else 2
     variance = _variance(data, still, dof)
@@ -324,7 +324,7 @@ def _down(data: _Data, state: _SpinState, size: int, cut: float) -> _SpinState:
     return state if found is None else found.at
 
 
-def _answer(data: _Data, state: _SpinState, size: int, dof: int, middle_s: float) -> Spin | Nothing:
+def _answer(data: _Data, state: _SpinState, size: int, dof: int, middle_s: float) -> Spin | NoFit:
     """The answer with its covariance: scatter of the frames, and what they have in common."""
     variance = _variance(data, state, dof)
     matrix, _, slopes, weighted = _normal(data, state, size, CUT * variance)
@@ -341,7 +341,7 @@ def _answer(data: _Data, state: _SpinState, size: int, dof: int, middle_s: float
         moved = inverse @ np.einsum("n,nia->ai", _COMMON * slow, slopes)
         covariance += moved @ moved.T
     if not np.isfinite(covariance).all():
-        return Nothing("the fit runs away: these attitudes belong to no such motion")
+        return NoFit("the fit runs away: these attitudes belong to no such motion")
     return Spin(
         time_s=float(middle_s),
         rotation=state.rotation,

@@ -7,13 +7,13 @@ from numba import njit
 
 from rendezview.estimation.linear_algebra import quantile
 from rendezview.geometry.pose import Array
-from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.shapes import SPIRAL, basis, frame_of
 
 # Of hops that are tried, from an eighth of the segment to twice it.
 _PERIODS = 24  # Source: by construction, a grid
 _PHASES = 8  # Source: by construction, a grid
-# Of weights after outliers. Source: experiment trajectory-methods, seed 1
+# Of weights after outliers. Source: experiment trajectory-methods (0.1), seed 1
 _ROUNDS = 3
 # Times the median squared distance: half weight. 12 σ² over the median of χ² of three degrees.
 _CUT_MEDIANS = 5.0  # Source: by construction
@@ -21,7 +21,7 @@ _CUT_MEDIANS = 5.0  # Source: by construction
 
 def first_guess(
     code: int, times_s: Array, places_m: Array, weights: Array, mean_motion_rad_s: float
-) -> tuple[Array, Array] | Nothing:
+) -> tuple[Array, Array] | NoFit:
     """Base (3, 3) and parameters (P,) of a shape; times (N,) from the middle of the segment."""
     if code <= SPIRAL:
         return _around(code, times_s, places_m, weights)
@@ -31,14 +31,14 @@ def first_guess(
     flat = (matrix * root[:, :, None]).reshape(-1, matrix.shape[2])
     size = np.linalg.norm(flat, axis=0)
     if not np.all(size > 0.0):
-        return Nothing("the points span no time")
+        return NoFit("the points span no time")
     answer = np.linalg.lstsq(flat / size, (places_m * root).reshape(-1), rcond=None)[0]
     return np.eye(3), np.asarray(answer / size)
 
 
 def _around(
     code: int, times_s: Array, places_m: Array, weights: Array
-) -> tuple[Array, Array] | Nothing:
+) -> tuple[Array, Array] | NoFit:
     """The plane through the centre nearest to all places, and the phase against time."""
     far = np.linalg.norm(places_m, axis=1)
     directions = places_m / far[:, None]
@@ -49,7 +49,7 @@ def _around(
     mean = np.add.reduceat(weights[:, None] * directions, first) / total[:, None]
     middle = mean[np.argmin(np.abs(times_s[first]))]
     if np.linalg.norm(middle - (middle @ normal) * normal) < 1e-6:
-        return Nothing("the points lie on no path about the target")
+        return NoFit("the points lie on no path about the target")
     base = frame_of(normal, middle)
     phase = np.unwrap(np.arctan2(mean @ base[:, 1], mean @ base[:, 0]))
     rate, offset = np.polyfit(times_s[first], phase, 1)

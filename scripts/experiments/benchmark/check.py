@@ -1,13 +1,39 @@
-"""Rows of the benchmark, kept in a file, and the check for rows that have become worse."""
+"""Rows of the benchmark, what all groups share, and the check for rows that have become worse."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
+from experiments.timing import Way, race
+from rendezview.sensors.appearance import ViewModel
+from rendezview_ground.mesh.mesh import Mesh
+
 ALLOWED = 1.5
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Data of all groups. ``frames``, ``problems``: of each kind; ``seconds``: of each race."""
+
+    mesh: Mesh
+    model_path: Path
+    frames: int
+    problems: int
+    seconds: float
+    seed: int
+
+    @cached_property
+    def model(self) -> ViewModel:
+        return ViewModel.load(self.model_path)
+
+    def race(self, ways: dict[str, Callable[[], object] | Way]) -> dict[str, float]:
+        """Seconds an answer of each way."""
+        entered = {n: w if isinstance(w, Way) else Way(w) for n, w in ways.items()}
+        return race(entered, self.seconds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +45,7 @@ class Row:
     beside: str  # the peer or floor
     peer: float
     unit: str  # times: "s"; else the unit of the count
-    command: str  # the script that measures it at length
+    command: str  # the experiment that has more of it
 
     @property
     def ratio(self) -> float:
@@ -54,29 +80,24 @@ def best(rows: Iterable[Row]) -> dict[str, Row]:
     found: dict[str, Row] = {}
     for row in rows:
         other = found.get(row.key, row)
-        found[row.key] = replace(
-            row, ours=min(row.ours, other.ours), peer=min(row.peer, other.peer)
-        )
+        least = min(row.ours, other.ours), min(row.peer, other.peer)
+        found[row.key] = replace(row, ours=least[0], peer=least[1])
     return found
 
 
 def write(rows: Iterable[Row], path: Path) -> None:
     """Ratios to be kept, and the numbers they came of, for readers."""
-    kept = {}
+    kept: dict[str, dict[str, object]] = {}
     for row in rows:
         ours, peer, unit = row.shown()
-        kept[row.key] = {
-            "ratio": float(f"{row.ratio:.4g}"), "ours": float(f"{ours:.4g}"),
-            "peer": float(f"{peer:.4g}"), "unit": unit,
-        }  # fmt: skip
+        numbers = {"ratio": row.ratio, "ours": ours, "peer": peer}
+        kept[row.key] = {name: float(f"{value:.4g}") for name, value in numbers.items()}
+        kept[row.key]["unit"] = unit
     path.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def worse(rows: Iterable[Row], path: Path, allowed: float = ALLOWED) -> dict[str, str]:
-    """The faults, a line for each key: ratios above ``allowed`` × the kept ones, missing rows.
-
-    A row that the file does not have is wrong too: it wants ``--write``.
-    """
+    """The faults, a line for each key: ratios above ``allowed`` × the kept ones, other rows."""
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
         limits = {key: allowed * float(entry["ratio"]) for key, entry in kept.items()}

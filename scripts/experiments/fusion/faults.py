@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from experiments.fusion.trials import OPTIONS, Flight, Run, fly, load_run
+from experiments.fusion.trials import Flight, Run, fly, load_run
 from rendezview.fusion import (
     Measurement,
     PoseMeasurement,
@@ -35,39 +33,31 @@ END_S = 5.0
 SETTLED_S = 15.0  # after a fault
 
 
-def lying(measurement: Measurement, size: float) -> Measurement:
+def lying(measurement: Measurement) -> Measurement:
     """With a constant offset."""
-    tilt = Rotation.from_rotvec([np.deg2rad(3.0) * size, 0.0, 0.0]).as_matrix()
+    tilt = Rotation.from_rotvec([np.deg2rad(3.0), 0.0, 0.0]).as_matrix()
     if isinstance(measurement, PoseMeasurement):
-        pose = Pose(
-            tilt @ measurement.pose.rotation,
-            measurement.pose.translation_m + size * np.array([0.2, -0.15, 0.4]),
-        )
-        return replace(measurement, pose=pose)
+        pose = measurement.pose
+        moved = Pose(tilt @ pose.rotation, pose.translation_m + np.array([0.2, -0.15, 0.4]))
+        return replace(measurement, pose=moved)
     if isinstance(measurement, RingMeasurement):
-        moved = tuple(
-            RingCandidate(
-                c.centre_m + size * np.array([0.1, -0.1, 0.2]), tilt @ c.axis, c.covariance
-            )
-            for c in measurement.candidates
-        )
-        return replace(measurement, candidates=moved)
+        off_m = np.array([0.1, -0.1, 0.2])
+        each = measurement.candidates
+        rings = tuple(RingCandidate(c.centre_m + off_m, tilt @ c.axis, c.covariance) for c in each)
+        return replace(measurement, candidates=rings)
     assert isinstance(measurement, RangeMeasurement)
-    return replace(measurement, range_m=measurement.range_m + 0.5 * size)
+    return replace(measurement, range_m=measurement.range_m + 0.5)
 
 
-def with_fault(run: Run, sensors: tuple[str, ...], fault: str, third: int, size: float) -> Run:
+def with_fault(run: Run, sensors: tuple[str, ...], fault: str, third: int) -> Run:
     """The run with a fault in a third of its time; the last frame is in the last third."""
-    end_s = max(run.truth)
-    start_s = end_s * third / 3.0
-    stop_s = end_s * (third + 1) / 3.0 if third < 2 else math.inf
-    changed: list[Measurement] = []
+    third_s, changed = max(run.truth) / 3.0, list[Measurement]()
     for measurement in run.measurements:
-        hit = measurement.sensor in sensors and start_s <= measurement.time_s < stop_s
-        if not hit:
+        here = min(int(measurement.time_s / third_s), 2) == third
+        if measurement.sensor not in sensors or not here:
             changed.append(measurement)
         elif fault == "lying":
-            changed.append(lying(measurement, size))
+            changed.append(lying(measurement))
         elif fault == "late":
             changed.append(replace(measurement, time_s=measurement.time_s + LATE_S))
     changed.sort(key=lambda m: m.time_s)
@@ -104,29 +94,21 @@ def outcome(flight: Flight, sensors: tuple[str, ...], third: int) -> Outcome:
     )  # fmt: skip
 
 
-def run(
-    runs: Path, *, first_seed: int = 0, seeds: int = 50,
-    size: Annotated[float, "of the offsets"] = 1.0,
-    tell: Annotated[bool, "each run that diverged"] = False,
-) -> None:  # fmt: skip
+def run(runs: Path, *, seeds: int = 50) -> None:
     """One sensor dead, biased or late for a third of an approach: does the filter diverge?
 
-    RUNS are those of fusion-approach: real recognizer, real ring detector. In the first, middle or
-    last third of the time one sensor (or the camera: recognizer and ring at once) is silent
-    (dead), adds a constant offset (lying), or stamps data of 0.5 s ago with the present time
-    (late). The offset is the same for all seeds: pose 0.2 m, −0.15 m, 0.4 m and 3° about an axis
-    across the line of sight; ring 0.1 m, −0.1 m, 0.2 m and 3°; range 0.5 m; --size scales them.
+    RUNS are those of fusion-approach. In the first, middle or last third of the time one sensor (or
+    the camera: recognizer and ring at once) is silent (dead), adds a constant offset (lying), or
+    stamps data of 0.5 s ago with the present time (late). The offset: pose 0.2 m, −0.15 m, 0.4 m
+    and 3° about an axis across the line of sight; ring 0.1 m, −0.1 m, 0.2 m and 3°; range 0.5 m.
 
     A run has diverged if its state in the last 5 s is wrong beyond its own 99.99 % bound (six
-    degrees of freedom), or if it has no state although the fault is over. Where the fault lasts to
-    the end and no other sensor sees the ring, the filter coasts: its error and covariance grow.
+    degrees of freedom), or if it has no state although the fault is over.
     """
-    numbers = range(first_seed, first_seed + seeds)
-    kept = {seed: load_run(runs / str(seed)) for seed in numbers}
+    kept = [load_run(runs / str(seed)) for seed in range(seeds)]
     print(
-        f"seeds {numbers.start} to {numbers.stop - 1}, offsets × {size:g}; error of the ring's "
-        f"centre in % of range, median and worst of the seeds: while it lasts, from "
-        f"{SETTLED_S:g} s after it on"
+        f"{seeds} seeds; error of the ring's centre in % of range, median and worst of the seeds: "
+        f"while it lasts, from {SETTLED_S:g} s after it on"
     )
     print(
         f"{'sensor':11s} {'fault':6s} {'third':7s} {'during':>15s} {'after':>15s} "
@@ -135,26 +117,20 @@ def run(
     for name, sensors in SENSORS.items():
         for fault in FAULTS if sensors else ("–",):
             for third, word in enumerate(THIRDS if sensors else THIRDS[:1]):
-                outcomes = []
-                for seed, run in kept.items():
-                    flight = fly(with_fault(run, sensors, fault, third, size), OPTIONS)
-                    found = outcome(flight, sensors, third)
-                    outcomes.append(found)
-                    if found.diverged and tell:
-                        print(f"    seed {seed}: {found}, {flight.lockouts}")
-                worst = 100.0 * np.array([o.worst for o in outcomes])
-                after = 100.0 * np.array([o.after for o in outcomes])
-                frames = sum(o.without for o in outcomes)
+                flights = [fly(with_fault(run, sensors, fault, third)) for run in kept]
+                found = [outcome(flight, sensors, third) for flight in flights]
                 print(
-                    f"{name:11s} {fault:6s} {word:7s} {_two(worst)} {_two(after)} {frames:9d} "
-                    f"{sum(o.starts > 1 for o in outcomes):5d} "
-                    f"{sum(o.locked for o in outcomes):10d} "
-                    f"{sum(o.diverged for o in outcomes):8d}",
+                    f"{name:11s} {fault:6s} {word:7s} {_two([o.worst for o in found])} "
+                    f"{_two([o.after for o in found])} {sum(o.without for o in found):9d} "
+                    f"{sum(o.starts > 1 for o in found):5d} "
+                    f"{sum(o.locked for o in found):10d} {sum(o.diverged for o in found):8d}",
                     flush=True,
                 )
 
 
-def _two(values: np.ndarray) -> str:
+def _two(shares: list[float]) -> str:
+    """Median and largest, %."""
+    values = 100.0 * np.array(shares)
     values = values[np.isfinite(values)]
     if len(values) == 0:
         return f"{'–':>15s}"

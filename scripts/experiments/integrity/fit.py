@@ -14,17 +14,16 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import fdtri
 
-from experiments.integrity.logs import Look, tracks
+from experiments.integrity.draw import tracks
 from rendezview.estimation.protection import Overbound
-from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
-from rendezview.sensors.appearance.integrity_model import (
+from rendezview.sensors.appearance.integrity.model import (
     FRAME_FEATURES,
     PACKAGED,
-    SPREAD_FEATURES,
     TRACK_FEATURES,
     IntegrityModel,
     Spread,
 )
+from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
 
 NAMES = FRAME_FEATURES + TRACK_FEATURES
 SMOOTHING, ALLOWANCE, MOST = 0.3, 1.0, 4.0
@@ -75,42 +74,32 @@ class Poses:
 
 
 def gather(folder: Path) -> Poses:
-    """Replay every track through a monitor and keep what it computes from."""
+    """Every track through a monitor: what it computes from."""
     plain = IntegrityModel(
         attitude=Overbound(1.0, 3.0), position=Overbound(1.0, 3.0), wrong=np.zeros(len(NAMES)),
         attitude_spread=Spread.none(), position_spread=Spread.none(),
         at_rival=0.0, smoothing=SMOOTHING, allowance=ALLOWANCE, most=MOST, limit=math.inf,
     )  # fmt: skip
-    rows: dict[str, list] = {field.name: [] for field in dataclasses.fields(Poses)}
+    rows = []
     for number, track in enumerate(tracks(folder)):
         monitor = IntegrityMonitor(IntegrityOptions(), plain)
         for look in track:
             if look.evidence is None:
                 continue
             protection = monitor.judge(look.evidence, look.ask)
-            rows["features"].append(monitor.features)
-            rows["wrong"].append(look.wrong)
-            rows["at_rival"].append(_at_rival(look))
-            rows["turn"].append(_normalised(look.turn_rad, look.evidence.covariance[:3, :3], 1.0))
-            covariance, range_m = look.evidence.covariance[3:6, 3:6], look.evidence.range_m
-            rows["move"].append(_normalised(look.move_m, covariance, range_m))
-            rows["drift"].append(protection.drift)
-            rows["condition"].append(look.condition)
-            rows["track"].append(number)
-            rows["misled"].append(look.misled)
-    return Poses(**{name: np.array(values) for name, values in rows.items()})
+            spread, range_m = look.evidence.covariance, look.evidence.range_m
+            # A wrong pose is at the rival where that is as far from it as the truth is.
+            rival = abs(look.turn_rad - look.evidence.rival_rad) < np.deg2rad(10.0)
+            rows.append((
+                monitor.features, look.wrong, look.wrong and rival,
+                _normalised(look.turn_rad, spread[:3, :3], 1.0),
+                _normalised(look.move_m, spread[3:6, 3:6], range_m),
+                protection.drift, look.condition, number, look.misled,
+            ))  # fmt: skip
+    return Poses(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def _at_rival(look: Look) -> bool:
-    """A wrong pose whose rival is as far from it as the truth is."""
-    evidence = look.evidence
-    assert evidence is not None
-    return look.wrong and bool(abs(look.turn_rad - evidence.rival_rad) < np.deg2rad(10.0))
-
-
-def _normalised(
-    length: float, covariance: np.ndarray, unit: float
-) -> tuple[float, float, float, float]:
+def _normalised(length: float, covariance: np.ndarray, unit: float) -> tuple[float, ...]:
     largest = float(np.linalg.eigvalsh(covariance)[-1])
     return length, largest, float(np.trace(covariance)) / largest, unit
 
@@ -125,19 +114,19 @@ def wrong_odds(poses: Poses) -> np.ndarray:
     prior = np.array([PRIOR.get(name, 0.0) for name in NAMES])
     weights = _likeliest(poses.features, poses.wrong, prior)
     plain = poses.of(~poses.misled)
-    told = plain.features[:, 1:] @ weights[1:]
-    constant = _likeliest(plain.features[:, :1], plain.wrong, prior[:1], told)
+    predicted = plain.features[:, 1:] @ weights[1:]
+    constant = _likeliest(plain.features[:, :1], plain.wrong, prior[:1], predicted)
     return np.concatenate([constant, weights[1:]])
 
 
 def _likeliest(
-    features: np.ndarray, wrong: np.ndarray, prior: np.ndarray, told: np.ndarray | float = 0.0
+    features: np.ndarray, wrong: np.ndarray, prior: np.ndarray, predicted: np.ndarray | float = 0.0
 ) -> np.ndarray:
     """The weights of some features beside the odds that others tell."""
     sign = np.where(wrong, 1.0, -1.0)
 
     def unlikely(weights: np.ndarray) -> tuple[float, np.ndarray]:
-        odds = sign * (features @ weights + told)
+        odds = sign * (features @ weights + predicted)
         away = (weights - prior) / PRIOR_SPREAD**2
         loss = ALONE * np.logaddexp(0.0, -odds).sum() + 0.5 * away @ (weights - prior)
         slope = ALONE * features.T @ (-sign / (1.0 + np.exp(np.clip(odds, -500, 500))))
@@ -171,12 +160,8 @@ def spread(features: np.ndarray, errors: np.ndarray, conditions: np.ndarray) -> 
     """The factor by which errors exceed their covariance, log-linear in what the frame shows.
 
     The likeliest one of a generalised normal distribution of power ``MOMENT``, all conditions
-    weighing the same.
-
-    Args:
-        features: (N, 16) ``FRAME_FEATURES``, the first constant.
-        errors: (N, 4) as in ``overbound``.
-        conditions: (N,) of each.
+    weighing the same. ``features``: (N, 16) ``FRAME_FEATURES``, the first constant; ``errors``:
+    (N, 4) as in ``overbound``.
     """
     length, largest, axes, unit = errors.T
     sigma = np.sqrt(largest * axes)
@@ -190,24 +175,24 @@ def spread(features: np.ndarray, errors: np.ndarray, conditions: np.ndarray) -> 
     penalty = np.append(0.0, np.full(plain.shape[1] - 1, SPREAD_RIDGE))
 
     def unlikely(w: np.ndarray) -> tuple[float, np.ndarray]:
-        told = plain @ w
-        power = np.exp(np.clip(MOMENT * (ratio - told), -50.0, 50.0))
-        loss = float(weight @ (power + MOMENT * told) + penalty @ w**2)
+        predicted = plain @ w
+        power = np.exp(np.clip(MOMENT * (ratio - predicted), -50.0, 50.0))
+        loss = float(weight @ (power + MOMENT * predicted) + penalty @ w**2)
         slope = plain.T @ (weight * MOMENT * (1.0 - power)) + 2.0 * penalty * w
         return loss, slope
 
     found = minimize(unlikely, np.zeros(plain.shape[1]), jac=True, method="L-BFGS-B").x
     weights = found / width
     weights[0] = found[0] - float(weights[1:] @ middle[1:])
-    told = columns @ weights
-    return Spread(weights, float(told.min()), float(told.max()))
+    predicted = columns @ weights
+    return Spread(weights, float(predicted.min()), float(predicted.max()))
 
 
-def widened(told: Spread, features: np.ndarray, errors: np.ndarray) -> np.ndarray:
+def widened(predicted: Spread, features: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """(N, 4) the errors with their variance as the monitor widens it."""
     out = errors.copy()
     for k, (_, largest, axes, unit) in enumerate(errors):
-        out[k, 1] *= told.factor(math.sqrt(largest * axes) / unit, features[k]) ** 2
+        out[k, 1] *= predicted.factor(math.sqrt(largest * axes) / unit, features[k]) ** 2
     return out
 
 
@@ -216,14 +201,9 @@ def overbound(
 ) -> Overbound:
     """The tail above those of every condition whose levels at 1e-3 are lowest, log mean.
 
-    The frames of a track err together. So each condition is drawn anew many times, track by track,
-    and the tail lies above all but the highest of these draws.
-
-    Args:
-        errors: (N, 4) length of each error, largest variance, trace over it, unit of the bias.
-        conditions: (N,) of each.
-        track: (N,) number of its track.
-        biases: that are tried.
+    The frames of a track err together. So each condition is drawn many times, track by track, and
+    the tail lies above all but the highest of these draws. ``errors``: (N, 4) length of each error,
+    largest variance, trace over it, unit of the bias; ``track``: (N,) number of each track.
     """
     rng = np.random.default_rng(0)
     drawn = []
@@ -254,9 +234,8 @@ def overbound(
 def _least_scale(over: np.ndarray, reach: np.ndarray) -> float:
     """The least scale at which no risk is exceeded more often than it says.
 
-    Args:
-        over: (N,) errors over their standard deviation.
-        reach: (R, N) standard deviations of the tail at each risk, for a scale of 1.
+    ``over``: (N,) errors over their standard deviation; ``reach``: (R, N) standard deviations of
+    the tail at each risk, for a scale of 1.
     """
     needed = np.sort(over[None] / reach, axis=1)[:, ::-1]  # the largest first
     allowed = np.maximum(RISKS * len(over), LEAST_EXCEEDING - 1).astype(int)
@@ -265,10 +244,9 @@ def _least_scale(over: np.ndarray, reach: np.ndarray) -> float:
 
 
 def run(
-    folder: Annotated[Path, "logs of integrity-draw"],
-    *,
+    folder: Annotated[Path, "logs of integrity-draw"], *,
     write: Annotated[bool, "into the package"] = False,
-) -> None:
+) -> None:  # fmt: skip
     """Fit tails, the odds of a wrong pose and the limit of drifts to logs of integrity-draw."""
     everything = gather(folder)
     weights = wrong_odds(everything)
@@ -280,43 +258,28 @@ def run(
     sure = poses.of(right)
     shown = sure.features[:, : len(FRAME_FEATURES)]
     spreads = [spread(shown, errors, sure.condition) for errors in (sure.turn, sure.move)]
-    turn, move = (
-        widened(one, shown, e) for one, e in zip(spreads, (sure.turn, sure.move), strict=True)
-    )
+    turn, move = widened(spreads[0], shown, sure.turn), widened(spreads[1], shown, sure.move)
+    drift = float(np.ceil(np.quantile(poses.drift[right], 1.0 - DRIFT_SHARE)))
     model = IntegrityModel(
         attitude=overbound(turn, sure.condition, sure.track, TURN_BIASES),
         position=overbound(move, sure.condition, sure.track, MOVE_BIASES),
-        attitude_spread=spreads[0],
-        position_spread=spreads[1],
-        wrong=weights,
+        attitude_spread=spreads[0], position_spread=spreads[1], wrong=weights,
         at_rival=float((poses.at_rival.sum() + 1) / (poses.wrong.sum() + 2)),  # Laplace's rule
-        smoothing=SMOOTHING,
-        allowance=ALLOWANCE,
-        most=MOST,
-        limit=max(LEAST_LIMIT, float(np.ceil(np.quantile(poses.drift[right], 1.0 - DRIFT_SHARE)))),
+        smoothing=SMOOTHING, allowance=ALLOWANCE, most=MOST, limit=max(LEAST_LIMIT, drift),
         provenance={
-            "experiment": "integrity-fit",
-            "logs": folder.name,
-            "poses": len(poses.wrong),
-            "tracks": len(np.unique(poses.track)),
-            "wrong": int(poses.wrong.sum()),
+            "experiment": "integrity-fit", "logs": folder.name, "poses": len(poses.wrong),
+            "tracks": len(np.unique(poses.track)), "wrong": int(poses.wrong.sum()),
             "misled": int(everything.misled.sum()),
             "misled_tracks": len(np.unique(everything.track[everything.misled])),
-            "raised": lift,
-            "prior": PRIOR,
+            "raised": lift, "prior": PRIOR,
         },
-    )
+    )  # fmt: skip
     for name in names:
         these = poses.condition == name
         print(f"{name}: {these.sum()} poses, {poses.wrong[these].sum()} wrong")
     print(f"attitude {model.attitude}, position {model.position}")
     print(f"raised {lift:.2f}, at the rival {model.at_rival:.2f}, drift limit {model.limit}")
-    for name, weight in zip(NAMES, weights, strict=True):
-        print(f"  {name:20}{weight:8.2f}")
-    for what, one in (("attitude", spreads[0]), ("position", spreads[1])):
-        print(f"spread of {what}: factor {math.exp(one.least):.2f} to {math.exp(one.most):.2f}")
-        for name, weight in zip(SPREAD_FEATURES, one.weights, strict=True):
-            print(f"  {name:20}{weight:8.2f}")
+    text = json.dumps(model.record(), indent=1) + "\n"
+    print(text)
     if write:
-        text = json.dumps(model.record(), indent=1) + "\n"
         PACKAGED.write_text(text, encoding="utf-8")

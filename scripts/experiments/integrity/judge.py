@@ -10,16 +10,16 @@ from typing import Annotated
 import numpy as np
 
 from experiments.frame import PICTURES, show, table_of
-from experiments.integrity.frames import CONDITIONS
-from experiments.integrity.logs import Look, tracks
-from rendezview.evaluation.palette import png
-from rendezview.evaluation.stanford import Judged, tail_risk, upper_limit
-from rendezview.evaluation.stanford_pictures import stanford_picture
+from experiments.integrity.draw import CONDITIONS, tracks
 from rendezview.io.files import atomic_write
-from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
+from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
+from rendezview_ground.evaluate.pictures.palette import png
+from rendezview_ground.evaluate.pictures.stanford_pictures import stanford_picture
+from rendezview_ground.evaluate.stanford import Judged, tail_risk, upper_limit
 
 RISKS = (1e-2, 1e-3, 1e-4)
-SETTLED = 12  # poses, after which the second witness has been asked three times
+LIMIT_RAD, LIMIT_SHARE = math.radians(15.0), 0.15  # of the levels; of the range for the position
+SETTLED = 12  # poses, after which the second estimator has been asked three times
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ class Campaign:
         return self.judged.of(here & (self.tracked == tracked) & (self.age >= least_age))
 
 
-def replay(folder: Path, risk: float, attitude_deg: float, share: float) -> Campaign:
+def replay(folder: Path, risk: float) -> Campaign:
     """Every track of the logs through a monitor; the position's limit is a share of the range."""
     rows, conditions, tracked, age = [], [], [], []
     frames = dict.fromkeys(CONDITIONS, 0)
@@ -47,49 +47,36 @@ def replay(folder: Path, risk: float, attitude_deg: float, share: float) -> Camp
         poses = [look for look in track if look.evidence is not None]
         if not poses:
             continue
-        assert poses[0].evidence is not None
-        options = IntegrityOptions(
-            risk=risk,
-            alarm_attitude_rad=math.radians(attitude_deg),
-            alarm_position_m=share * poses[0].evidence.range_m,
-        )
-        monitor = IntegrityMonitor(options)
+        limit_m = LIMIT_SHARE * poses[0].evidence.range_m
+        limits = {"alarm_attitude_rad": LIMIT_RAD, "alarm_position_m": limit_m}
+        monitor = IntegrityMonitor(IntegrityOptions(risk=risk, **limits))
         for k, look in enumerate(poses):
+            found = monitor.judge(look.evidence, look.ask)
+            moved = (look.move_m, found.position_m, found.alarm)
+            rows.append([look.turn_rad, found.attitude_rad, *moved])
             age.append(k)
-            rows.append(_judge(monitor, look))
             conditions.append(look.condition)
-            tracked.append(look.evidence is not None and look.evidence.innovation is not None)
-    turn, turn_level, move, move_level, alarm = np.array(rows).T
+            tracked.append(look.evidence.innovation is not None)
+    turn, turn_level, move, move_level, alarm = np.array(rows, dtype=np.float64).T
     judged = Judged(turn, turn_level, move, move_level, alarm > 0.5)
     return Campaign(judged, np.array(conditions), np.array(tracked), np.array(age), frames)
 
 
-def _judge(monitor: IntegrityMonitor, look: Look) -> list[float]:
-    assert look.evidence is not None
-    found = monitor.judge(look.evidence, look.ask)
-    return [look.turn_rad, found.attitude_rad, look.move_m, found.position_m, float(found.alarm)]
-
-
 def run(
-    folder: Annotated[Path, "logs of integrity-draw"],
-    *,
-    attitude_deg: Annotated[float, "limit of the level"] = 15.0,
-    share: Annotated[float, "of the range, limit of the level of the position"] = 0.15,
+    folder: Annotated[Path, "logs of integrity-draw"], *,
     picture: Annotated[bool, "write docs/pictures/integrity.png"] = False,
-) -> None:
+) -> None:  # fmt: skip
     """Judge the levels of every pose in logs that the fit has not seen."""
     for risk in RISKS:
-        campaign = replay(folder, risk, attitude_deg, share)
+        campaign = replay(folder, risk)
+        judged = campaign.judged
         if risk == 1e-3:
             _table(campaign)
             if picture:
-                everything = campaign.judged
-                title = f"{len(everything)} poses at a risk of 0.001"
+                title = f"{len(judged)} poses at a risk of 0.001"
                 with atomic_write(PICTURES / "integrity.png", durable=False) as file:
-                    file.write(png(stanford_picture(everything, title)))
-        judged = campaign.judged
-        count = int(judged.misleading.sum())
-        free = ~judged.alarm
+                    file.write(png(stanford_picture(judged, title)))
+        count, free = int(judged.misleading.sum()), ~judged.alarm
         tail = tail_risk(judged.ratio[free])
         print(
             f"risk {risk:g}: {count} of {len(judged)} poses misleading "
@@ -105,26 +92,20 @@ def _table(campaign: Campaign) -> None:
         "condition | frames | tracked poses | misleading | below (95 %) | available %"
         f" | after {SETTLED} poses | median level ° | first poses | misleading | available %",
     )
+
+    def percent(which: np.ndarray) -> str:
+        return f"{100.0 * which.mean():.1f}" if len(which) else "–"
+
     for name in (*CONDITIONS, None):
         tracked, first = campaign.rows(name, True), campaign.rows(name, False)
         frames = sum(campaign.frames.values()) if name is None else campaign.frames[name]
         wrong, of = int(tracked.misleading.sum()), len(tracked)
         free = tracked.attitude_level[~tracked.alarm]
+        settled = campaign.rows(name, True, SETTLED)
         table.add_row(
-            name or "all",
-            str(frames),
-            str(of),
-            str(wrong),
-            f"{upper_limit(wrong, of):.2g}",
-            _percent(~tracked.alarm),
-            _percent(~campaign.rows(name, True, SETTLED).alarm),
-            f"{np.rad2deg(np.median(free)):.3g}" if len(free) else "–",
-            str(len(first)),
-            str(int(first.misleading.sum())),
-            _percent(~first.alarm),
-        )
+            name or "all", f"{frames}", f"{of}", f"{wrong}", f"{upper_limit(wrong, of):.2g}",
+            percent(~tracked.alarm), percent(~settled.alarm),
+            f"{np.rad2deg(np.median(free)):.3g}" if len(free) else "–", f"{len(first)}",
+            f"{first.misleading.sum()}", percent(~first.alarm),
+        )  # fmt: skip
     show(table, width=150)
-
-
-def _percent(which: np.ndarray) -> str:
-    return f"{100.0 * which.mean():.1f}" if len(which) else "–"

@@ -9,8 +9,7 @@ import numpy as np
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.reflectors import ReflectorObservation, ReflectorPattern
-from rendezview.sensors.stereo import Rig, Sights
+from rendezview.sensors.beacons import ReflectorObservation, ReflectorPattern, Rig, Sights
 
 try:
     import poselib
@@ -18,17 +17,19 @@ except ImportError:  # a development tool
     poselib = None
 
 PEERS = ("solvePnP", "poselib")
+Poses = dict[str, Pose | None]
 
 
-def by_opencv(points_m: np.ndarray, spots_px: np.ndarray, camera: Camera) -> Pose | None:
+def by_opencv(
+    points_m: np.ndarray, spots_px: np.ndarray, camera: Camera, refine: bool = True
+) -> Pose | None:
     """SQPNP, and least squares after it where there are more than three spots."""
-    spots = np.ascontiguousarray(spots_px)
     lens = np.array(camera.distortion) if camera.distortion else None
-    given = (points_m, spots, camera.matrix, lens)
+    given = (points_m, np.ascontiguousarray(spots_px), camera.matrix, lens)
     found, turn, shift = cv2.solvePnP(*given, flags=cv2.SOLVEPNP_SQPNP)
     if not found:
         return None
-    if len(points_m) > 3:
+    if refine and len(points_m) > 3:
         turn, shift = cv2.solvePnPRefineLM(*given, turn, shift)
     return Pose(cv2.Rodrigues(turn)[0], shift.ravel())
 
@@ -37,47 +38,40 @@ def by_poselib(points_m: np.ndarray, spots_px: np.ndarray, camera: Camera) -> Po
     """Its RANSAC and least squares; a camera without distortion."""
     if poselib is None:
         return None
-    model = {
-        "model": "PINHOLE", "width": camera.width, "height": camera.height,
-        "params": [camera.fx, camera.fy, camera.cx, camera.cy],
-    }  # fmt: skip
-    pose, info = poselib.estimate_absolute_pose(
-        spots_px, points_m, model, {"max_reproj_error": 1.0}, {}
-    )
+    params = [camera.fx, camera.fy, camera.cx, camera.cy]
+    model = {"model": "PINHOLE", "width": camera.width, "height": camera.height, "params": params}
+    options = {"max_reproj_error": 1.0}
+    pose, info = poselib.estimate_absolute_pose(spots_px, points_m, model, options, {})
     return Pose(pose.R, pose.t) if info["num_inliers"] >= 3 else None
 
 
 def one_camera(
-    points_m: np.ndarray, spots_px: np.ndarray, camera: Camera
-) -> dict[str, Pose | None]:
-    """Both answers, by name."""
-    answers = by_opencv(points_m, spots_px, camera), by_poselib(points_m, spots_px, camera)
+    points_m: np.ndarray, spots_px: np.ndarray, camera: Camera, *, refine: bool = True
+) -> Poses:
+    """Both answers, by name; ``refine``: of OpenCV's."""
+    answers = by_opencv(points_m, spots_px, camera, refine), by_poselib(points_m, spots_px, camera)
     return dict(zip(PEERS, answers, strict=True))
 
 
-def of_reading(
-    reading: ReflectorObservation, pattern: ReflectorPattern, camera: Camera
-) -> dict[str, Pose | None]:
+def of_reading(reading: ReflectorObservation, pattern: ReflectorPattern, camera: Camera) -> Poses:
     """Both answers, by name, on the spots of a reading that have a name."""
     named = [k for k, name in enumerate(reading.reflectors) if name]
     which = [pattern.names.index(str(reading.reflectors[k])) for k in named]
     return one_camera(pattern.positions_m[which], reading.spots.centroids_px[named], camera)
 
 
-def rig(points_m: np.ndarray, sights: Sights, cameras: Rig) -> dict[str, Pose | None]:
+def rig(points_m: np.ndarray, sights: Sights, cameras: Rig) -> Poses:
     """Rig from target: OpenCV's solvePnP in the first camera, poselib's with all of them.
 
     Both have the same directions as this project, without the lens's distortion.
     """
     seen = [np.flatnonzero(lights) for lights in sights.visible]
-    first = cameras.cameras[0].camera_from_rig
-    plane = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
-    alone = None
+    first, alone = cameras.cameras[0].camera_from_rig, None
     if len(seen[0]) >= 3:
+        plane = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
         alone = by_opencv(points_m[seen[0]], sights.xy[0][seen[0]], plane)
-    answers: dict[str, Pose | None] = {
-        "solvePnP": None if alone is None else first.inverse() @ alone, "poselib": None,
-    }  # fmt: skip
+    answers: Poses = dict.fromkeys(PEERS)
+    answers["solvePnP"] = None if alone is None else first.inverse() @ alone
     if poselib is not None:
         mounts = []
         for camera in cameras.cameras:

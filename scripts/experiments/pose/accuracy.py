@@ -1,32 +1,28 @@
-"""First poses and tracked poses on frames: those of `pose-frames`, and of cut targets."""
+"""First poses and tracked poses on the frames of `pose-frames`."""
 
 from __future__ import annotations
 
 import json
 import time
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from experiments.frame import Dask, Log, mesh_of, show, table_of, two, write_log
-from rendezview.evaluation.campaign import pose_error, second_earlier
-from rendezview.geometry.camera import Camera
+from experiments.frame import show, table_of, two
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
-from rendezview.sensors.appearance.edges.confidence import Found
+from rendezview.sensors.appearance.judge.confidence import Found
 from rendezview.sensors.appearance.sky import Sky
-from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.training.open_executor import open_executor
+from rendezview_ground.evaluate.campaign import pose_error, second_earlier
+from rendezview_ground.learn.jobs.open_executor import open_executor
 
 WRONG_DEG = 5.0
 PRIOR_RAD = np.deg2rad(6.0)  # the prior's error that is given to the recognizer
-SINGLE_PRIORS = 3  # more priors of each frame, for the log
-HALF_FIELD_RAD = np.deg2rad(15.0)
-VISIBLE = ((0.0, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 1.01))  # share of the outline
+JOBS = 2
 
 Record = dict[str, Any]
 
@@ -60,60 +56,42 @@ def features_of(found: Found, truth: Pose, model: ViewModel) -> Record:
     }
 
 
-def both_looks(
-    recognizer: Recognizer, image: Array, truth: Pose, prior: Pose, sun: Array | None = None
-) -> list[Record]:
+def both_searches(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -> list[Record]:
     """The first pose without a prior, and the tracked one."""
-    light = {} if sun is None else {"sun_camera": sun}
-    first = recognizer.recognize(image, **light)
-    tracked = recognizer.recognize(image, prior, PRIOR_RAD, **light)
-    return [
-        {"mode": mode} | compared(observation, truth, recognizer.model)
-        for mode, observation in (("first", first), ("tracked", tracked))
-    ]
+    first = recognizer.recognize(image)
+    tracked = recognizer.recognize(image, prior, PRIOR_RAD)
+    modes = {"first": first, "tracked": tracked}
+    return [{"mode": mode} | compared(o, truth, recognizer.model) for mode, o in modes.items()]
 
 
-def single_looks(
-    recognizer: Recognizer, image: Array, truth: Pose, prior: Pose, sun: Array | None
-) -> list[Record]:
+def single_searches(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -> list[Record]:
     """The pose next to a prior if nothing else is tried, without a look at the surface and with."""
     assert recognizer.search is not None
-    refiner, sky = recognizer.search.refiner, Sky.of(image, sun)
+    refiner, sky = recognizer.search.refiner, Sky.of(image)
     refined = refiner.refine(image, sky, prior)
     if refined is None:
         return []
-    shading = refiner.shading(image, sky, refined.pose)
-    looks = [
-        Found(refined, 0.0, 1.0, sky.dark, True),
-        Found(refined, 0.0, 1.0, sky.dark, True, shading=shading),
-    ]
+    shadings = (None, recognizer.search.whole.shading.of(image, sky, refined.pose))
+    looks = [Found(refined, 0.0, 1.0, sky.dark, True, shading=shading) for shading in shadings]
     return [{"mode": "lone"} | features_of(look, truth, recognizer.model) for look in looks]
 
 
 def on_scene(
-    frames: Path, models: Path, target: str, condition: str, seed: int, sun: bool, log: bool
+    frames: Path, models: Path, target: str, condition: str, seed: int, log: bool
 ) -> list[Record]:
     """Both looks at every frame of one scene."""
     model = ViewModel.load(models / f"{target}.rvm")
-    folder = frames / target / condition
-    suns = json.loads((folder / "sun.json").read_text()) if sun else None
-    records = []
-    recognizer = None
-    for k, frame in enumerate(open_sequence(folder)):
+    records, recognizer = [], None
+    for k, frame in enumerate(open_sequence(frames / target / condition)):
         truth = frame.camera_from_target
         assert truth is not None
         recognizer = recognizer or Recognizer(model, frame.camera)
         image = frame.read()
-        light = None if suns is None else np.array(suns[k])
-
-        def prior(
-            *seeds: int, truth: Pose = truth, centre_m: Array = model.centre_m, k: int = k
-        ) -> Pose:
-            return second_earlier(truth, centre_m, np.random.default_rng([seed, k, *seeds]))
-
-        looks = both_looks(recognizer, image, truth, prior(), light)
-        for other in range(SINGLE_PRIORS if log else 0):
-            looks += single_looks(recognizer, image, truth, prior(other), light)
+        rngs = [np.random.default_rng([seed, k, *more]) for more in ((), (0,), (1,), (2,))]
+        first, *others = (second_earlier(truth, model.centre_m, rng) for rng in rngs)
+        looks = both_searches(recognizer, image, truth, first)
+        for prior in others if log else ():
+            looks += single_searches(recognizer, image, truth, prior)
         about = {"target": target, "condition": condition, "frame": k}
         records += [about | look for look in looks]
     return records
@@ -141,8 +119,7 @@ def row(name: str, records: list[Record]) -> list[str]:
 
 def run(
     frames: Path, models: Path, *, seed: Annotated[int, "of the priors"] = 5,
-    sun: Annotated[bool, "give the direction to the Sun"] = False, log: Log = None,
-    jobs: int = 2, dask: Dask = None,
+    log: Annotated[Path | None, "every answer, JSON lines"] = None,
 ) -> None:  # fmt: skip
     """First poses and tracked poses on the frames of pose-frames.
 
@@ -154,86 +131,21 @@ def run(
     """
     scenes = sorted((p.parent.parent.name, p.parent.name) for p in frames.glob("*/*/scene_gt.json"))
     started = time.perf_counter()
-    with open_executor(jobs, dask, processes=True) as workers:
-        tasks = [(*scene, seed, sun, log is not None) for scene in scenes]
+    with open_executor(JOBS, None, processes=True) as workers:
+        tasks = [(*scene, seed, log is not None) for scene in scenes]
         parts = dict(workers.results(on_scene, (frames.resolve(), models.resolve()), tasks))
     records = [record for k in sorted(parts) for record in parts[k]]
-    write_log(log, records)
-    columns = (
-        "frames", "n", "right %", "best right %", "wrong %", "rotation ° median / 95 %",
-        "translation % of range", "NEES mean / median", "ms",
-    )  # fmt: skip
+    if log is not None:
+        log.write_text("".join(json.dumps(record) + "\n" for record in records))
+    columns = "frames | n | right % | best right % | wrong % | rotation ° median / 95 % "
+    columns += "| translation % of range | NEES mean / median | ms"
     rows = table_of("poses", columns, left=0)
-    for mode in ("first", "tracked"):
-        for condition in ("low", "high", "earth"):
-            chosen = [r for r in records if r["mode"] == mode and r["condition"] == condition]
-            for target in sorted({r["target"] for r in chosen}):
-                part = [r for r in chosen if r["target"] == target]
-                rows.add_row(*row(f"{mode} {condition} {target}", part))
-            if chosen:
-                rows.add_row(*row(f"{mode} {condition} all", chosen), style="bold")
+    for mode, condition in product(("first", "tracked"), ("low", "high", "earth")):
+        chosen = [r for r in records if (r["mode"], r["condition"]) == (mode, condition)]
+        for target in sorted({r["target"] for r in chosen}):
+            part = [r for r in chosen if r["target"] == target]
+            rows.add_row(*row(f"{mode} {condition} {target}", part))
+        if chosen:
+            rows.add_row(*row(f"{mode} {condition} all", chosen), style="bold")
     show(rows, width=170)
     print(f"{time.perf_counter() - started:.0f} s")
-
-
-def cut_place(close: bool, radius_m: float, rng: np.random.Generator) -> Array:
-    """(3,) the view centre in the camera frame: close by, or across the image border."""
-    if close:
-        range_m = rng.uniform(1.3, 3.2) * radius_m
-        off = rng.uniform(-0.1, 0.1, 2)
-    else:
-        range_m = rng.uniform(4.0, 10.0) * radius_m
-        angle = rng.uniform(0.0, 2.0 * np.pi)
-        off = np.array([np.cos(angle), np.sin(angle)])
-        off /= np.abs(off).max()  # on a square
-        off *= np.tan(HALF_FIELD_RAD) + rng.uniform(-0.9, 0.5) * radius_m / range_m
-    return np.array([*(off * range_m), range_m])
-
-
-def on_cut_target(target: str, models: Path, count: int, seed: int) -> list[Record]:
-    """Both looks at frames of one target."""
-    _, mesh = mesh_of(target)
-    model = ViewModel.load(models / f"{Path(target).stem}.rvm")
-    camera = Camera.from_fov(1024, 1024, 2.0 * HALF_FIELD_RAD)
-    recognizer = Recognizer(model, camera)
-    rng = np.random.default_rng(seed)
-    records = []
-    for k in range(count):
-        rotation = Rotation.random(random_state=int(rng.integers(1 << 30))).as_matrix()
-        centre = cut_place(k % 2 == 0, model.target_radius_m, rng)
-        truth = Pose(rotation, centre - rotation @ model.centre_m)
-        sun = sun_at_phase(centre, np.deg2rad(rng.uniform(0.0, 60.0)), rng.uniform(0.0, 6.28))
-        image = render_frame(mesh, camera, truth, sun, SceneOptions(), rng, 0.0)
-        prior = second_earlier(truth, model.centre_m, rng)
-        about = {"target": model.name, "condition": "off" if k % 2 else "close", "frame": k}
-        records += [about | look for look in both_looks(recognizer, image, truth, prior)]
-    return records
-
-
-def cut(
-    models: Path, targets: list[str], *, count: Annotated[int, "frames of each target"] = 60,
-    seed: int = 77, log: Log = None,
-) -> None:  # fmt: skip
-    """Poses of targets that the image border cuts, close by or off to a side.
-
-    MODELS is a folder with a model <target>.rvm of each target. Frames of our own simulator,
-    1024 × 1024, Sun 0–60° from behind the camera, any attitude. Half of them are close, the view
-    centre 1.3 to 3.2 target radii away; the others are off to a side, 4 to 10 radii away and about
-    on the border. Each is read as in pose-accuracy.
-    """
-    records = [r for target in targets for r in on_cut_target(target, models, count, seed)]
-    write_log(log, records)
-    columns = ("frames", "of the outline in the picture", "n", "right", "wrong", "no pose")
-    rows = table_of(f"cut by the border, seed {seed}", columns, left=0)
-    for mode in ("first", "tracked"):
-        for condition in ("close", "off"):
-            chosen = [r for r in records if (r["mode"], r["condition"]) == (mode, condition)]
-            for low, high in VISIBLE:
-                share = [r["features"][6] if "features" in r else 0.0 for r in chosen]
-                part = [r for r, s in zip(chosen, share, strict=True) if low <= s < high]
-                right = sum(r.get("rotation_deg", 180.0) < WRONG_DEG for r in part)
-                given = sum("rotation_deg" in r for r in part)
-                counts = (len(part), right, given - right, len(part) - given)
-                between = f"{low:.1f}–{min(high, 1.0):.1f}"
-                rows.add_row(f"{mode} {condition}", between, *map(str, counts))
-    show(rows)

@@ -1,8 +1,9 @@
-"""Confidence and covariance of a pose, fitted to logs of ``pose_accuracy`` and ``pose_cut``."""
+"""Confidence and covariance of a pose, fitted to logs of ``pose-accuracy``."""
 
 from __future__ import annotations
 
 import json
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from scipy.optimize import minimize
 from sklearn.linear_model import LogisticRegression
 
-from rendezview.sensors.appearance.edges.error_model import ErrorModel, inflation_features
+from rendezview.sensors.appearance.model.error_model import ErrorModel, inflation_features
 
 WRONG_DEG = 5.0
 _DARK = 7  # the feature that marks dark skies
@@ -18,10 +19,7 @@ _WEIGHT_OF_WRONG = 5.0  # a wrong answer costs more than one that is not given
 
 
 def fitted(features: np.ndarray, right: np.ndarray, looked: np.ndarray) -> np.ndarray:
-    """(2, 2, 11) coefficients, by the edges only and with the surface, for bright and dark skies.
-
-    By the edges only, everything is fitted again without the last feature.
-    """
+    """(2, 2, 11) coefficients: without the last feature and with it, bright and dark skies."""
     tables = []
     for look in (False, True):
         rows = []
@@ -36,15 +34,13 @@ def fitted(features: np.ndarray, right: np.ndarray, looked: np.ndarray) -> np.nd
 
 
 def probability(coefficients: np.ndarray, features: np.ndarray, looked: np.ndarray) -> np.ndarray:
+    """(N,) of right poses."""
     rows = coefficients[looked.astype(int), (features[:, _DARK] > 0.5).astype(int)]
     return 1.0 / (1.0 + np.exp(-np.einsum("ij,ij->i", features, rows)))
 
 
 def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients of log κ², by most likely Gaussian errors, and the NEES that remain.
-
-    They come on top of those with which the logs were made.
-    """
+    """Coefficients of log κ², on top of those of the logs, and the NEES that remain."""
     right = [r for r in records if r.get("rotation_deg", 180.0) < WRONG_DEG]
     features = np.array([inflation_features(*np.array(r["features"])[[1, 3, 7]]) for r in right])
     nees = np.array([r["nees"] for r in right])
@@ -61,7 +57,7 @@ def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
 def run(
     logs: list[Path], *, output: Annotated[Path | None, "JSON file of the coefficients"] = None
 ) -> None:
-    """Fit confidence and covariance of a pose to logs of pose-accuracy and pose-cut.
+    """Fit confidence and covariance of a pose to logs of pose-accuracy.
 
     Prints, with each target left out in turn, how many answers would be given and wrong at several
     minimum confidences. --output writes the coefficients as edges/error_model.json has them, where
@@ -96,14 +92,11 @@ def run(
         inflation_now = np.round(ErrorModel.packaged().log_inflation + theta, 2)
         made = ErrorModel(log_odds, inflation_now, provenance)
         output.write_text(json.dumps(made.record(), indent=2) + "\n", encoding="utf-8")
-    for mode in ("first", "tracked"):
-        for condition in conditions:
-            these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])
-            total = sum((r["mode"], r["condition"]) == (mode, condition) for r in records)
-            for least in (0.5, 0.6, 0.7, 0.8, 0.9):
-                given = these & (held_out >= least)
-                print(
-                    f"{mode} {condition}: least {least}: right "
-                    f"{100 * np.sum(given & right) / total:.1f} %, wrong "
-                    f"{100 * np.sum(given & ~right) / total:.1f} %"
-                )
+    for mode, condition in product(("first", "tracked"), conditions):
+        these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])
+        total = sum((r["mode"], r["condition"]) == (mode, condition) for r in records)
+        for least in (0.5, 0.6, 0.7, 0.8, 0.9):
+            given = these & (held_out >= least)
+            shares = (np.sum(given & which) / total for which in (right, ~right))
+            print("{} {}: least {}: right {:.1%}, wrong {:.1%}".format(mode, condition, least,
+                                                                       *shares))  # fmt: skip

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -13,27 +11,23 @@ from scipy.spatial.transform import Rotation
 
 from experiments.frame import mesh_of
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.pose import Pose
 from rendezview.io.sequences import BopSceneWriter
-from rendezview.simulation import Earth, MitsubaOptions, SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.command import default_camera
-from rendezview.training.mesh import Mesh
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate import (
+    Earth,
+    MitsubaOptions,
+    SceneOptions,
+    render_frame,
+    sun_at_phase,
+)
+from rendezview_ground.simulate.command import default_camera
 
 RADIUS_PX = (100.0, 220.0)
 MARGIN_PX = 6.0
 
 
-@dataclass(frozen=True)
-class Condition:
-    phase_deg: tuple[float, float]
-    earth: bool = False
-
-
-CONDITIONS = {
-    "low": Condition((0.0, 30.0)),
-    "high": Condition((30.0, 70.0)),
-    "earth": Condition((0.0, 60.0), earth=True),
-}
+PHASE_DEG = {"low": (0.0, 30.0), "high": (30.0, 70.0), "earth": (0.0, 60.0)}  # by condition
 
 
 def random_pose(mesh: Mesh, camera: Camera, rng: np.random.Generator) -> Pose:
@@ -49,13 +43,14 @@ def random_pose(mesh: Mesh, camera: Camera, rng: np.random.Generator) -> Pose:
 
 
 def one_frame(
-    mesh: Mesh, camera: Camera, condition: Condition, seed: list[int]
-) -> tuple[np.ndarray, Pose, Array]:
+    mesh: Mesh, camera: Camera, condition: str, seed: list[int]
+) -> tuple[np.ndarray, Pose]:
+    """A picture under a condition, and its pose."""
     rng = np.random.default_rng(seed)
     pose = random_pose(mesh, camera, rng)
-    phase = math.radians(rng.uniform(*condition.phase_deg))
+    phase = math.radians(rng.uniform(*PHASE_DEG[condition]))
     sun = sun_at_phase(pose.apply(mesh.bounding_sphere[0]), phase, rng.uniform(0.0, 2.0 * math.pi))
-    earth = Earth(seed=int(rng.integers(2**31))) if condition.earth else None
+    earth = Earth(seed=int(rng.integers(2**31))) if condition == "earth" else None
     # The Earth's centre up to 70° off the boresight: its limb crosses the frame in half of them.
     off = math.radians(rng.uniform(0.0, 70.0))
     around = rng.uniform(0.0, 2.0 * math.pi)
@@ -63,26 +58,7 @@ def one_frame(
     options = SceneOptions(
         sky_frame="camera", earth=earth, earth_direction_sky=below, mitsuba=MitsubaOptions()
     )
-    return render_frame(mesh, camera, pose, sun, options, rng), pose, sun
-
-
-def render_scene(
-    folder: Path, mesh: Mesh, camera: Camera, name: str, count: int, seed: int
-) -> None:
-    """One target under one condition, unless it is there."""
-    if folder.exists():
-        print(f"{folder}: there already", flush=True)
-        return
-    condition = CONDITIONS[name]
-    stream = list(CONDITIONS).index(name)
-    suns = []
-    with BopSceneWriter(folder, camera) as writer:
-        for i in range(count):  # Mitsuba uses all cores by itself
-            image, pose, sun = one_frame(mesh, camera, condition, [seed, stream, i])
-            writer.add(i, image, pose, float(i))
-            suns.append(sun.tolist())
-    (folder / "sun.json").write_text(json.dumps(suns))
-    print(f"{folder}: {count} frames", flush=True)
+    return render_frame(mesh, camera, pose, sun, options, rng), pose
 
 
 def run(
@@ -92,14 +68,21 @@ def run(
 ) -> None:  # fmt: skip
     """Draw the frames of pose-accuracy with Mitsuba, as BOP scenes.
 
-    FRAMES/<target>/<condition> has independent frames of random attitudes: 640 × 480, 53° across,
-    the bounding sphere 100–220 px in radius anywhere in the image, blur 0.7 px, σ = 3 grey levels,
-    each frame with its own exposure and Sun. Conditions: low: Sun phase 0–30°, black sky; high:
-    30–70°, black sky; earth: 0–60°, the Earth behind, whose limb crosses some of the frames. An
-    existing scene is kept. sun.json has the directions to the Sun, camera frame.
+    FRAMES/<target>/<condition> has frames of random attitudes: 640 × 480, 53° across, the bounding
+    sphere 100–220 px in radius anywhere in the image, each frame with its own exposure and Sun.
+    Conditions: low: Sun phase 0–30°, black sky; high: 30–70°, black sky; earth: 0–60°, the Earth
+    behind, whose limb crosses some of the frames. An existing scene is kept.
     """
     camera = default_camera()
     for target in targets:
         target_name, mesh = mesh_of(target)
-        for name in CONDITIONS:
-            render_scene(frames / target_name / name, mesh, camera, name, count, seed)
+        for stream, name in enumerate(PHASE_DEG):
+            folder = frames / target_name / name
+            if folder.exists():
+                print(f"{folder}: there already", flush=True)
+                continue
+            with BopSceneWriter(folder, camera) as writer:
+                for i in range(count):  # Mitsuba uses all cores by itself
+                    image, pose = one_frame(mesh, camera, name, [seed, stream, i])
+                    writer.add(i, image, pose, float(i))
+            print(f"{folder}: {count} frames", flush=True)

@@ -11,10 +11,11 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from experiments.frame import nees
+from rendezview.calibration.as_built import ShapeEstimator, strained
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.as_built import ShapeEstimator, strained
 
 RIGHT_DEG, WRONG_DEG, CLOSE_DEG = 5.0, 10.0, 2.0
 PRIOR_DEG, PRIOR_SHARE = 5.0, 0.02  # errors of the priors
@@ -50,24 +51,21 @@ def near(pose: Pose, rng: np.random.Generator) -> Pose:
 def look(recognizer: Recognizer, picture: np.ndarray, truth: Pose, prior: Pose | None) -> dict:
     """Errors of the pose of one photograph, given or not."""
     began_s = time.perf_counter()
-    seen = recognizer.recognize(
-        picture, prior, None if prior is None else np.deg2rad(2.0 * PRIOR_DEG)
-    )
-    row: dict[str, Any] = {"given": seen.pose is not None, "status": str(seen.status)}
-    row["time_s"] = time.perf_counter() - began_s
-    row["sketch"] = "sketch" in seen.stage_ms
-    row["confidence"] = seen.confidence
+    reach = None if prior is None else np.deg2rad(2.0 * PRIOR_DEG)
+    seen = recognizer.recognize(picture, prior, reach)
+    row: dict[str, Any] = {
+        "given": seen.pose is not None, "status": str(seen.status), "confidence": seen.confidence,
+        "time_s": time.perf_counter() - began_s, "nees": None,
+    }  # fmt: skip
     pose = seen.pose or next(iter(seen.candidates), None)
     if pose is None:
-        return row | {"rotation_deg": 180.0, "translation": 1.0, "nees": None}
+        return row | {"rotation_deg": 180.0, "translation": 1.0}
     off = pose.translation_m - truth.translation_m
     turn = Rotation.from_matrix(pose.rotation @ truth.rotation.T).as_rotvec()
     row["rotation_deg"] = float(np.rad2deg(np.linalg.norm(turn)))
     row["translation"] = float(np.linalg.norm(off) / np.linalg.norm(truth.translation_m))
-    row["nees"] = None
     if seen.covariance is not None:
-        error = np.concatenate([turn, off])
-        row["nees"] = float(error @ np.linalg.solve(seen.covariance, error))
+        row["nees"] = nees(np.concatenate([turn, off]), seen.covariance)
     return row
 
 
@@ -80,58 +78,53 @@ def calibrated(
     for fold in range(folds):
         others = [picture for k, picture in enumerate(pictures) if k % folds != fold]
         found = ShapeEstimator(model, camera).estimate(others)
-        print(
-            f"fold {fold}: strain {np.round(100.0 * found.components, 1)} %, σ "
-            f"{np.round(100.0 * np.sqrt(np.diag(found.covariance)), 1)} %, from {found.used} "
-            f"of {len(others)} photographs",
-            flush=True,
-        )
+        sigma = np.round(100.0 * np.sqrt(np.diag(found.covariance)), 1)
+        print(f"fold {fold}: strain {np.round(100.0 * found.components, 1)} %, σ {sigma} %, "
+              f"from {found.used} of {len(others)} photographs", flush=True)  # fmt: skip
         models.append(strained(model, found.strain, found.covariance))
     return models or [model]
 
 
 def table(name: str, rows: list[dict]) -> None:
     """Shares and medians; frames without a pose count among all."""
+
+    def column(key: str, of: list[dict] = rows) -> np.ndarray:
+        return np.array([r[key] for r in of], dtype=np.float64)
+
+    error, ok = column("rotation_deg"), column("given") > 0.0
     given = [r for r in rows if r["given"]]
-    error = np.array([r["rotation_deg"] for r in rows])
-    ok = np.array([r["given"] for r in rows])
-    share = 100.0 / len(rows)
     print(
-        f"{name}: {len(rows)} frames, given {share * ok.sum():.0f} %, "
-        f"right (< {RIGHT_DEG:.0f}°) {share * (ok & (error < RIGHT_DEG)).sum():.0f} %, "
-        f"< {CLOSE_DEG:.0f}° {share * (ok & (error < CLOSE_DEG)).sum():.0f} %, "
-        f"wrong (> {WRONG_DEG:.0f}°) {share * (ok & (error > WRONG_DEG)).sum():.0f} %"
+        f"{name}: {len(rows)} frames, given {ok.mean():.0%}, "
+        f"right (< {RIGHT_DEG:.0f}°) {(ok & (error < RIGHT_DEG)).mean():.0%}, "
+        f"< {CLOSE_DEG:.0f}° {(ok & (error < CLOSE_DEG)).mean():.0%}, "
+        f"wrong (> {WRONG_DEG:.0f}°) {(ok & (error > WRONG_DEG)).mean():.0%}"
     )
     if given:
-        nees = [r["nees"] for r in given if r["nees"] is not None and r["rotation_deg"] < RIGHT_DEG]
+        each = column("nees", [r for r in given if r["rotation_deg"] < RIGHT_DEG])
         print(
-            f"    given: median {np.median([r['rotation_deg'] for r in given]):.2f}°, "
-            f"{100 * np.median([r['translation'] for r in given]):.2f} %; "
-            f"NEES of the right ones, median {np.median(nees) if nees else np.nan:.1f}, "
-            f"mean {np.mean(nees) if nees else np.nan:.1f}"
+            f"    given: median {np.median(column('rotation_deg', given)):.2f}°, "
+            f"{100 * np.median(column('translation', given)):.2f} %; NEES of the right ones, "
+            f"median {np.nanmedian(each):.1f}, mean {np.nanmean(each):.1f}"
         )
     # Every frame answered by its best candidate, misses as 180° and the whole distance.
-    turn = np.where(error < FLOOR_DEG, 0.0, error)
-    move = np.array([r["translation"] for r in rows])
-    move = np.where(move < FLOOR_SHARE, 0.0, move)
+    turn, move, time_s = error, column("translation"), column("time_s")
+    turn, move = np.where(turn < FLOOR_DEG, 0.0, turn), np.where(move < FLOOR_SHARE, 0.0, move)
     print(
         f"    every frame answered: {np.mean(turn):.1f}° mean ({np.mean(error < RIGHT_DEG):.0%} "
         f"< {RIGHT_DEG:.0f}°), SPEED+ score {np.mean(np.deg2rad(turn) + move):.3f}; "
-        f"time {np.median([r['time_s'] for r in rows]):.2f} s median, "
-        f"{max(r['time_s'] for r in rows):.2f} s worst"
+        f"time {np.median(time_s):.2f} s median, {time_s.max():.2f} s worst"
     )
 
 
 def run(
-    model: Path,
-    folder: Path,
-    *,
-    priors: Annotated[int, "of each photograph"] = 3,
+    model: Path, folder: Annotated[Path, "with camera.json, test.json and images"], *,
     no_sketch: Annotated[bool, "without the search on sketches"] = False,
-    folds: Annotated[int, "calibrate the shape on the others; 0: as modelled"] = 0,
-    log: Annotated[Path | None, "errors of every photograph, JSON lines"] = None,
-    seed: int = 1,
-) -> None:
+    folds: Annotated[int, "calibrate the shape on the others; 0: as modelled"] = 0, seed: int = 1,
+) -> None:  # fmt: skip
+    """Poses from photographs in the form of SPEED+, without a prior and near three priors.
+
+    A prior is 5° and 2 % of the distance off in a random direction.
+    """
     cv2.setNumThreads(1)
     camera, frames = read(folder)
     models = calibrated(ViewModel.load(model), camera, [picture for _, picture, _ in frames], folds)
@@ -139,26 +132,20 @@ def run(
     for recognizer in recognizers:
         recognizer.recognize(frames[0][1])  # compiles, and reads the network
     rng = np.random.default_rng(seed)
-    rows: dict[str, list[dict]] = {"no prior": [], "prior": []}
+    alone: list[dict] = []
+    near_priors: list[dict] = []
     for k, (name, picture, truth) in enumerate(frames):
-        recognizer = recognizers[k % len(recognizers)]
-        looks: dict[str, list[Pose | None]] = {
-            "no prior": [None],
-            "prior": [near(truth, rng) for _ in range(priors)],
-        }
-        for kind, starts in looks.items():
-            for start in starts:
-                row = look(recognizer, picture, truth, start)
-                rows[kind].append(row | {"image": name, "kind": kind})
-        first = rows["no prior"][-1]
-        close = " ".join(f"{r['rotation_deg']:.1f}°" for r in rows["prior"][-priors:])
+        recognizer, starts = recognizers[k % len(recognizers)], [near(truth, rng) for _ in range(3)]
+        first = look(recognizer, picture, truth, None)
+        others = [look(recognizer, picture, truth, start) for start in starts]
+        alone.append(first)
+        near_priors += others
+        close = " ".join(f"{r['rotation_deg']:.1f}°" for r in others)
         print(
             f"{name} {first['rotation_deg']:6.1f}° {100 * first['translation']:5.1f} % "
             f"{'given' if first['given'] else first['status']:>12} "
             f"{first['confidence'] or 0.0:.3f} {first['time_s']:.2f} s   prior {close}",
             flush=True,
         )
-    for kind, some in rows.items():
-        table(kind, some)
-    if log is not None:
-        log.write_text("".join(json.dumps(r) + "\n" for some in rows.values() for r in some))
+    table("no prior", alone)
+    table("prior", near_priors)

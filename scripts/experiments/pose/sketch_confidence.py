@@ -23,35 +23,36 @@ from scipy.stats import chi2
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 
+from experiments.frame import nees
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.sketch.choice import (
+from rendezview.sensors.appearance.judge.probability_forest import ProbabilityForest
+from rendezview.sensors.appearance.judge.sketch_choice import (
     DOUBT,
     PACKAGED,
     PACKAGED_TREES,
     POSE_FEATURES,
     RIVAL_RAD,
-    Looks,
+    Passes,
     SketchChoice,
     chosen,
     opinion_features,
     packaged,
 )
-from rendezview.sensors.appearance.sketch.forest import ProbabilityForest
-from rendezview.sensors.appearance.sketch.search import SketchSearch
+from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
-from rendezview.simulation.cloudy_skies import cloudy_sky
-from rendezview.simulation.hard_light import photograph
-from rendezview.simulation.mesh_error import deformed
-from rendezview.simulation.random_craft import any_craft
-from rendezview.simulation.scene import sun_at_phase
-from rendezview.simulation.shading import ShadingOptions, render
-from rendezview.training.job import train
-from rendezview.training.mesh import Mesh, load_mesh
-from rendezview.training.options import TrainingOptions
-from rendezview.training.symmetries import find_symmetries
+from rendezview_ground.learn.job import train
+from rendezview_ground.learn.options import TrainingOptions
+from rendezview_ground.mesh.mesh import Mesh, load_mesh
+from rendezview_ground.mesh.symmetries import find_symmetries
+from rendezview_ground.simulate.cloudy_skies import cloudy_sky
+from rendezview_ground.simulate.hard_light import photograph
+from rendezview_ground.simulate.mesh_error import deformed
+from rendezview_ground.simulate.random_craft import any_craft
+from rendezview_ground.simulate.scene import sun_at_phase
+from rendezview_ground.simulate.shading import ShadingOptions, render
 
 SIDE = 320  # px of a frame
 RADIUS_PX = (35.0, 240.0)  # of the target, log; large ones are cut by the border
@@ -65,10 +66,11 @@ TREES, LEAST_IN_LEAF = 100, 10
 RIDGE = 0.02  # of the weights of the merit
 UNKNOWNS = 6
 WIDER = 2.0  # of the inflation: real craft differ more from their meshes than drawn ones
+CRAFT = 12  # random ones besides
 FOLDS = 5  # of the targets; the frames of each are judged by a fit to those of the others
 # Of random craft: what the search on sketches reads, and next to no trees.
 CRAFT_OPTIONS = TrainingOptions(
-    perturbed_views=200, held_out_views=50, voters=0, shadowed_silhouettes=False
+    perturbed_views=200, held_out_views=50, forest_trees=0, shadowed_silhouettes=False
 )
 LEAST_CONFIDENCE = 0.6  # of the recognizer
 
@@ -77,8 +79,7 @@ def frame(mesh: Mesh, rng: np.random.Generator) -> tuple[np.ndarray, Camera, Pos
     """One picture in hard light, with its camera and its pose."""
     mesh = deformed(mesh, float(rng.choice(MESH_ERRORS)), rng)
     centre_m, radius_m = mesh.bounding_sphere
-    focal = SIDE * np.exp(rng.uniform(*np.log(FIELD)))
-    middle = 0.5 * (SIDE - 1)
+    focal, middle = SIDE * np.exp(rng.uniform(*np.log(FIELD))), 0.5 * (SIDE - 1)
     camera = Camera(width=SIDE, height=SIDE, fx=focal, fy=focal, cx=middle, cy=middle)
     radius_px = np.exp(rng.uniform(*np.log(RADIUS_PX)))
     room = max(0.5 * SIDE - radius_px * rng.uniform(0.55, 1.0), 8.0) / focal
@@ -92,9 +93,8 @@ def frame(mesh: Mesh, rng: np.random.Generator) -> tuple[np.ndarray, Camera, Pos
     glow = ShadingOptions(samples=2, ambient=0.25, specular=0.0, earthshine=0.75, shadows=False)
     up = rng.standard_normal(3)
     ambient = render(mesh, camera, pose, up, glow, -up)
-    grey = photograph(
-        sunlit.radiance, ambient.radiance, sunlit.coverage, cloudy_sky(SIDE, rng), rng
-    )
+    light = (sunlit.radiance, ambient.radiance, sunlit.coverage)
+    grey = photograph(*light, cloudy_sky(SIDE, rng), rng)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8), camera, pose
 
 
@@ -116,7 +116,7 @@ def random_target(folder: Path, seed: int, k: int) -> tuple[Path, Mesh]:
 class Searched:
     """What a search on a sketch found in a frame of known pose."""
 
-    looks: Looks
+    passes: Passes
     truth: Pose
     centre_m: Array  # (3,) of the views
     symmetries: tuple[Symmetry, ...]
@@ -132,7 +132,7 @@ class Searched:
     @property
     def choice(self) -> SketchChoice:
         """What the present merit chooses; where that is the same, with the mean that was given."""
-        now = chosen(self.looks, self.symmetries, prior=self.prior, cut=self.cut)
+        now = chosen(self.passes, self.symmetries, prior=self.prior, cut=self.cut)
         assert now is not None  # a frame without any pose is none of those searched
         if now.best.pose is self.best:
             return replace(now, pose=self.pose, spread_deg=self.spread_deg)
@@ -161,26 +161,18 @@ def look(path: Path, mesh: Mesh, target: int, seed: int, k: int) -> list[Searche
     centre = truth.apply(model.centre_m)
     start = turned @ truth.rotation
     place = centre + PRIOR_SHARE * np.linalg.norm(centre) * move - start @ model.centre_m
-    found = []
-    for prior in (None, Pose(start, place)):
-        first = _searched(search, picture, truth, prior, target)
-        if first is not None and prior is None:
-            second = _searched(search, picture, truth, None, target, turned=True)
-            first = replace(first, second=second)
-        if first is not None:
-            found.append(first)
-    return found
+    first = _searched(search, picture, truth, None, target)
+    if first is not None:
+        second = _searched(search, picture, truth, None, target, turned=True)
+        first = replace(first, second=second)
+    near = _searched(search, picture, truth, Pose(start, place), target)
+    return [one for one in (first, near) if one is not None]
 
 
 def _searched(
-    search: SketchSearch,
-    picture: np.ndarray,
-    truth: Pose,
-    prior: Pose | None,
-    target: int,
-    *,
+    search: SketchSearch, picture: np.ndarray, truth: Pose, prior: Pose | None, target: int, *,
     turned: bool = False,
-) -> Searched | None:
+) -> Searched | None:  # fmt: skip
     sky = Sky.of(picture)
     if prior is None:
         choice = search.anywhere(picture, sky, turned=turned)
@@ -188,25 +180,24 @@ def _searched(
         choice = search.near(picture, sky, prior, np.deg2rad(SEARCH_DEG))
     if choice is None:
         return None
-    nees, best = None, choice.pose
+    squared, best, model = None, choice.pose, search.model
     spin = Rotation.from_matrix(best.rotation @ truth.rotation.T).as_rotvec()
     if np.rad2deg(np.linalg.norm(spin)) < NEES_DEG and choice.covariance is not None:
         error = np.concatenate([spin, best.translation_m - truth.translation_m])
-        nees = float(error @ np.linalg.solve(choice.covariance, error))
-    model = search.model
+        squared = nees(error, choice.covariance)
     return Searched(
-        choice.looks, truth, model.centre_m, model.symmetries, prior is not None, choice.cut,
-        choice.best.pose, choice.pose, choice.spread_deg, nees, target,
+        choice.passes, truth, model.centre_m, model.symmetries, prior is not None, choice.cut,
+        choice.best.pose, choice.pose, choice.spread_deg, squared, target,
     )  # fmt: skip
 
 
 def fitted_merit(searches: list[Searched]) -> np.ndarray:
     """(7,) weights that put right poses of a frame before wrong ones (conditional logit).
 
-    Of both looks: those of the closer one were chosen by a merit, which no longer tells them apart.
+    Of both passes: those of the closer one were chosen by a merit, which cannot separate them.
     """
     groups = []
-    each = [(s, poses) for s in searches for poses in (s.looks.first, s.looks.closer)]
+    each = [(s, poses) for s in searches for poses in (s.passes.first, s.passes.closer)]
     for search, poses in each:
         clear = [p for p in poses if search.right(p.pose) or search.error_deg(p.pose) > WRONG_DEG]
         good = np.array([search.right(p.pose) for p in clear], dtype=bool)
@@ -244,42 +235,9 @@ def probabilities(asked: list[np.ndarray], good: np.ndarray, folds: np.ndarray) 
     return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """Looks: whether the pose is right, whether it is wrong, and whether it is given."""
-
-    good: np.ndarray  # (N,) bool
-    wrong: np.ndarray  # (N,) bool
-    given: np.ndarray  # (N,) bool
-
-    def __str__(self) -> str:
-        return (
-            f"given and right {(self.given & self.good).mean():.3f}, "
-            f"given and wrong {(self.given & self.wrong).mean():.4f}"
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Decided:
-    """Looks whose first opinion is in doubt: which opinion is the more confident one, and why."""
-
-    which: np.ndarray  # (M,) of all looks
-    turned: np.ndarray  # (M,) whether it is the second one
-    features: np.ndarray  # (M, 4) of ``opinion_features``
-
-    @classmethod
-    def of(cls, some: list[Searched], first: np.ndarray, second: np.ndarray) -> Decided:
-        """From the probabilities (N,) of both opinions."""
-        which, turned, features = [], [], []
-        for k, one in enumerate(some):
-            if one.second is None or not DOUBT[0] <= first[k] < DOUBT[1]:
-                continue
-            apart = angle_between(one.choice.pose, one.second.choice.pose, one.symmetries)
-            own, other = sorted((first[k], second[k]), reverse=True)
-            which.append(k)
-            turned.append(second[k] > first[k])
-            features.append(opinion_features(own, other, agree=bool(apart < RIVAL_RAD)))
-        return cls(np.array(which), np.array(turned), np.array(features))
+def shares(good: np.ndarray, wrong: np.ndarray, given: np.ndarray) -> str:
+    """Of passes (N,) each: whether the pose is right, whether wrong, whether it is given."""
+    return f"given and right {(given & good).mean():.3f}, and wrong {(given & wrong).mean():.4f}"
 
 
 def opinion_weights(features: np.ndarray, good: np.ndarray) -> np.ndarray:
@@ -289,35 +247,44 @@ def opinion_weights(features: np.ndarray, good: np.ndarray) -> np.ndarray:
 
 
 def with_second_opinions(
-    some: list[Searched], found: list[np.ndarray], folds: np.ndarray, judged: Judged
-) -> np.ndarray:
+    some: list[Searched], found: list[np.ndarray], folds: np.ndarray, good: np.ndarray,
+    wrong: np.ndarray,
+) -> np.ndarray:  # fmt: skip
     """The weights (4,) of the opinions; prints what is given then, by fits to the other folds.
 
-    ``found``: probabilities (N,) of both opinions; ``judged``: by the first one alone.
+    ``found``: probabilities (N,) of both opinions; ``good``, ``wrong``: of the first one's poses.
     """
-    doubted = Decided.of(some, *found)
-    now = Judged(judged.good.copy(), judged.wrong.copy(), judged.given.copy())
-    for k in doubted.which[doubted.turned]:
-        other = some[k].second
-        assert other is not None
-        pose = other.choice.pose
-        now.good[k], now.wrong[k] = other.right(pose), other.error_deg(pose) > WRONG_DEG
-    right = now.good[doubted.which]
+    first, second = found
+    good, wrong, given = good.copy(), wrong.copy(), first > LEAST_CONFIDENCE
+    which, features = [], []
+    for k, one in enumerate(some):
+        if one.second is None or not DOUBT[0] <= first[k] < DOUBT[1]:
+            continue
+        pose, other = one.choice.pose, one.second.choice.pose
+        apart = angle_between(pose, other, one.symmetries)
+        low, high = sorted((first[k], second[k]))
+        which.append(k)
+        features.append(opinion_features(high, low, agree=bool(apart < RIVAL_RAD)))
+        if second[k] > first[k]:  # the second one is more confident
+            good[k], wrong[k] = one.second.right(other), one.second.error_deg(other) > WRONG_DEG
+    doubted, given_features = np.array(which), np.array(features)
+    right = good[doubted]
     for fold in np.unique(folds):
-        out = folds[doubted.which] == fold
-        weights = opinion_weights(doubted.features[~out], right[~out])
-        now.given[doubted.which[out]] = expit(doubted.features[out] @ weights) > LEAST_CONFIDENCE
-    print(f"    with a second opinion in {len(right)}, {right.mean():.3f} of them right: {now}")
-    return opinion_weights(doubted.features, right)
+        out = folds[doubted] == fold
+        weights = opinion_weights(given_features[~out], right[~out])
+        given[doubted[out]] = expit(given_features[out] @ weights) > LEAST_CONFIDENCE
+    print(
+        f"    with a second opinion in {len(right)}, {right.mean():.3f} of them right: "
+        f"{shares(good, wrong, given)}"
+    )
+    return opinion_weights(given_features, right)
 
 
-def searched(
-    models: list[Path], meshes: list[Mesh], craft: int, frames: int, seed: int
-) -> list[Searched]:
+def searched(models: list[Path], meshes: list[Mesh], frames: int, seed: int) -> list[Searched]:
     """What the searches find in frames of the targets, and of as many random craft."""
     with tempfile.TemporaryDirectory() as folder, Parallel(n_jobs=-1) as parallel:
         targets = list(zip(models, meshes, strict=True))
-        targets += parallel(delayed(random_target)(Path(folder), seed, k) for k in range(craft))
+        targets += parallel(delayed(random_target)(Path(folder), seed, k) for k in range(CRAFT))
         drawn = parallel(
             delayed(look)(path, mesh, target, seed, k)
             for target, (path, mesh) in enumerate(targets)
@@ -327,67 +294,53 @@ def searched(
 
 
 def run(
-    models: list[Path],
-    *,
-    meshes: str = "hubble.stl,client.stl",
-    craft: Annotated[int, "random craft besides"] = 12,
+    models: list[Path], *, meshes: str = "hubble.stl,client.stl",
     frames: Annotated[int, "of each target"] = 150,
     seeds: Annotated[str, "each with frames and random craft of its own"] = "3,4",
-    opinions: Annotated[bool, "fit the two opinions alone: merit and trees stay"] = False,
-    write: bool = False,
-) -> None:
-    """Fit to MODELS, whose MESHES (in metres) are named in the same order.
+    write: Annotated[bool, "into the package"] = False,
+) -> None:  # fmt: skip
+    """Fit to MODELS, whose MESHES (in metres) are named in the same order, and to 12 random craft.
 
     The shares printed are of targets that the fit did not see (five folds).
     """
     read = [load_mesh(Path(name), "m") for name in meshes.split(",")]
     each = [int(seed) for seed in seeds.split(",")]
-    searches = [s for seed in each for s in searched(models, read, craft, frames, seed)]
+    searches = [s for seed in each for s in searched(models, read, frames, seed)]
     record = json.loads(PACKAGED.read_text(encoding="utf-8"))
-    if not opinions:
-        merit = fitted_merit(searches)
-        record["merit"] = dict(zip(POSE_FEATURES, merit.tolist(), strict=True))
-        packaged().merit[:] = merit  # the features and choices are those of the new merit
+    merit = fitted_merit(searches)
+    record["merit"] = dict(zip(POSE_FEATURES, merit.tolist(), strict=True))
+    packaged().merit[:] = merit  # the features and choices are those of the new merit
     arrays: dict[str, np.ndarray] = {}
     for kind, prior in (("anywhere", False), ("near", True)):
         some = [s for s in searches if s.prior == prior]
         choices = [s.choice for s in some]
         features = np.array([c.features for c in choices])
-        good = np.array([s.right(c.pose) for s, c in zip(some, choices, strict=True)])
-        wrong = np.array(
-            [s.error_deg(c.pose) > WRONG_DEG for s, c in zip(some, choices, strict=True)]
-        )
+        pairs = list(zip(some, choices, strict=True))
+        good = np.array([s.right(c.pose) for s, c in pairs])
+        wrong = np.array([s.error_deg(c.pose) > WRONG_DEG for s, c in pairs])
         asked = [features]
         if not prior:
-            both = [c if s.second is None else s.second.choice
-                    for s, c in zip(some, choices, strict=True)]  # fmt: skip
+            both = [c if s.second is None else s.second.choice for s, c in pairs]
             asked.append(np.array([c.features for c in both]))
         folds = np.array([s.target for s in some]) % FOLDS
-        if opinions:
-            kept = packaged().near if prior else packaged().anywhere
-            found = [np.array([kept.probability(one) for one in each]) for each in asked]
-        else:
-            found = probabilities(asked, good, folds)
-            trees = fitted_trees(features, good)
-            arrays |= {f"{kind}_{f.name}": getattr(trees, f.name) for f in fields(trees)}
-        judged = Judged(good, wrong, found[0] > LEAST_CONFIDENCE)
-        print(f"{kind}: {len(some)} looks, the pose right {good.mean():.3f}; {judged}")
+        found = probabilities(asked, good, folds)
+        trees = fitted_trees(features, good)
+        arrays |= {f"{kind}_{f.name}": getattr(trees, f.name) for f in fields(trees)}
+        print(f"{kind}: {len(some)} passes, the pose right {good.mean():.3f}; "
+              f"{shares(good, wrong, found[0] > LEAST_CONFIDENCE)}")  # fmt: skip
         if not prior:
-            weights = with_second_opinions(some, found, folds, judged)
+            weights = with_second_opinions(some, found, folds, good, wrong)
             record["opinions"] = np.round(weights, 3).tolist()
-    nees = np.array([s.nees for s in searches if s.nees is not None])
-    print(f"NEES: median {np.median(nees):.1f}, mean {nees.mean():.1f}, {len(nees)} poses")
-    data = {"experiment": "sketch-confidence", "targets": [p.stem for p in models],
-            "random_craft": craft, "frames_of_each": frames, "seeds": each}  # fmt: skip
-    if opinions:
-        record["provenance"]["opinions"] = data
-    else:
-        # The median: a few poses almost as wrong as NEES_DEG would decide the mean.
-        record["inflation"] *= WIDER * float(np.median(nees) / chi2.median(UNKNOWNS))
-        record["provenance"] = data
+    squares = np.array([s.nees for s in searches if s.nees is not None])
+    print(f"NEES: median {np.median(squares):.1f}, mean {squares.mean():.1f}, {len(squares)} poses")
+    # The median: a few poses almost as wrong as NEES_DEG would decide the mean.
+    record["inflation"] *= WIDER * float(np.median(squares) / chi2.median(UNKNOWNS))
+    record["provenance"] = {
+        "experiment": "sketch-confidence", "targets": [p.stem for p in models],
+        "random_craft": CRAFT, "frames_of_each": frames, "seeds": each,
+    }  # fmt: skip
     text = json.dumps(record, indent=1) + "\n"
     print(text)
     if write:
         PACKAGED.write_text(text, encoding="utf-8")
-        if arrays:
-            np.savez_compressed(PACKAGED_TREES, **arrays)
+        np.savez_compressed(PACKAGED_TREES, **arrays)

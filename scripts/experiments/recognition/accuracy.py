@@ -2,65 +2,66 @@
 
 from __future__ import annotations
 
-import tempfile
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import Dask, show, table_of
+from experiments.frame import show, table_of
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Array, Pose, rotation_angle
 from rendezview.io.target import Target
-from rendezview.sensors.appearance import Recognizer, SilhouetteOptions, ViewModel
-from rendezview.sensors.appearance.outline.signature import Signature, twist
+from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.model.signature import Signature, twist
 from rendezview.sensors.appearance.outline.silhouette import Missing, find_silhouette
 from rendezview.sensors.appearance.outline.votes import Matcher
-from rendezview.simulation import SceneOptions, SensorOptions, ShadingOptions, render_frame
-from rendezview.simulation.scene import sun_at_phase
-from rendezview.training.job import train
-from rendezview.training.learn import IN_EDGES, OUT_EDGES
-from rendezview.training.mesh import Mesh, load_mesh
-from rendezview.training.open_executor import open_executor
-from rendezview.training.options import TrainingOptions, view_geometry
-from rendezview.training.renderers import make_renderer
-from rendezview.training.views import clean_views, look_from
+from rendezview_ground.learn.jobs.open_executor import open_executor
+from rendezview_ground.learn.options import TrainingOptions, view_geometry
+from rendezview_ground.learn.trees.node_trees import IN_EDGES, OUT_EDGES
+from rendezview_ground.learn.views.views import clean_views, look_from
+from rendezview_ground.mesh.mesh import Mesh, load_mesh
+from rendezview_ground.render.renderers import make_renderer
+from rendezview_ground.simulate import SceneOptions, SensorOptions, ShadingOptions, render_frame
+from rendezview_ground.simulate.scene import sun_at_phase
 
 WIDTH, HEIGHT = 640, 480
 WRONG_DEG = 8.0  # rotation error of an answer that is not one
+PRIOR_DEG = 20.0
+PHASES_DEG = ((0.0, 0.0), (0.0, 30.0), (30.0, 60.0))  # of the Sun
+REAL = ("(b) real frames", "(b) Sun 0–30°", "(b) Sun 30–60°", "(c) 20° prior",
+        "(d) 20° prior, Sun 0–30°", "(e) 20° prior, Sun 30–60°")  # fmt: skip
 
 
-@dataclass
-class Tally:
-    """Decisions and errors of one model under one condition."""
+def tally(
+    model: ViewModel, direction: Array, on: Array, *, seen: Array | None = None,
+    rotation_deg: float = np.nan, range_percent: float = np.nan,
+) -> Array:  # fmt: skip
+    """(8,) in right and all, out right and all, nodes on, and errors; ∞: none, NaN: not asked.
 
-    in_right: int = 0
-    in_total: int = 0
-    out_right: int = 0
-    out_total: int = 0
-    on: list[int] = field(default_factory=list)
-    direction_deg: list[float] = field(default_factory=list)  # inf where no node was on
-    rotation_deg: list[float] = field(default_factory=list)
-    range_percent: list[float] = field(default_factory=list)
+    ``direction``: (3,) true one of the view; ``on``: the nodes that are on; ``seen``: (3,) the
+    direction that was found; the other errors are those of the whole recognizer.
+    """
+    edge, nodes = model.geodesic.mean_edge_rad, within(model, direction)
+    distance = angle_between(model.geodesic.nodes[nodes], direction) / edge
+    inside = distance <= IN_EDGES
+    outside = (distance >= OUT_EDGES[0]) & (distance <= OUT_EDGES[1])
+    here = np.isin(nodes, on)
+    off = np.inf if seen is None else np.rad2deg(angle_between(seen, direction))
+    counts = [(inside & here).sum(), inside.sum(), (outside & ~here).sum(), outside.sum(), len(on)]
+    return np.array([*counts, off, rotation_deg, range_percent])
 
-    def add(self, on: Array, distance_edges: Array) -> None:
-        """Decisions (K,) of nodes at distances (K,) from the true direction."""
-        inside = distance_edges <= IN_EDGES
-        outside = (distance_edges >= OUT_EDGES[0]) & (distance_edges <= OUT_EDGES[1])
-        self.in_total += int(inside.sum())
-        self.in_right += int((inside & on).sum())
-        self.out_total += int(outside.sum())
-        self.out_right += int((outside & ~on).sum())
-        self.on.append(int(on.sum()))
+
+def within(model: ViewModel, direction: Array) -> Array:
+    """The nodes within three edges."""
+    return model.geodesic.within(direction, OUT_EDGES[1] * model.geodesic.mean_edge_rad)
 
 
 def flight_camera(mesh: Mesh) -> Camera:
     """640 × 480, the target filling it at the sphere radius."""
-    geometry = view_geometry(mesh, TrainingOptions(), None)
-    focal = geometry.flight_focal_px
+    focal = view_geometry(mesh, TrainingOptions(), None).flight_focal_px
     return Camera(WIDTH, HEIGHT, focal, focal, 0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1))
 
 
@@ -79,13 +80,9 @@ def random_pose(model: ViewModel, camera: Camera, rng: np.random.Generator) -> t
 
 
 def frame_of(
-    mesh: Mesh,
-    model: ViewModel,
-    camera: Camera,
-    pose: Pose,
-    phases_deg: tuple[float, float],
+    mesh: Mesh, model: ViewModel, camera: Camera, pose: Pose, phases_deg: tuple[float, float],
     rng: np.random.Generator,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """A shaded frame with hard shadows, blur of 0.7 px and noise of 3 grey levels."""
     phase = np.deg2rad(rng.uniform(*phases_deg))
     sun = sun_at_phase(pose.apply(model.centre_m), phase, rng.uniform(0.0, 2.0 * np.pi))
@@ -96,161 +93,109 @@ def frame_of(
     return render_frame(mesh, camera, pose, sun, options, rng)
 
 
-def clean_tally(mesh: Mesh, model: ViewModel, views: int, seed: int) -> Tally:
+def clean(mesh: Mesh, model: ViewModel, views: int, seed: int) -> list[Array]:
     """Condition (a): the renderer of the training, other directions."""
     rng = np.random.default_rng([seed, 0])
     directions = rng.normal(size=(views, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     options = TrainingOptions(bins=model.bins, smooth_bins=model.smooth_bins)
     geometry = replace(view_geometry(mesh, options, None), sphere_radius_m=model.sphere_radius_m)
-    renderer = make_renderer(options.renderer, mesh)
-    seen = clean_views(renderer, geometry, options, directions)
-    matcher, tally = Matcher(model), Tally()
-    for k in range(views):
-        signature = Signature(seen.readings[k], float(seen.area_sr[k]), np.eye(3))
-        decide(model, matcher, signature, seen.centred_from_target[k], directions[k], 0.0, tally)
-    return tally
+    seen = clean_views(make_renderer(options.renderer, mesh), geometry, options, directions)
+    parts = (seen.readings, seen.area_sr, seen.centred_from_target, directions)
+    return [
+        decide(model, Signature(readings, float(area), np.eye(3)), attitude, direction, 0.0)
+        for readings, area, attitude, direction in zip(*parts, strict=True)
+    ]
 
 
 def decide(
-    model: ViewModel,
-    matcher: Matcher,
-    signature: Signature | None,
-    attitude: Array,
-    direction: Array,
+    model: ViewModel, signature: Signature | None, attitude: Array, direction: Array,
     roll_error_rad: float,
-    tally: Tally,
-) -> None:
+) -> Array:  # fmt: skip
     """Ask the nodes within three edges, the roll known but for an error."""
-    sphere = model.geodesic
-    edge = sphere.mean_edge_rad
-    nodes = sphere.within(direction, OUT_EDGES[1] * edge)
-    distance = angle_between(sphere.nodes[nodes], direction) / edge
     if signature is None:
-        tally.add(np.zeros(len(nodes), bool), distance)
-        tally.direction_deg.append(np.inf)
-        return
+        return tally(model, direction, np.empty(0, np.intp))
+    nodes, matcher = within(model, direction), Matcher(model)
     rolls = twist(attitude, model.views.centred_from_target[nodes]) + roll_error_rad
     trust = matcher.decided(nodes, signature.readings, rolls)
     on = trust > 0.0
-    tally.add(on, distance)
-    if not on.any():
-        tally.direction_deg.append(np.inf)
-        return
-    found, _ = matcher.consensus(nodes[on], trust[on])
-    tally.direction_deg.append(float(np.rad2deg(angle_between(found, direction))))
+    seen = matcher.consensus(nodes[on], trust[on])[0] if on.any() else None
+    return tally(model, direction, nodes[on], seen=seen)
 
 
-def one_real(mesh: Mesh, models: list[ViewModel], camera: Camera, seed: int, k: int) -> list[Tally]:
-    """One pose under (b), the paper's model under the first, then (c), (d) and (e) end to end."""
+def one_real(mesh: Mesh, model: ViewModel, camera: Camera, seed: int, k: int) -> list[Array]:
+    """One pose under (b), with three kinds of light, then (c), (d) and (e) end to end."""
     rng = np.random.default_rng([seed, 1, k])
-    direction, pose = random_pose(models[0], camera, rng)
+    direction, pose = random_pose(model, camera, rng)
     roll_error = float(np.deg2rad(rng.normal()))
-    image = frame_of(mesh, models[0], camera, pose, (0.0, 0.0), rng)
-    tallies = [
-        at_the_attitude(image, model, camera, pose, direction, roll_error) for model in models
-    ]
-    shadowed = [
-        frame_of(mesh, models[0], camera, pose, phases, rng)
-        for phases in ((0.0, 30.0), (30.0, 60.0))
-    ]
-    tallies += [
-        at_the_attitude(frame, models[0], camera, pose, direction, roll_error) for frame in shadowed
-    ]
+    frames = [frame_of(mesh, model, camera, pose, phases, rng) for phases in PHASES_DEG]
+    found = [at_the_attitude(f, model, camera, pose, direction, roll_error) for f in frames]
     error = rng.normal(size=3)
-    error *= np.deg2rad(rng.uniform(0.0, 20.0)) / np.linalg.norm(error)
+    error *= np.deg2rad(rng.uniform(0.0, PRIOR_DEG)) / np.linalg.norm(error)
     prior = Pose(Rotation.from_rotvec(error).as_matrix() @ pose.rotation, pose.translation_m)
-    recognizer = Recognizer(models[0], camera, refine=False)
-    for frame in (image, *shadowed):
-        tallies.append(end_to_end(recognizer, frame, prior, pose, direction))
-    return tallies
+    recognizer = Recognizer(model, camera, refine=False)
+    return found + [end_to_end(recognizer, f, prior, pose, direction) for f in frames]
 
 
 def at_the_attitude(
     image: np.ndarray, model: ViewModel, camera: Camera, pose: Pose, direction: Array,
     roll_error_rad: float,
-) -> Tally:  # fmt: skip
+) -> Array:  # fmt: skip
     """Conditions (b): the decisions of one frame, the attitude known but for the roll's error."""
-    silhouette, tally, signature = find_silhouette(image, SilhouetteOptions()), Tally(), None
-    attitude = pose.rotation
+    silhouette, signature, attitude = find_silhouette(image), None, pose.rotation
     if not isinstance(silhouette, Missing):
         rays = [camera.rays(outline) for outline in silhouette.outlines_px]
         signature = Signature.of_outlines(rays, model.bins, model.smooth_bins)
     if signature is not None:
         attitude = signature.centred_from_camera @ pose.rotation
-    decide(model, Matcher(model), signature, attitude, direction, roll_error_rad, tally)
-    return tally
+    return decide(model, signature, attitude, direction, roll_error_rad)
 
 
 def end_to_end(
     recognizer: Recognizer, frame: np.ndarray, prior: Pose, truth: Pose, direction: Array
-) -> Tally:
+) -> Array:
     """Conditions (c) to (e): the whole recognizer on one frame."""
-    model, tally = recognizer.model, Tally()
-    sphere = model.geodesic
-    edge = sphere.mean_edge_rad
-    observation = recognizer.recognize(frame, prior)
-    nodes = sphere.within(direction, OUT_EDGES[1] * edge)
-    distance = angle_between(sphere.nodes[nodes], direction) / edge
-    tally.add(np.isin(nodes, observation.active_nodes), distance)
-    tally.on[-1] = len(observation.active_nodes)
+    model, observation = recognizer.model, recognizer.recognize(frame, prior)
+    on = observation.active_nodes
     if observation.pose is None:
-        for errors in (tally.direction_deg, tally.rotation_deg, tally.range_percent):
-            errors.append(np.inf)
-        return tally
+        return tally(model, direction, on, rotation_deg=np.inf, range_percent=np.inf)
     camera_m = observation.pose.inverse().translation_m - model.centre_m
-    found = camera_m / np.linalg.norm(camera_m)
-    true_range = np.linalg.norm(truth.apply(model.centre_m))
-    tally.direction_deg.append(float(np.rad2deg(angle_between(found, direction))))
-    tally.rotation_deg.append(
-        float(np.rad2deg(rotation_angle(observation.pose.rotation @ truth.rotation.T)))
-    )
-    tally.range_percent.append(float(100.0 * abs(np.linalg.norm(camera_m) / true_range - 1.0)))
-    return tally
+    range_m, true_m = np.linalg.norm(camera_m), np.linalg.norm(truth.apply(model.centre_m))
+    turn = np.rad2deg(rotation_angle(observation.pose.rotation @ truth.rotation.T))
+    far = 100.0 * abs(range_m / true_m - 1.0)
+    seen = camera_m / range_m
+    return tally(model, direction, on, seen=seen, rotation_deg=turn, range_percent=far)
 
 
-def joined(tallies: list[Tally]) -> Tally:
-    """The sum of many."""
-    total = Tally()
-    for tally in tallies:
-        for one in fields(Tally):  # numbers and lists are both added up
-            setattr(total, one.name, getattr(total, one.name) + getattr(tally, one.name))
-    return total
+def row(found: Array) -> list[str]:
+    """Decisions, active nodes and errors of views (N, 8)."""
+    (in_right, inside, out_right, outside), on = found[:, :4].sum(axis=0), found[:, 4]
 
-
-def row(t: Tally) -> list[str]:
-    """Decisions, active nodes, errors."""
-    right, total = t.in_right + t.out_right, t.in_total + t.out_total
-
-    def quantiles(errors: list[float]) -> str:
-        if not errors:
+    def quantiles(errors: Array) -> str:
+        if np.isnan(errors).any():
             return "–"
         return " / ".join(f"{np.quantile(errors, q, method='higher'):.2f}" for q in (0.5, 0.95))
 
-    refused = "–"
-    if t.rotation_deg:
-        errors = np.array(t.rotation_deg)
-        wrong = np.isfinite(errors) & (errors > WRONG_DEG)
-        refused = f"{100 * np.mean(np.isinf(errors)):.1f} / {100 * np.mean(wrong):.1f}"
+    turn, refused = found[:, 6], "–"
+    if not np.isnan(turn).any():
+        wrong = np.isfinite(turn) & (turn > WRONG_DEG)
+        refused = f"{100 * np.mean(np.isinf(turn)):.1f} / {100 * np.mean(wrong):.1f}"
     return [
-        f"{100 * right / total:.2f}", f"{100 * t.in_right / t.in_total:.2f}",
-        f"{100 * t.out_right / t.out_total:.2f}", f"{np.mean(t.on):.2f}",
-        f"{100 * np.mean(np.array(t.on) == 0):.2f}", quantiles(t.direction_deg),
-        quantiles(t.rotation_deg), quantiles(t.range_percent), refused,
+        f"{100 * (in_right + out_right) / (inside + outside):.2f}",
+        f"{100 * in_right / inside:.2f}", f"{100 * out_right / outside:.2f}",
+        f"{np.mean(on):.2f}", f"{100 * np.mean(on == 0):.2f}",
+        *(quantiles(errors) for errors in found[:, 5:].T), refused,
     ]  # fmt: skip
 
 
 def run(
     target: Annotated[Path, "target.toml, its folder, or a mesh"],
-    *, unit: Annotated[str | None, "of a bare mesh"] = None,
-    model: Annotated[Path | None, "robust model, trained before"] = None,
-    views: int = 2000, seed: Annotated[int, "of the test frames"] = 1, jobs: int = -1,
-    dask: Dask = None,
+    *, model: Annotated[Path, "trained before"], views: int = 2000,
+    seed: Annotated[int, "of the test frames"] = 1,
 ) -> None:  # fmt: skip
     """Node decisions and direction of view on held-out frames.
 
-    Trains the robust model (or takes --model) and the paper's, then evaluates every node within
-    three edges of random views that neither was trained on:
+    Every node within three edges of random views that the model was not trained on:
 
     (a) the paper's conditions: a clean silhouette at the sphere radius, roll known;
     (b) real frames: 640 × 480, shaded, blurred, σ = 3 grey levels, range 1–3 sphere radii,
@@ -260,35 +205,21 @@ def run(
     (d) as (c), with the Sun up to 30° from behind the camera, hard shadows;
     (e) as (d), with the Sun 30–60° from behind the camera.
 
-    In-views lie within one edge of a node, out-views between 1.32 and 3 edges. Every frame counts:
-    a frame without a silhouette has all its in-decisions wrong and its out-decisions right.
+    In-views lie within one edge of a node, out-views between 1.32 and 3 edges. A frame without a
+    silhouette has all its in-decisions wrong and its out-decisions right.
     """
-    found = Target.load(target)
-    mesh = load_mesh(found.mesh_path, unit or found.unit)
-    with tempfile.TemporaryDirectory() as folder:
-
-        def trained(name: str, options: TrainingOptions) -> ViewModel:
-            return train(mesh, Path(folder) / name, name=found.name, options=options).model
-
-        options = TrainingOptions(contour_points=0, shadowed_silhouettes=False)
-        robust = ViewModel.load(model) if model else trained("robust.rvm", options)
-        paper = trained("paper.rvm", replace(options.paper(), held_out_views=0))
-    shared = (mesh, [robust, paper], flight_camera(mesh), seed)
-    with open_executor(jobs, dask) as workers:
+    found, loaded = Target.load(target), ViewModel.load(model)
+    mesh = load_mesh(found.mesh_path, found.unit)
+    shared = (mesh, loaded, flight_camera(mesh), seed)
+    with open_executor(-1, None) as workers:
         done = dict(workers.results(one_real, shared, [(k,) for k in range(views)]))
-    conditions = {
-        "(a) clean, robust": clean_tally(mesh, robust, views, seed),
-        "(a) clean, paper": clean_tally(mesh, paper, views, seed),
-    }
-    names = ("(b) real frames, robust", "(b) real frames, paper", "(b) Sun 0–30°, robust",
-             "(b) Sun 30–60°, robust", "(c) 20° prior, robust", "(d) 20° prior, Sun 0–30°",
-             "(e) 20° prior, Sun 30–60°")  # fmt: skip
-    for place, name in enumerate(names):
-        conditions[name] = joined([done[k][place] for k in range(views)])
+    conditions = {"(a) clean": clean(mesh, loaded, views, seed)}
+    for place, name in enumerate(REAL):
+        conditions[name] = [done[k][place] for k in range(views)]
     columns = ("condition", "right %", "in %", "out %", "nodes on", "none on %",
                "direction °, median / 95 %", "rotation °, median / 95 %",
                "range %, median / 95 %", "no pose / wrong %")  # fmt: skip
     rows = table_of(f"{found.name}: {views} random views, seed {seed}", columns)
-    for name, tally in conditions.items():
-        rows.add_row(name, *row(tally))
+    for name, found_there in conditions.items():
+        rows.add_row(name, *row(np.array(found_there)))
     show(rows, width=160)

@@ -1,9 +1,9 @@
-"""Normalised errors of poses against their covariances; dots of another size."""
+"""Normalised errors of poses against their covariances, by condition and range."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from experiments.peers.pnp import PEERS, median_deg, of_reading
 from experiments.reflectors.plain import (
     CAMERA,
     FIVE,
+    HALF_TURN,
     PINHOLE,
     THREE,
     Simulator,
@@ -22,20 +23,21 @@ from experiments.reflectors.plain import (
 )
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
-from rendezview.sensors.reflectors import (
-    LitDark,
-    ReflectorPattern,
-    ReflectorSensor,
-    TrackingOptions,
-)
-from rendezview.sensors.reflectors.registration import register
+from rendezview.sensors.beacons import LitDark, ReflectorPattern, ReflectorSensor, TrackingOptions
+from rendezview.sensors.beacons.detect.registration import register
 
 RANGES_M = (0.8, 1.5, 3.0, 6.0)
+TILT_RAD, WRONG_DEG = 0.5, 5.0
+KINDS = (
+    "retro-reflected", "even light", "shade of 40 grey", "MJPEG", "texture",
+    "texture, 0.3 px of motion", "texture, 0.3 px of motion, registered", "five reflectors",
+    "clutter", "saturated", "saturated, bloomed",
+)  # fmt: skip
 
 
 def off(pose: Pose, truth: Pose) -> np.ndarray:
     """(6,) error of a pose, the nearer of two that look alike."""
-    half = truth @ Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    half = truth @ HALF_TURN
     near = truth if pose.angle_to(truth) < pose.angle_to(half) else half
     return np.append(between(pose.rotation, near.rotation), pose.translation_m - near.translation_m)
 
@@ -57,18 +59,16 @@ def frames_of(
         look = replace(look, peak=500.0, even=True)
     background = None
     if kind.startswith("texture"):
-        wall = plain.texture(PINHOLE, rng, 3.0, 60.0)
-        moved = wall
+        wall = moved = plain.texture(PINHOLE, rng, 3.0, 60.0)
         if "motion" in kind:
-            shift = np.float32([[1, 0, 0.3], [0, 1, 0.0]])
-            moved = cv2.warpAffine(
-                wall, shift, wall.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
-            )
+            shift, way = np.float32([[1, 0, 0.3], [0, 1, 0.0]]), cv2.BORDER_REFLECT
+            size = wall.shape[::-1]
+            moved = cv2.warpAffine(wall, shift, size, flags=cv2.INTER_CUBIC, borderMode=way)
         background = wall, moved
+    false = clutter(rng) if kind == "clutter" else None
     frames = pictures(
-        simulator, pattern_of(kind), placed, look, rng, background=background,
-        false=clutter(rng) if kind == "clutter" else None,
-    )  # fmt: skip
+        simulator, pattern_of(kind), placed, look, rng, background=background, false=false
+    )
     if kind == "texture":
         return LitDark(frames.lit)
     if "bloomed" in kind:
@@ -95,35 +95,26 @@ def clutter(rng: np.random.Generator) -> np.ndarray:
     return np.column_stack([places, rng.uniform(0.6, 6.0, 40), rng.uniform(20.0, 240.0, 40)])
 
 
-KINDS = (
-    "retro-reflected", "even light", "shade of 40 grey", "MJPEG", "texture",
-    "texture, 0.3 px of motion", "texture, 0.3 px of motion, registered", "five reflectors",
-    "clutter", "saturated", "saturated, bloomed",
-)  # fmt: skip
-
-
 def pattern_of(kind: str) -> ReflectorPattern:
     return FIVE if kind.startswith("five") else THREE
 
 
 def run(
-    *, readings: int = 60, seed: int = 7, kind: str = "", simulator: Simulator = "plain"
-) -> None:
+    *, readings: int = 60, seed: int = 7,
+    kind: Annotated[str, "the beginning of a condition"] = "", simulator: Simulator = "plain",
+) -> None:  # fmt: skip
     """NEES of single poses (6 unknowns: 6 is right) under one condition each, by range.
 
     Pictures of the paper's three reflectors, tilt to 30°, every roll, blur 0.7 px, noise 2 grey, of
     the tests' plain simulator or of the product's own. 'texture' is a single picture; MJPEG has
     quality 75. 'saturated' discs have twice the light of a full pixel; 'bloomed', a quarter of the
-    length of their columns runs over at one end. --kind: the beginning of a condition.
+    length of their columns runs over at one end.
     """
-    table = table_of(
-        f"mean NEES of {readings} readings (poses found), seed {seed}, {simulator} simulator",
-        ["condition", *(f"{r:g} m" for r in RANGES_M)],
-    )
-    beside = table_of(
-        "median turn off the truth, °: this sensor, OpenCV's solvePnP, poselib, on the same spots",
-        ["condition", *(f"{r:g} m" for r in RANGES_M)],
-    )
+    columns = ["condition", *(f"{r:g} m" for r in RANGES_M)]
+    title = f"mean NEES of {readings} readings (poses found), seed {seed}, {simulator} simulator"
+    table = table_of(title, columns)
+    title = "median turn off the truth, °: this sensor, solvePnP, poselib, on the same spots"
+    beside = table_of(title, columns)
     for condition in (one for one in KINDS if one.startswith(kind)):
         rng, cells, others = np.random.default_rng(seed), [], []
         pattern = pattern_of(condition)
@@ -134,53 +125,20 @@ def run(
             margin_px = 20.0 + 0.25 * PINHOLE.focal_px / range_m
             margin_px = min(margin_px, 0.5 * min(PINHOLE.width, PINHOLE.height) - 5.0)
             for _ in range(readings):
-                placed = plain.look_at(rng, PINHOLE, range_m, 0.5, margin_px)
+                placed = plain.look_at(rng, PINHOLE, range_m, TILT_RAD, margin_px)
+                truth = Pose(*placed)
                 sensor = ReflectorSensor(CAMERA, [pattern], tracking=TrackingOptions(confirm=False))
                 reading = sensor.update(0.0, frames_of(condition, simulator, placed, rng))
-                if reading.pose is None or apart(reading.pose, Pose(*placed), True)[0] >= 5.0:
+                if reading.pose is None or apart(reading.pose, truth, True)[0] >= WRONG_DEG:
                     continue
-                error = off(reading.pose, Pose(*placed))
+                error = off(reading.pose, truth)
                 errors.append(nees(error, reading.covariance))
                 turns["ours"].append(float(np.linalg.norm(error[:3])))
                 for name, pose in of_reading(reading, pattern, CAMERA).items():
                     if pose is not None:
-                        turns[name].append(float(np.linalg.norm(off(pose, Pose(*placed))[:3])))
+                        turns[name].append(float(np.linalg.norm(off(pose, truth)[:3])))
             cells.append(f"{np.mean(errors):.1f} ({len(errors)})" if errors else "– (0)")
-            others.append(" ".join(median_deg(turns[name]) for name in turns))
+            others.append(" ".join(median_deg(own) for own in turns.values()))
         table.add_row(condition, *cells)
         beside.add_row(condition, *others)
     show(table, beside)
-
-
-def tolerance(*, readings: int = 20, seed: int = 9, simulator: Simulator = "plain") -> None:
-    """Dots of another diameter, and another blur, than the files say: poses found and right.
-
-    The paper's three reflectors, 1 to 4 m, tilt to 30°; three readings each.
-    """
-    table = table_of(
-        f"{readings} runs, seed {seed}, {simulator} simulator",
-        "diameter | blur px | right | wrong | solvePnP, poselib wrong on the spots of the first",
-        left=0,
-    )
-    for factor, blur in (
-        (1.0, 0.7), (0.9, 0.7), (1.1, 0.7), (0.8, 0.7), (1.25, 0.7), (1.0, 0.5), (1.0, 1.2),
-        (1.0, 2.0), (1.0, 3.0), (1.0, 4.0), (1.12, 2.0),
-    ):  # fmt: skip
-        rng, right, wrong = np.random.default_rng(seed), 0, 0
-        look, others = plain.Look(blur=blur), dict.fromkeys(PEERS, 0)
-        made = replace(THREE, diameters_m=factor * THREE.diameters_m)
-        for _ in range(readings):
-            placed = plain.look_at(
-                rng, PINHOLE, math.exp(rng.uniform(0.0, math.log(4.0))), 0.5, 150.0
-            )
-            sensor, reading = ReflectorSensor(CAMERA, [THREE]), None
-            for k in range(3):
-                reading = sensor.update(0.1 * k, pictures(simulator, made, placed, look, rng))
-            if reading is not None and reading.pose is not None:
-                good = apart(reading.pose, Pose(*placed), True)[0] < 2.0
-                right, wrong = right + good, wrong + (not good)
-                for peer, pose in of_reading(reading, THREE, CAMERA).items() if good else ():
-                    others[peer] += pose is None or apart(pose, Pose(*placed), True)[0] >= 2.0
-        beside = ", ".join(map(str, others.values()))
-        table.add_row(f"{factor:g}", f"{blur:g}", str(right), str(wrong), beside)
-    show(table)

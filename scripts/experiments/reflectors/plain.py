@@ -3,33 +3,17 @@
 from __future__ import annotations
 
 import math
-import sys
 from typing import Literal
 
 import numpy as np
 
-from experiments.frame import ROOT
+from experiments.frame import tests_module
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.reflectors import LitDark, ReflectorPattern
-from rendezview.simulation.reflector_frames import Clutter, ReflectorFrameOptions, render_pair
+from rendezview.sensors.beacons import LitDark, ReflectorPattern
+from rendezview_ground.simulate.reflector_frames import Clutter, ReflectorFrameOptions, render_pair
 
-if str(ROOT) not in sys.path:
-    sys.path.insert(0, str(ROOT))
-
-from tests import plain_pictures as plain
-
-__all__ = [
-    "CAMERA",
-    "FIVE",
-    "PINHOLE",
-    "THREE",
-    "Simulator",
-    "apart",
-    "pictures",
-    "plain",
-    "pose_of_plain",
-]
+plain = tests_module("plain_pictures")
 
 Simulator = Literal["plain", "own"]
 
@@ -39,43 +23,29 @@ CAMERA = Camera(
 )
 _HALF, _POST = 0.5 * 14.5 * 0.0254, 4 * 0.0254  # m, of the paper's target
 _PLACES = np.array(
-    [
-        [-_HALF, 0, 0],
-        [0, 0, _POST],
-        [_HALF, 0, 0],
-        [0, 0.75 * _HALF, 0],
-        [0, -0.75 * _HALF, 0],
-    ]
+    [[-_HALF, 0, 0], [0, 0, _POST], [_HALF, 0, 0], [0, 0.75 * _HALF, 0], [0, -0.75 * _HALF, 0]]
 )
+HALF_TURN = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 
 
-def _pattern(count: int) -> ReflectorPattern:
-    return ReflectorPattern(
-        "five" if count == 5 else "three",
-        ("left", "post", "right", "top", "bottom")[:count],
-        _PLACES[:count], np.tile([0.0, 0.0, 1.0], (count, 1)), np.full(count, 0.025),
-    )  # fmt: skip
+def _pattern(name: str, count: int) -> ReflectorPattern:
+    names = ("left", "post", "right", "top", "bottom")[:count]
+    normals = np.tile([0.0, 0.0, 1.0], (count, 1))
+    return ReflectorPattern(name, names, _PLACES[:count], normals, np.full(count, 0.025))
 
 
-THREE, FIVE = _pattern(3), _pattern(5)
+THREE, FIVE = _pattern("three", 3), _pattern("five", 5)
 
 
 def pictures(
     simulator: Simulator, pattern: ReflectorPattern, placed: tuple[np.ndarray, np.ndarray],
-    look: plain.Look, rng: np.random.Generator, *, hidden: tuple[int, ...] = (),
+    look, rng: np.random.Generator, *, hidden: tuple[int, ...] = (),
     false: np.ndarray | None = None, background: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> LitDark:  # fmt: skip
     """One reading by the plain simulator or by the product's own, which share no code."""
     if simulator == "plain":
-        light = plain.discs(
-            PINHOLE,
-            *placed,
-            pattern.positions_m,
-            pattern.normals,
-            pattern.diameters_m,
-            look,
-            hidden,
-        )
+        discs = (pattern.positions_m, pattern.normals, pattern.diameters_m)
+        light = plain.discs(PINHOLE, *placed, *discs, look, hidden)
         return LitDark(*plain.pair(PINHOLE, light, look, rng, false=false, background=background))
     options = ReflectorFrameOptions(
         peak_grey=look.peak, blur_sigma_px=look.blur, noise_sigma_grey=look.noise, leak=look.leak,
@@ -86,20 +56,14 @@ def pictures(
         x, y, sigma, peak = false.T
         none = np.zeros(len(false))
         spots = np.column_stack([x, y, sigma, sigma, none, peak, none, none, none])
-    both = background or (None, None)
     lit, dark = (
         render_pair(
             CAMERA, pattern, Pose(*placed), options, rng, hidden=hidden,
             clutter=(Clutter(spots, None if wall is None else wall.astype(np.float32)),),
         )[k]
-        for k, wall in enumerate(both)
+        for k, wall in enumerate(background or (None, None))
     )  # fmt: skip
     return LitDark(lit, dark)
-
-
-def pose_of_plain(placed: tuple[np.ndarray, np.ndarray]) -> Pose:
-    """Rotation and translation as a `Pose`."""
-    return Pose(*placed)
 
 
 def apart(pose: Pose, truth: Pose, half_turns: bool) -> tuple[float, float]:
@@ -107,9 +71,8 @@ def apart(pose: Pose, truth: Pose, half_turns: bool) -> tuple[float, float]:
 
     ``half_turns``: half a turn about the face is no error.
     """
-    degrees = pose.angle_to(truth)
+    angle = pose.angle_to(truth)
     if half_turns:
-        half = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
-        degrees = min(degrees, pose.angle_to(truth @ half))
+        angle = min(angle, pose.angle_to(truth @ HALF_TURN))
     off = np.linalg.norm(pose.translation_m - truth.translation_m)
-    return math.degrees(degrees), float(off / np.linalg.norm(truth.translation_m))
+    return math.degrees(angle), float(off / np.linalg.norm(truth.translation_m))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import resource
 import signal
@@ -14,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rendezview.client import Client
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import open_sequence
+from rendezview_service.client import Client
 
 
 class Loop:
@@ -52,29 +51,10 @@ class Processes:
             ticks += int(fields[11]) + int(fields[12])
         return ticks / os.sysconf("SC_CLK_TCK")
 
-    def each_mb(self) -> list[float]:
-        """Resident memory of the service and of each worker."""
-        pages = [int(Path(f"/proc/{p}/statm").read_text().split()[1]) for p in self.pids()]
-        return [count * resource.getpagesize() / 1e6 for count in pages]
-
     def resident_mb(self) -> float:
-        """Of the service and its workers."""
-        return sum(self.each_mb())
-
-    def forget_peak(self) -> None:
-        """`peak_mb` begins again. Source: the kernel's `proc(5)`, clear_refs."""
-        for pid in self.pids():
-            with contextlib.suppress(OSError):  # it has ended
-                Path(f"/proc/{pid}/clear_refs").write_text("5")
-
-    def peak_mb(self) -> float:
-        """Of the service and its workers: the most since `forget_peak`, each at its own time."""
-        kilobytes = 0
-        for pid in self.pids():
-            with contextlib.suppress(OSError, StopIteration):
-                lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-                kilobytes += int(next(li for li in lines if li.startswith("VmHWM")).split()[1])
-        return kilobytes * 1024 / 1e6
+        """Memory of the service and its workers."""
+        pages = [int(Path(f"/proc/{p}/statm").read_text().split()[1]) for p in self.pids()]
+        return sum(pages) * resource.getpagesize() / 1e6
 
 
 class Served(Processes):
@@ -84,12 +64,9 @@ class Served(Processes):
         command = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
         names = {f"RENDEZVIEW_SERVE_{n.upper()}": str(value) for n, value in settings.items()}
         self.process = subprocess.Popen(
-            [*command, "serve", str(model), "--port", "0", *flags],
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=group,
-            env=os.environ | names,
-        )
+            [*command, "serve", str(model), "--port", "0", *flags], stderr=subprocess.PIPE,
+            text=True, start_new_session=group, env=os.environ | names,
+        )  # fmt: skip
         assert self.process.stderr is not None
         for line in self.process.stderr:
             if "serves at" in line:
@@ -125,5 +102,6 @@ class Served(Processes):
         self.process.wait()
 
     def stop(self) -> None:
+        """As an operator ends it."""
         self.process.send_signal(signal.SIGTERM)
         self.process.wait(60)

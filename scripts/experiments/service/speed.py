@@ -2,34 +2,32 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
+from multiprocessing import Queue, get_context
+from multiprocessing.synchronize import Barrier
 from pathlib import Path
-from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 
 from experiments.service.serving import Loop, Served
-from rendezview.client import Client, ServiceError
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
+from rendezview_service.client import Client, ServiceError
 
-_BLOCK = 50
+ROUNDS, BLOCK = 20, 50  # blocks of frames in turns; the first warms up
+CLIENTS, SECONDS = 8, 15.0  # of the throughput
+ALONE_S = 8.0  # of the bare tracker, before and after
 
 
-def overhead(loop: Loop, model: Path, rounds: int) -> None:
+def overhead(loop: Loop, model: Path) -> None:
     """Blocks of frames in turns: bare, by requests, by a stream."""
     served = Served(model, "--workers", "1")
     client = Client(served.url)
     by_request = client.open(loop.camera, prior=loop.prior)
-    streaming = client.open(loop.camera, prior=loop.prior)
-    stream = streaming.stream()
-    loaded = ViewModel.load(model)
-    bare = Tracker(Recognizer(loaded, loop.camera), loop.prior)
+    stream = client.open(loop.camera, prior=loop.prior).stream()
+    bare = Tracker(Recognizer(ViewModel.load(model), loop.camera), loop.prior)
 
     def streamed(image: np.ndarray, time_s: float) -> object:
         stream.send(image, time_s)
@@ -40,153 +38,110 @@ def overhead(loop: Loop, model: Path, rounds: int) -> None:
         "request (HTTP)": lambda image, time_s: by_request.track(image, time_s),
         "stream (WebSocket)": streamed,
     }
-    times: dict[str, list[float]] = {name: [] for name in ways}
-    inside: dict[str, list[float]] = {name: [] for name in ways}
-    for block in range(rounds):
+    spent_ms: dict[str, list[float]] = {name: [] for name in ways}
+    inside_ms: dict[str, list[float]] = {name: [] for name in ways}
+    for block in range(ROUNDS):
         for name, look in ways.items():
-            for k in range(block * _BLOCK, (block + 1) * _BLOCK):
+            for k in range(block * BLOCK, (block + 1) * BLOCK):
                 time_s, image = loop(k)
                 start = time.perf_counter()
                 answer = look(image, time_s)
-                if block:  # the first block warms up
-                    times[name].append(time.perf_counter() - start)
-                    if isinstance(answer, dict):
-                        inside[name].append(1e-3 * answer["track_ms"])
+                if block:
+                    spent_ms[name].append(1e3 * (time.perf_counter() - start))
+                    inside_ms[name] += [answer["track_ms"]] if isinstance(answer, dict) else []
     stream.close()
     served.stop()
-    floor = np.array(times["bare tracker call"])
-    print(f"{len(floor)} frames each, 640 × 480 raw, one client:")
-    for name, spent in times.items():
-        values = 1e3 * np.array(spent)
-        extra = 1e3 * (np.median(spent) - np.median(floor))
-        low, middle = np.percentile(values, [10, 50])
+    floor = np.median(spent_ms["bare tracker call"])
+    print(f"{BLOCK * (ROUNDS - 1)} frames each, 640 × 480 raw, one client:")
+    for name, spent in spent_ms.items():
+        low, middle = np.percentile(spent, [10, 50])
         line = f"{name:22} median {middle:6.2f} ms  best tenth {low:6.2f} ms"
-        if inside[name]:
-            around = 1e3 * (np.array(spent) - np.array(inside[name]))
+        if inside_ms[name]:
+            around = np.array(spent) - np.array(inside_ms[name])
             line += (
-                f"  over the bare call {extra:5.2f} ms; around the tracker's own time: "
+                f"  over the bare call {middle - floor:5.2f} ms; around the tracker's own time: "
                 f"median {np.median(around):5.2f}, best tenth {np.percentile(around, 10):5.2f} ms"
             )
         print(line)
 
 
-def run_client(url: str, scene: Path, frames: int, out: int) -> None:
-    """One client of many, in a process of its own."""
+def run_client(url: str, scene: Path, ready: Barrier, results: Queue) -> None:
+    """One client of many, in a process of its own: frames for some seconds."""
     loop = Loop(scene)
     with Client(url) as client:
         session = client.open(loop.camera, prior=loop.prior)
-        os.write(out, b"ready\n")
-        sys.stdin.readline()
-        start, used = time.perf_counter(), time.process_time()
-        done = 0
-        last = start
-        until_s = float("inf") if frames >= 0 else start - frames
-        k = 0
-        while done < frames or (frames < 0 and time.perf_counter() < until_s):
+        ready.wait()
+        start, used, done, k = time.perf_counter(), time.process_time(), 0, 0
+        while time.perf_counter() < start + SECONDS:
             time_s, image = loop(k)
             k += 1
             try:
                 session.track(image, time_s)
+                done += 1
             except ServiceError as error:
                 if error.status != 429:
                     raise
-                continue
-            done += 1
-            last = time.perf_counter()
-        result = {"frames": done, "seconds": last - start}
-        result["processor_s"] = time.process_time() - used
+        seconds, processor_s = time.perf_counter() - start, time.process_time() - used
         session.close()
-    os.write(out, json.dumps(result).encode() + b"\n")
+    results.put((done, seconds, processor_s))
 
 
-def many(loop: Loop, model: Path, scene: Path, clients: int, frames: int) -> None:
+def alone(model: ViewModel, loop: Loop, seconds: float) -> tuple[float, float]:
+    """Frames a second of the bare tracker on one core, and processor milliseconds of each."""
+    tracker = Tracker(Recognizer(model, loop.camera), loop.prior)
+    start, used, k = time.perf_counter(), time.thread_time(), 0
+    while time.perf_counter() - start < seconds:
+        time_s, image = loop(k)
+        tracker.update(time_s, image)
+        k += 1
+    return k / (time.perf_counter() - start), 1e3 * (time.thread_time() - used) / k
+
+
+def many(loop: Loop, model: Path, scene: Path) -> None:
     """Throughput, fairness and memory with several clients at once."""
     loaded = ViewModel.load(model)
-
-    def one_core(seconds: float) -> tuple[float, float]:
-        tracker = Tracker(Recognizer(loaded, loop.camera), loop.prior)
-        start, used, k = time.perf_counter(), time.thread_time(), 0
-        while time.perf_counter() - start < seconds:
-            time_s, image = loop(k)
-            tracker.update(time_s, image)
-            k += 1
-        return k / (time.perf_counter() - start), 1e3 * (time.thread_time() - used) / k
-
-    one_core(2.0)
-    before, before_ms = one_core(8.0)
+    alone(loaded, loop, 2.0)  # compiles
+    before, before_ms = alone(loaded, loop, ALONE_S)
     served = Served(model)
-    each = -15 if frames == 0 else frames // clients  # below zero: seconds
-    words = ["service-speed", str(model), str(scene), "--client", served.url]
-    command = [sys.executable, "-m", "experiments", *words, "--frames", str(each)]
-    processes = [
-        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        for _ in range(clients)
-    ]
+    apart = get_context("spawn")
+    ready, results = apart.Barrier(CLIENTS + 1), apart.Queue()
+    task = (served.url, scene, ready, results)
+    processes = [apart.Process(target=run_client, args=task) for _ in range(CLIENTS)]
     for process in processes:
-        assert process.stdout is not None
-        process.stdout.readline()
-    memory = [served.resident_mb()]
-    used_s = served.processor_s()
+        process.start()
+    ready.wait()
+    first_mb, used_s = served.resident_mb(), served.processor_s()
+    frames, seconds, processor_s = np.transpose([results.get() for _ in processes])
+    last_mb, service_s = served.resident_mb(), served.processor_s() - used_s
     for process in processes:
-        assert process.stdin is not None
-        process.stdin.write(b"go\n")
-        process.stdin.flush()
-    start = time.perf_counter()
-    results = []
-    while any(process.poll() is None for process in processes):
-        time.sleep(1.0)
-        memory.append(served.resident_mb())
-    for process in processes:
-        assert process.stdout is not None
-        results.append(json.loads(process.stdout.readline()))
-    spent = time.perf_counter() - start
-    total = sum(r["frames"] for r in results)
-    rates = np.array([r["frames"] / r["seconds"] for r in results])
-    throughput = float(rates.sum()) if frames == 0 else total / max(r["seconds"] for r in results)
-    after_memory = served.resident_mb()
-    service_ms = 1e3 * (served.processor_s() - used_s) / total
-    clients_ms = 1e3 * sum(r["processor_s"] for r in results) / total
+        process.join()
     served.stop()
-    after, after_ms = one_core(8.0)
-    core = 0.5 * (before + after)
-    print(f"{clients} clients, {total} frames in {spent:.0f} s:")
-    print(f"one bare tracker: {before:.0f} and {after:.0f} frames/s, before and after")
-    print(f"service: {throughput:.0f} frames/s, {throughput / core:.2f} × one tracker core's")
+    total, rates = int(frames.sum()), frames / seconds
+    service_ms, clients_ms = 1e3 * service_s / total, 1e3 * processor_s.sum() / total
+    after, after_ms = alone(loaded, loop, ALONE_S)
     alone_ms, cores = 0.5 * (before_ms + after_ms), os.cpu_count() or 1
+    over = rates.sum() / (0.5 * (before + after))
+    uneven = 100 * (rates.max() - rates.min()) / rates.mean()
     print(
+        f"{CLIENTS} clients, {total} frames: {rates.sum():.0f} frames/s, {over:.2f} × one tracker "
+        f"core's; each {rates.min():.0f} to {rates.max():.0f}, {uneven:.0f} % apart\n"
+        f"one bare tracker: {before:.0f} and {after:.0f} frames/s, before and after\n"
         f"processor time a frame: bare tracker {alone_ms:.2f} ms, service and workers "
         f"{service_ms:.2f} ms, client {clients_ms:.2f} ms: {cores} cores with nothing else to do "
         f"would reach {cores * alone_ms / (service_ms + clients_ms):.2f} × with these clients, "
-        f"{cores * alone_ms / service_ms:.2f} × with clients elsewhere"
-    )
-    print(
-        f"each client: {rates.min():.0f} to {rates.max():.0f} frames/s, "
-        f"{100 * (rates.max() - rates.min()) / rates.mean():.0f} % apart"
-    )
-    tenth = len(memory) // 10 + 1
-    print(
-        f"memory of all processes: {memory[0]:.0f} MB at first, {memory[tenth]:.0f} MB after a "
-        f"tenth, {memory[len(memory) // 2]:.0f} MB half way, {after_memory:.0f} MB at the end"
+        f"{cores * alone_ms / service_ms:.2f} × with clients elsewhere\n"
+        f"memory of all processes: {first_mb:.0f} MB at first, {last_mb:.0f} MB at the end"
     )
 
 
-def run(
-    model: Path, scene: Path, *, clients: int = 8,
-    frames: Annotated[int, "of all clients; 0: for 15 s"] = 0, rounds: int = 20,
-    only: Literal["overhead", "many"] | None = None, client: str | None = None,
-) -> None:  # fmt: skip
-    """Cost of the service over the bare tracker call, and throughput with several clients.
+def run(model: Path, scene: Path) -> None:
+    """Cost of the service over the bare tracker call, and throughput with eight clients.
 
     SCENE is a folder that rendezview simulate wrote, 640 × 480, of the model's target, moving
     little from frame to frame (--dt 0.0333 --jitter 0 --turn 10). The service runs on a free port
     of this machine; bare calls and the service take turns, so that other load disturbs both.
     """
     cv2.setNumThreads(1)
-    if client:
-        run_client(client, scene, frames, 1)
-        return
     loop = Loop(scene)
-    if only != "many":
-        overhead(loop, model, rounds)
-    if only != "overhead":
-        many(loop, model, scene, clients, frames)
+    overhead(loop, model)
+    many(loop, model, scene)

@@ -9,35 +9,40 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from experiments.frame import ROOT
+from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.cli.compiling import recorded
-from rendezview.evaluation.contact import fuse_to_contact
 from rendezview.geometry.camera import Camera
 from rendezview.io.bundled import find_target
-from rendezview.io.results import ResultRow
 from rendezview.io.sequences import BopSceneWriter, open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.sensors.appearance.following import follow, result_row
+from rendezview.sensors.beacons import (
+    MotionOptions,
+    SixNumbers,
+    StereoTracker,
+    TrackerOptions,
+    patterns_of,
+    pose_of,
+)
+from rendezview.sensors.beacons.run import Mode, pair_up, record
+from rendezview.sensors.beacons.run import follow as read
 from rendezview.sensors.observation import Status
-from rendezview.sensors.reflectors import SixNumbers, patterns_of, pose_of
-from rendezview.sensors.reflectors.run import Mode, pair_up, record
-from rendezview.sensors.reflectors.run import follow as read
-from rendezview.sensors.stereo import MotionOptions, StereoTracker, TrackerOptions
-from rendezview.sensors.stereo.laboratory import calibrate_laboratory
-from rendezview.service.tracking import warm_up
-from rendezview.simulation.command import default_camera
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.simulation.ranger import Ranger, write_echoes
-from rendezview.simulation.reflector_frames import ReflectorFrameOptions, render_pair
-from rendezview.simulation.scene import SceneOptions, simulate
-from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
-from rendezview.training import job
-from rendezview.training.mesh import load_mesh
-from rendezview.training.options import TrainingOptions
+from rendezview_ground.evaluate.pictures.contact import fuse_to_contact
+from rendezview_ground.learn import job
+from rendezview_ground.learn.options import TrainingOptions
+from rendezview_ground.mesh.mesh import load_mesh
+from rendezview_ground.simulate.command import default_camera
+from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
+from rendezview_ground.simulate.ranger import Ranger, write_echoes
+from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
+from rendezview_ground.simulate.scene import SceneOptions, simulate
+from rendezview_ground.simulate.trajectories import TrajectoryOptions, trajectory
+from rendezview_service.tracker.tracking import warm_up
 
 # Few nodes, but views enough that lists of shown faces are made. Source: by construction
 _SMALL = TrainingOptions(order=1, perturbed_views=6000, held_out_views=100, contour_radii=(1.0,))
@@ -49,10 +54,9 @@ def track(model: Path, scene: Path) -> list[dict[str, Any]]:
     loaded, sequence = ViewModel.load(model), open_sequence(scene)
 
     def work() -> None:
-        rows: list[ResultRow | None] = []
         for prior in (None, sequence.frames[0].camera_from_target):
             for frame, observation in follow(loaded, sequence, prior=prior):
-                rows.append(result_row(sequence.scene_id, frame, observation))
+                result_row(sequence.scene_id, frame, observation)
 
     return recorded(work)
 
@@ -69,50 +73,43 @@ def train(model: Path, scene: Path) -> list[dict[str, Any]]:
 def demo(model: Path, scene: Path) -> list[dict[str, Any]]:
     """The loops of simulation, ring and fusion; the model and the scene are not used."""
     target = find_target("client")
-    ring = target.docking_ring
+    ring, mesh = target.docking_ring, load_mesh(target.mesh_path, target.unit)
     assert ring is not None
-    mesh = load_mesh(target.mesh_path, target.unit)
-    path = trajectory(
-        "vbar",
-        TrajectoryOptions(
-            frames=8, start_range_m=40.0, end_range_m=2.0, centre_m=tuple(ring.centre_m),
-            approach_axis=tuple(ring.axis), hops=0,
-        ),
+    straight = TrajectoryOptions(
+        frames=8, start_range_m=40.0, end_range_m=2.0, centre_m=tuple(ring.centre_m),
+        approach_axis=tuple(ring.axis), hops=0,
     )  # fmt: skip
+    path = trajectory("vbar", straight)
 
     def work() -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            simulate(mesh, default_camera(), path, SceneOptions(), Path(folder) / "scene", 0)
-            laser = Path(folder) / "laser.jsonl"
+        with tempfile.TemporaryDirectory() as name:
+            folder, spread = Path(name), 1e-4 * np.eye(6)
+            simulate(mesh, default_camera(), path, SceneOptions(), folder / "scene", 0)
+            laser = folder / "laser.jsonl"
             write_echoes(laser, mesh, path, Ranger((0.1, 0.0, 0.0), 0.01), 0)
-            frames = open_sequence(Path(folder) / "scene").frames
+            frames = open_sequence(folder / "scene").frames
             poses = [
                 AppearanceObservation(
-                    time_s=frame.time_s, status=Status.OK, pose=frame.camera_from_target,
-                    covariance=1e-4 * np.eye(6),
+                    time_s=f.time_s, status=Status.OK, pose=f.camera_from_target, covariance=spread
                 )
-                for frame in frames
-            ]  # fmt: skip
-            fuse_to_contact(
-                frames, poses, ring, laser, log=Path(folder) / "state.jsonl",
-                video=Path(folder) / "ring.webm",
-            )  # fmt: skip
+                for f in frames
+            ]
+            log, video = folder / "state.jsonl", folder / "ring.webm"
+            fuse_to_contact(frames, poses, ring, laser, log=log, video=video)
 
     return recorded(work)
 
 
 def reflectors(model: Path, scene: Path) -> list[dict[str, Any]]:
     """The loops of ``rendezview reflectors``; the model and the scene are not used."""
-    patterns = patterns_of(find_target("client"))
+    patterns, rng = patterns_of(find_target("client")), np.random.default_rng(0)
     camera = Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
-    rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
         places = [Path(folder) / name for name in ("lit", "dark")]
         with BopSceneWriter(places[0], camera) as lit, BopSceneWriter(places[1], camera) as dark:
             for k in range(6):
-                pose = pose_of(
-                    SixNumbers(4.0 - 0.1 * k, 0.02, 0.04, 0.02 * k, 0.1, 0.1), patterns[0]
-                )
+                six = SixNumbers(4.0 - 0.1 * k, 0.02, 0.04, 0.02 * k, 0.1, 0.1)
+                pose = pose_of(six, patterns[0])
                 pair = render_pair(camera, patterns[0], pose, ReflectorFrameOptions(), rng)
                 for writer, image in zip((lit, dark), pair, strict=True):
                     writer.add(k, image, pose, 0.5 * k)
@@ -161,18 +158,20 @@ GROUPS: dict[str, Callable[[Path, Path], list[dict[str, Any]]]] = {
 }  # fmt: skip
 
 
-def run(model: Path, scene: Path, *, group: str = "", add: bool = False) -> None:
+def run(
+    model: Path, scene: Path, *, group: Annotated[str, "only this one is renewed"] = "",
+    add: Annotated[bool, "keep the loops that are listed"] = False,
+) -> None:  # fmt: skip
     """Write the list of the loops that commands compile, with the seconds that each takes.
 
     MODEL is tracked through SCENE in a process with an empty cache, and so is a small training.
-    Only a GROUP of loops is renewed where it is named. To ADD loops keeps those that are listed:
-    easy frames and hard ones, models with voters and without, need different ones.
+    Easy frames and hard ones, models with a forest and without, need different loops: --add.
     """
     found = json.loads(LIST.read_text()) if LIST.exists() else {}
     for name in [group] if group else GROUPS:
-        new = _called(name, model, scene)
         known = found.get(name, []) if add else []
-        found[name] = [*known, *(e for e in new if _key(e) not in map(_key, known))]
+        new = [e for e in _called(name, model, scene) if _key(e) not in map(_key, known)]
+        found[name] = known + new
         seconds = sum(entry["seconds"] for entry in found[name])
         print(f"{name}: {len(found[name])} loops, {seconds:.0f} s")
     groups = [
@@ -191,11 +190,8 @@ def _called(group: str, model: Path, scene: Path) -> list[dict[str, Any]]:
     command = [sys.executable, "-m", "experiments.startup.loops", group, model, scene]
     with tempfile.TemporaryDirectory() as cache:
         environment = os.environ | {"NUMBA_CACHE_DIR": cache}
-        runs = [
-            subprocess.run(command, env=environment, stdout=subprocess.PIPE, check=True, text=True)
-            for _ in range(2)
-        ]
-    compiled, called = (json.loads(run.stdout.splitlines()[-1]) for run in runs)
+        runs = [subprocess.check_output(command, env=environment, text=True) for _ in range(2)]
+    compiled, called = (json.loads(said.splitlines()[-1]) for said in runs)
     seconds = {_key(entry): max(entry["seconds"], 0.1) for entry in compiled}
     return [entry | {"seconds": seconds.get(_key(entry), 0.0)} for entry in called]
 

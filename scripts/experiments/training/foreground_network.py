@@ -14,7 +14,7 @@ from joblib import Parallel, delayed
 from onnx import TensorProto, helper, numpy_helper
 
 from rendezview.sensors.appearance.outline.foreground import SQUARE_PX
-from rendezview.simulation.foreground_frames import foreground_frame
+from rendezview_ground.simulate.foreground_frames import foreground_frame
 
 BATCH = 8
 SIDE_PX = 192  # of the squares that are cut out of the pictures
@@ -51,19 +51,22 @@ def draw(folder: Path, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def first_weights(seed: int) -> tuple[dict, dict]:
     """Weights, offsets and gains; and the means and variances of the layers."""
     rng = np.random.default_rng(seed)
-    weights = {
-        name: (
-            jnp.array(rng.standard_normal((3, 3, i, o)) * np.sqrt(2 / (9 * i)), jnp.float32),
-            jnp.zeros(o), jnp.ones(o),
-        ) for name, (i, o) in LAYERS.items()
-    }  # fmt: skip
+    weights = {}
+    for name, (i, o) in LAYERS.items():
+        first = rng.standard_normal((3, 3, i, o)) * np.sqrt(2 / (9 * i))
+        weights[name] = (jnp.array(first, jnp.float32), jnp.zeros(o), jnp.ones(o))
     return weights, {name: (jnp.zeros(o), jnp.ones(o)) for name, (_, o) in LAYERS.items()}
 
 
-def convolved(x, weight):
-    return jax.lax.conv_general_dilated(
-        x, weight, (1, 1), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC")
-    )
+def unet(layer, halved, joined, x):
+    """The network of given operations on ``x``."""
+    a = layer("a2", layer("a1", x))
+    b = layer("b2", layer("b1", halved(a)))
+    c = layer("c2", layer("c1", halved(b)))
+    d = layer("d2", layer("d1", halved(c)))
+    c = layer("c3", joined(d, c))
+    b = layer("b3", joined(c, b))
+    return layer("out", layer("a3", joined(b, a)))
 
 
 def log_odds(weights, statistics, pictures, learning):
@@ -72,7 +75,10 @@ def log_odds(weights, statistics, pictures, learning):
 
     def layer(name, x):
         weight, offset, gain = weights[name]
-        y = convolved(x, weight)
+        axes = ("NHWC", "HWIO", "NHWC")
+        y = jax.lax.conv_general_dilated(x, weight, (1, 1), "SAME", dimension_numbers=axes)
+        if name == "out":
+            return y + offset
         mean, variance = statistics[name]
         if learning:
             now = y.mean((0, 1, 2)), y.var((0, 1, 2))
@@ -90,14 +96,7 @@ def log_odds(weights, statistics, pictures, learning):
     n, h, w = pictures.shape
     s = SQUARE_PX
     squares = pictures.reshape(n, h // s, s, w // s, s).transpose(0, 1, 3, 2, 4)
-    a = layer("a2", layer("a1", squares.reshape(n, h // s, w // s, PIXELS)))
-    b = layer("b2", layer("b1", halved(a)))
-    c = layer("c2", layer("c1", halved(b)))
-    d = layer("d2", layer("d1", halved(c)))
-    c = layer("c3", joined(d, c))
-    b = layer("b3", joined(c, b))
-    a = layer("a3", joined(b, a))
-    out = convolved(a, weights["out"][0]) + weights["out"][1]
+    out = unet(layer, halved, joined, squares.reshape(n, h // s, w // s, PIXELS))
     out = out.reshape(n, h // s, w // s, s, s).transpose(0, 1, 3, 2, 4)
     return out.reshape(n, h, w), kept
 
@@ -148,43 +147,27 @@ def write(weights, statistics, path: Path) -> None:
             weight, offset = weight * gain, offset - mean * gain
         parts = [constant(f"{name}-weight", weight.transpose(3, 2, 0, 1)),
                  constant(f"{name}-offset", offset)]  # fmt: skip
-        nodes.append(
-            helper.make_node(
-                "Conv", [x, *parts], [f"{name}-sum"], kernel_shape=[3, 3], pads=[1] * 4
-            )
-        )
-        if name == "out":
-            return f"{name}-sum"
-        nodes.append(helper.make_node("Relu", [f"{name}-sum"], [name]))
-        return name
+        made = node("Conv", [x, *parts], f"{name}-sum", kernel_shape=[3, 3], pads=[1] * 4)
+        return made if name == "out" else node("Relu", [made], name)
+
+    def node(kind, inputs, output, **settings):
+        nodes.append(helper.make_node(kind, inputs, [output], **settings))
+        return output
 
     def halved(x):
-        nodes.append(helper.make_node("MaxPool", [x], [f"{x}-half"], kernel_shape=[2, 2],
-                                      strides=[2, 2]))  # fmt: skip
-        return f"{x}-half"
+        return node("MaxPool", [x], f"{x}-half", kernel_shape=[2, 2], strides=[2, 2])
 
     def joined(x, y):
-        nodes.append(
-            helper.make_node("Resize", [x, "", "twice"], [f"{x}-twice"], mode="nearest",
-                             coordinate_transformation_mode="asymmetric", nearest_mode="floor")
-        )  # fmt: skip
-        nodes.append(helper.make_node("Concat", [f"{x}-twice", y], [f"{x}-{y}"], axis=1))
-        return f"{x}-{y}"
+        twice = node("Resize", [x, "", "twice"], f"{x}-twice", mode="nearest",
+                     coordinate_transformation_mode="asymmetric",
+                     nearest_mode="floor")  # fmt: skip
+        return node("Concat", [twice, y], f"{x}-{y}", axis=1)
 
     constant("twice", [1, 1, 2, 2])
-    a = layer("a2", layer("a1", "squares"))
-    b = layer("b2", layer("b1", halved(a)))
-    c = layer("c2", layer("c1", halved(b)))
-    d = layer("d2", layer("d1", halved(c)))
-    c = layer("c3", joined(d, c))
-    b = layer("b3", joined(c, b))
-    out = layer("out", layer("a3", joined(b, a)))
-    shape = [1, PIXELS, "rows", "columns"]
-    graph = helper.make_graph(
-        nodes, "foreground",
-        [helper.make_tensor_value_info("squares", TensorProto.FLOAT, shape)],
-        [helper.make_tensor_value_info(out, TensorProto.FLOAT, shape)], constants,
-    )  # fmt: skip
+    out, shape = unet(layer, halved, joined, "squares"), [1, PIXELS, "rows", "columns"]
+    first, last = (helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
+                   for name in ("squares", out))  # fmt: skip
+    graph = helper.make_graph(nodes, "foreground", [first], [last], constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)])
     model.ir_version = 8
     onnx.checker.check_model(model)
@@ -193,7 +176,7 @@ def write(weights, statistics, path: Path) -> None:
 
 def run(
     frames: Path, network: Annotated[Path, "ONNX file to write"], *, count: int = 5600,
-    steps: Annotated[int, f"of {BATCH} pictures"] = 7000, seed: int = 7,
+    steps: int = 7000, seed: int = 7,
 ) -> None:  # fmt: skip
     """Train the network that separates target and bright sky, on random spacecraft.
 
@@ -229,9 +212,7 @@ def run(
         if k % 500 == 0 or k == steps:
             held = padded(pictures[:HELD_OUT]), padded(covers[:HELD_OUT]) > 0.5
             seen = np.asarray(overlap(weights, statistics, *held))
-            print(
-                f"step {k}: loss {np.mean(losses[-500:]):.3f}, overlap (IoU) of the held out "
-                f"{np.mean(seen):.3f} mean, {np.median(seen):.3f} median",
-                flush=True,
-            )
+            print(f"step {k}: loss {np.mean(losses[-500:]):.3f}, overlap (IoU) of the held out "
+                  f"{np.mean(seen):.3f} mean, {np.median(seen):.3f} median",
+                  flush=True)  # fmt: skip
             write(weights, statistics, network)

@@ -12,10 +12,10 @@ import numpy as np
 import onnxruntime as ort
 from joblib import Parallel, delayed
 
-from rendezview.sensors.appearance.sketch import network as sketch
-from rendezview.sensors.appearance.sketch.network import SIDE_PX
-from rendezview.simulation.random_craft import any_craft
-from rendezview.simulation.sketch_frames import (
+from rendezview.sensors.appearance.edges import network as sketch
+from rendezview.sensors.appearance.edges.network import SIDE_PX
+from rendezview_ground.simulate.random_craft import any_craft
+from rendezview_ground.simulate.sketch_frames import (
     DRAWINGS,
     CraftDrawing,
     draw_craft,
@@ -25,7 +25,7 @@ from rendezview.simulation.sketch_frames import (
 
 BLOCK = 5  # craft a file
 BATCH = 16
-LARGE = 2  # times SIDE_PX: the side of larger pictures, as those of a closer look
+LARGE = 2  # times SIDE_PX: the side of larger pictures, as those of a closer pass
 LARGE_BATCH = BATCH // LARGE**2
 LARGE_SHARE = 0.35  # of the batches, where there are larger drawings
 FRAMES_A_SKY = 5
@@ -35,7 +35,6 @@ LARGE_HELD_OUT = 4  # craft
 HELD_SEED = 5  # of their photographs
 # Pictures that set the scales of the whole numbers of the network as written; and larger ones.
 SHOWN, LARGE_SHOWN = 64, 16
-MEASURED = 24  # batches on which the normalisation of a mean of weights is measured
 AHEAD = 6  # batches that are made while the network learns
 
 
@@ -87,9 +86,7 @@ def _save(path: Path, **arrays: object) -> None:
 def photographs(chosen, behind: np.ndarray, rng: np.random.Generator):
     """Pictures (N, 2, S, S) as the network sees them, and maps (N, MAPS, S, S), float32."""
     taken = [take(d, behind[rng.integers(len(behind))], rng) for d in chosen]
-    pictures = np.array(
-        [sketch.channels_of(picture) for picture, _ in taken]
-    )  # as it sees, no copy
+    pictures = np.array([sketch.channels_of(picture) for picture, _ in taken])
     return pictures, np.array([maps for _, maps in taken])
 
 
@@ -106,29 +103,20 @@ def written_entropy(path: Path, pictures: np.ndarray, maps: np.ndarray) -> float
 
 
 def run(
-    network: Annotated[Path, "ONNX file to write; the weights go beside it as .pt"],
-    *,
+    network: Annotated[Path, "ONNX file to write; the weights go beside it as .pt"], *,
     frames: Annotated[int, "drawings of craft; each is photographed many times"] = 7800,
     large: Annotated[int, "drawings of larger pictures, four times as slow to draw"] = 1800,
-    minutes: Annotated[float, "of training"] = 40.0,
-    seed: int = 11,
+    minutes: Annotated[float, "of training"] = 40.0, seed: int = 11,
     folder: Annotated[Path, "keeps the drawings and skies"] = Path("sketch-frames"),
-    start: Annotated[Path | None, "network to go on from: .pt, or .onnx as packaged"] = None,
-    rate: Annotated[float, "largest step size"] = 2e-3,
-    keep: Annotated[float, "share of the weights of --start in the mean that is written"] = 0.0,
-) -> None:
+) -> None:  # fmt: skip
     """Train the network that sketches a photograph, on random spacecraft in hard light.
 
-    Needs PyTorch and onnx, which the project does not depend on: pip install torch onnx. Draws
-    craft and skies (simulation/sketch_frames.py) into a folder, or reads them from there, then
-    trains on photographs of them, new ones for each step. Up to 22 craft are held out;
-    the overlap (IoU) of their covers and their losses are printed every 200 steps and at the end.
-
-    The 7800 drawings take ten minutes on two cores and 4 GB of memory; the step count depends on
-    the machine, so the weights are not the same twice.
+    Needs pip install torch onnx. Draws craft and skies into a folder, or reads them from there,
+    then trains on photographs of them, new ones for each step. Up to 22 craft are held out; their
+    losses and the overlap (IoU) of their covers are printed every 200 steps and at the end. The
+    7800 drawings take ten minutes on two cores and 4 GB of memory; the step count depends on the
+    machine, so the weights are not the same twice.
     """
-    if not 0.0 <= keep < 1.0 or (keep > 0.0 and start is None):
-        sys.exit("--keep must be at least 0 and less than 1, and needs --start")
     try:
         import torch
 
@@ -144,16 +132,10 @@ def run(
     held_out, seen = drawn[:held_count], drawn[held_count:]
     large_count = min(LARGE_HELD_OUT, len(larger) // DRAWINGS // 5) * DRAWINGS
     large_out, larger = larger[:large_count], larger[large_count:]
-    print(
-        f"{len(seen)} drawings, {len(larger)} larger, {held_count} and {large_count} held out, "
-        f"{len(behind)} skies",
-        flush=True,
-    )
-    held = [
-        photographs(some, behind, np.random.default_rng(HELD_SEED))
-        for some in (held_out, large_out)
-        if some
-    ]
+    print(f"{len(seen)} drawings, {len(larger)} larger, {held_count} and {large_count} held out, "
+          f"{len(behind)} skies", flush=True)  # fmt: skip
+    outs = [some for some in (held_out, large_out) if some]
+    held = [photographs(some, behind, np.random.default_rng(HELD_SEED)) for some in outs]
     batches: queue.Queue = queue.Queue(AHEAD)
 
     def feed() -> None:
@@ -168,16 +150,11 @@ def run(
     threading.Thread(target=feed, daemon=True).start()
     shown, large_shown = (
         photographs(some[:: -(-len(some) // most)], behind, np.random.default_rng([seed, 3]))[0]
-        if some
-        else []
+        if some else []
         for some, most in ((seen, SHOWN), (larger, LARGE_SHOWN))
-    )
-    begun = None if start is None else unet.started(start, torch.from_numpy(shown))
+    )  # fmt: skip
     tensors = [tuple(torch.from_numpy(x) for x in batch) for batch in held]
-    trained = unet.trained(batches.get, tensors, minutes, seed, begun, rate)
-    if begun is not None and keep > 0.0:
-        measured = [batches.get()[0] for _ in range(MEASURED)]
-        trained = unet.between(begun, trained, 1.0 - keep, measured)
+    trained = unet.trained(batches.get, tensors, minutes, seed)
     unet.write(trained, network, [*shown, *large_shown])
     size_mb = network.stat().st_size / 1e6
     entropies = ", ".join(f"{written_entropy(network, *batch):.3f}" for batch in held)

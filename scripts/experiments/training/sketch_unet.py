@@ -8,14 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import onnx
 import torch
-from onnx import numpy_helper
 from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_static
 from torch import nn
 from torch.nn import functional
 
-from rendezview.sensors.appearance.sketch.network import COVER, MAPS, SQUARE_PX, to_squares
+from rendezview.sensors.appearance.edges.network import SQUARE_PX, to_squares
+from rendezview.sensors.appearance.model.sketches import COVER, MAPS
 
 CHANNELS = 2  # grey levels, and faint differences magnified
 # Channels at full size, a half, a quarter, an eighth and a sixteenth of the squares.
@@ -23,9 +22,8 @@ WIDTHS = (56, 80, 112, 128, 192)
 LINE_WEIGHT = 3.0  # of a pixel on a line: most are on none
 MAP_WEIGHTS = (1.0, 1.5, 1.5)
 DICE_PX = 50.0  # px²; keeps the overlap of small targets smooth
+WARM_UP, REPORT_EVERY = 200, 200  # steps
 LEARNING_RATE = 2e-3
-WARM_UP = 200  # steps
-LEAST_VARIANCE = 1e-6  # of a layer's values, where its statistics are measured
 MEAN_DECAY = 0.998  # of the running mean of the weights, a step
 HELD_BATCH = 16
 Batch = tuple[torch.Tensor, torch.Tensor]  # pictures (N, 2, S, S) and maps (N, MAPS, S, S)
@@ -70,9 +68,8 @@ class SketchUNet(nn.Module):
         self.more_b, self.more_c, self.more_d = Residual(b), Residual(c), Residual(d)
         self.more_up_c, self.more_up_b = Residual(c), Residual(b)
         self.e = nn.Sequential(Layer(d, e), Layer(e, e), Layer(e, e))
-        self.from_e, self.from_d, self.from_c, self.from_b = (
-            nn.Conv2d(e, d, 1), nn.Conv2d(d, c, 1), nn.Conv2d(c, b, 1), nn.Conv2d(b, a, 1)
-        )  # fmt: skip
+        self.from_e, self.from_d = nn.Conv2d(e, d, 1), nn.Conv2d(d, c, 1)
+        self.from_c, self.from_b = nn.Conv2d(c, b, 1), nn.Conv2d(b, a, 1)
         self.up_c = nn.Sequential(Layer(c, c), Layer(c, c))
         self.up_b = Layer(b, b)
         self.up_a = nn.Sequential(Layer(a, a), Layer(a, a))
@@ -93,71 +90,6 @@ class SketchUNet(nn.Module):
         return self.out(self.up_a(a + twice(self.from_b(b))))
 
 
-def started(path: Path, shown: torch.Tensor) -> SketchUNet:
-    """The network of a file: as trained (.pt), or read back from whole numbers (.onnx).
-
-    A file in whole numbers has its normalisation in the weights. It is made one again that does
-    the same to the pictures ``shown`` (N, CHANNELS, S, S), so that training can go on.
-    """
-    network = SketchUNet()
-    if path.suffix != ".onnx":
-        network.load_state_dict(torch.load(path, map_location="cpu"))
-        return network
-    modules = dict(network.named_modules())
-    for name, weight, bias in _convolutions(path):
-        convolution = modules[name]
-        convolution.weight.data = torch.from_numpy(weight)
-        if convolution.bias is not None:
-            convolution.bias.data = torch.from_numpy(bias)
-            continue
-        norm = modules[f"{name.rpartition('.')[0]}.norm"]
-        norm.running_var.fill_(1.0 - norm.eps)
-        norm.bias.data = torch.from_numpy(bias)
-    norms = [m for m in network.modules() if isinstance(m, nn.BatchNorm2d)]
-    seen: dict[nn.Module, tuple[torch.Tensor, torch.Tensor]] = {}
-
-    def keep(module, inputs) -> None:
-        seen[module] = inputs[0].mean((0, 2, 3)), inputs[0].var((0, 2, 3))
-
-    hooks = [norm.register_forward_pre_hook(keep) for norm in norms]
-    network.eval()
-    with torch.no_grad():
-        log_odds(network, shown)
-    for hook in hooks:
-        hook.remove()
-    for norm in norms:
-        mean, variance = seen[norm][0], seen[norm][1].clamp_min(LEAST_VARIANCE)
-        norm.running_mean.copy_(mean)
-        norm.running_var.copy_(variance)
-        norm.weight.data = torch.sqrt(variance + norm.eps)
-        norm.bias.data = norm.bias.data + mean
-    return network
-
-
-def _convolutions(path: Path):
-    """Name, weights and bias of each convolution of a file in whole numbers."""
-    graph = onnx.load(str(path)).graph
-    stored = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
-    made_by = {output: node for node in graph.node for output in node.output}
-
-    def exact(name: str) -> np.ndarray:
-        if name in stored:
-            return stored[name].astype(np.float32)
-        whole, scale, *zero = (stored[part] for part in made_by[name].input)
-        along = next((a.i for a in made_by[name].attribute if a.name == "axis"), 1)
-        shape = [-1 if k == along else 1 for k in range(whole.ndim)]
-        offset = zero[0].astype(np.float32).reshape(shape) if zero else np.float32(0.0)
-        return (whole.astype(np.float32) - offset) * scale.reshape(shape)
-
-    for node in graph.node:
-        if node.op_type == "Conv":
-            # "/up_c/up_c.0/convolution/Conv": the place in a sequence repeats the sequence's name
-            *parts, _ = node.name.strip("/").split("/")
-            after = [*parts[1:], ""]
-            own = [p for p, q in zip(parts, after, strict=True) if not q.startswith(f"{p}.")]
-            yield ".".join(own), exact(node.input[1]), exact(node.input[2])
-
-
 def log_odds(network, pictures):
     """(N, MAPS, S, S) of pictures (N, CHANNELS, S, S)."""
     squares = functional.pixel_unshuffle(pictures, SQUARE_PX)
@@ -169,9 +101,8 @@ def losses(odds, maps):
     odds = odds.float()
     per_map = (1, MAPS, 1, 1)
     weights = odds.new_tensor([1.0, LINE_WEIGHT, LINE_WEIGHT]).view(per_map)
-    entropy = functional.binary_cross_entropy_with_logits(
-        odds, maps, pos_weight=weights, reduction="none"
-    )
+    cross = functional.binary_cross_entropy_with_logits
+    entropy = cross(odds, maps, pos_weight=weights, reduction="none")
     entropy = (entropy.mean((0, 2, 3)) * odds.new_tensor(MAP_WEIGHTS)).sum()
     share, truth = torch.sigmoid(odds[:, COVER]), maps[:, COVER]
     both = (share * truth).sum((1, 2))
@@ -184,27 +115,23 @@ def judged(network, held: Batch, device: str) -> tuple[np.ndarray, np.ndarray]:
     network.eval()
     pictures, maps = held
     with torch.no_grad():
-        odds = torch.cat(
-            [log_odds(network, part.to(device)).cpu() for part in pictures.split(HELD_BATCH)]
-        )
+        parts = pictures.split(HELD_BATCH)
+        odds = torch.cat([log_odds(network, part.to(device)).cpu() for part in parts])
     seen, truth = odds[:, COVER] > 0, maps[:, COVER] > 0.5
     both, either = (seen & truth).sum((1, 2)), (seen | truth).sum((1, 2))
-    parts = np.array([float(x) for x in losses(odds, maps)])
-    return parts, ((both + 1) / (either + 1)).numpy()
+    lost = np.array([float(x) for x in losses(odds, maps)])
+    return lost, ((both + 1) / (either + 1)).numpy()
 
 
 def trained(
-    next_batch: Callable[[], Batch], held: list[Batch], minutes: float, seed: int,
-    start: SketchUNet | None, rate: float = LEARNING_RATE, report_every: int = 200,
-) -> SketchUNet:  # fmt: skip
+    next_batch: Callable[[], Batch], held: list[Batch], minutes: float, seed: int
+) -> SketchUNet:
     """The running mean of the weights after AdamW with a cosine of learning rates over the time."""
     torch.manual_seed(seed)
     device = "cuda" if torch.cuda.is_available() else "cpu"
     network, mean = (
         SketchUNet().to(device=device, memory_format=torch.channels_last) for _ in range(2)
     )
-    if start is not None:
-        network.load_state_dict(start.state_dict())
     # Half the bits are as exact, and faster where the processor has them.
     brief = device == "cuda" or torch.ops.mkldnn._is_mkldnn_bf16_supported()
     mean.load_state_dict(network.state_dict())
@@ -212,7 +139,7 @@ def trained(
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=1e-3)
     began, step, running = time.monotonic(), 0, []
     while (done := (time.monotonic() - began) / (60.0 * minutes)) < 1.0:
-        now = rate * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.0 + np.cos(np.pi * done))
+        now = LEARNING_RATE * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.0 + np.cos(np.pi * done))
         for group in optimizer.param_groups:
             group["lr"] = now + 1e-6
         pictures, maps = (part.to(device) for part in next_batch())
@@ -226,41 +153,16 @@ def trained(
         step += 1
         _follow(mean, network, min(MEAN_DECAY, step / (step + 20)))
         running.append((float(entropy.detach()), float(overlap.detach())))
-        if step % report_every == 0:
-            _report(step, running[-report_every:], mean, held, device)
-    _report(step, running[-report_every:], mean, held, device)
+        if step % REPORT_EVERY == 0:
+            _report(step, running[-REPORT_EVERY:], mean, held, device)
+    _report(step, running[-REPORT_EVERY:], mean, held, device)
     return mean.cpu()
 
 
-def between(
-    start: SketchUNet, end: SketchUNet, share: float, pictures: list[torch.Tensor]
-) -> SketchUNet:
-    """The network whose weights lie a share of the way from one network's to another's.
-
-    Better than either on pictures unlike those of the training (Wortsman et al. 2022). Its layers'
-    values are not between theirs, so their normalisation is measured again on ``pictures``
-    (N, CHANNELS, S, S) each.
-    """
-    network = SketchUNet()
-    network.load_state_dict(start.state_dict())
-    with torch.no_grad():
-        for weight, other in zip(network.parameters(), end.parameters(), strict=True):
-            weight.lerp_(other, share)
-        for module in network.modules():
-            if isinstance(module, nn.BatchNorm2d):
-                module.reset_running_stats()
-                module.momentum = None  # the mean of all that comes
-        network.train()
-        for batch in pictures:
-            log_odds(network, batch)
-    return network.eval()
-
-
 def _follow(mean, network, decay: float) -> None:
+    pairs = zip(mean.state_dict().values(), network.state_dict().values(), strict=True)
     with torch.no_grad():
-        for kept, now in zip(
-            mean.state_dict().values(), network.state_dict().values(), strict=True
-        ):
+        for kept, now in pairs:
             if kept.dtype.is_floating_point:
                 kept.mul_(decay).add_(now, alpha=1.0 - decay)
             else:
@@ -281,11 +183,7 @@ def write(network, path: Path, pictures: list[np.ndarray]) -> None:
 
     Input ``squares`` (1, CHANNELS n², h, w), output ``y`` (1, MAPS n², h, w) log-odds, float32. The
     normalisation is folded into the weights. They are kept beside it as .pt, as trained.
-
-    Args:
-        network: trained, on the CPU.
-        path: of the ONNX file.
-        pictures: (CHANNELS, S, S) each, that show the range of every layer's values.
+    ``pictures``: (CHANNELS, S, S) each, that show the range of every layer's values.
     """
     torch.save(network.state_dict(), path.with_suffix(".pt"))
     network.eval()

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from experiments.trajectory.frames import CAMERA, KINDS, SPAN_S, true_path
+from experiments.frame import mesh_of, nees
+from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
+from rendezview.sensors.appearance.model.signature import Signature
 from rendezview.sensors.appearance.outline.interpolation import Interpolator
-from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.votes import Match
 from rendezview.trajectory import (
-    Nothing,
+    NoFit,
     PointCloud,
     Segment,
     Shape,
@@ -26,29 +30,150 @@ from rendezview.trajectory import (
     fit_spin,
     fit_spin_of_directions,
 )
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate import SceneOptions, render_frame, sun_at_phase
+from rendezview_ground.simulate.trajectories import looking_at, torque_free
 
+KINDS = ("circular", "spiral", "vbar", "spin", "tumble")
+FRAMES = 100
+STEP_S = 2.0
+SPAN_S = FRAMES * STEP_S
+RATE_RAD_S = 1.0 / SPAN_S
+MEAN_MOTION_RAD_S = 0.0011
+JITTER_RAD = np.deg2rad(0.3)
+INERTIA = (1.0, 1.6, 2.0)
+MOST_PHASE_RAD = math.radians(45.0)  # of the Sun, in the middle of a segment
+CAMERA = Camera.from_fov(1024, 768, float(np.deg2rad(53.0)))
 SHAPES = {"circular": Shape.CIRCULAR, "spiral": Shape.SPIRAL, "vbar": Shape.VBAR}
 
 
-def clouds(data: dict[str, Array], between: Interpolator | None) -> dict[str, PointCloud]:
+def true_path(
+    kind: str, radius_m: float, centre_m: Array, seed: int
+) -> tuple[Callable[[Array], Array], Callable[[Array], tuple[Array, Array]]]:
+    """Where the camera is, and how the target turns, at any times; without jitter.
+
+    Returns:
+        Times (N,) to camera places (N, 3), target frame; times to ``reference_from_target``
+        (N, 3, 3) and the target's angular velocity (N, 3) in its own axes. The reference is a
+        frame in which the target's centre is fixed on +z, as the camera's does.
+    """
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    axes = Rotation.random(random_state=rng).as_matrix()
+    ahead, across, normal = axes
+    if kind in ("spin", "tumble"):
+        direction = rng.standard_normal(3)
+        rate = RATE_RAD_S * direction / np.linalg.norm(direction)
+        inertia = INERTIA if kind == "tumble" else (1.0, 1.0, 1.0)
+        place = centre_m + 3.5 * radius_m * ahead
+        first = looking_at(place, centre_m, normal).rotation
+
+        def turn(times_s: Array) -> tuple[Array, Array]:
+            grid = np.concatenate([[0.0], times_s])
+            unique, back = np.unique(grid, return_inverse=True)
+            inertial_from_body, rates = torque_free(inertia, rate, unique)
+            return first @ inertial_from_body[back][1:], rates[back][1:]
+
+        def places(times_s: Array) -> Array:
+            turned, _ = turn(times_s)
+            away = np.array([0.0, 0.0, -3.5 * radius_m])
+            return np.asarray(centre_m + np.einsum("nji,j->ni", turned, away))
+
+        return places, turn
+
+    hop_s, hop_phase = SPAN_S / 3.0, rng.uniform(0.0, SPAN_S / 3.0)
+
+    def flown(times_s: Array) -> Array:
+        t = np.asarray(times_s, np.float64)[:, None]
+        if kind == "vbar":
+            distance = radius_m * (6.0 - t / SPAN_S)
+            height = 0.03 * distance * np.abs(np.sin(math.pi * (t - hop_phase) / hop_s))
+            return np.asarray(centre_m + distance * ahead + height * across)
+        distance = radius_m * (3.5 if kind == "circular" else 4.5 - 0.5 * t / SPAN_S)
+        angle = RATE_RAD_S * t
+        return np.asarray(centre_m + distance * (np.cos(angle) * ahead + np.sin(angle) * across))
+
+    def turned(times_s: Array) -> tuple[Array, Array]:
+        up = across if kind == "vbar" else normal
+        poses = np.stack([looking_at(p, centre_m, up).rotation for p in flown(times_s)])
+        rates = np.tile(-RATE_RAD_S * normal, (len(times_s), 1))
+        return poses, (np.zeros_like(rates) if kind == "vbar" else rates)
+
+    return flown, turned
+
+
+def suns(still: Array, phase_rad: float, rng: np.random.Generator) -> Array:
+    """(N, 3) towards the Sun in the camera's axes: it stands still in space, the orbit turns.
+
+    ``still``: (N, 3, 3) from the axes that keep their place in the orbit to the camera's;
+    ``phase_rad``: angle Sun–target–camera in the middle of the segment.
+    """
+    middle = len(still) // 2
+    there = sun_at_phase([0.0, 0.0, 1.0], phase_rad, rng.uniform(0.0, 2.0 * math.pi))
+    first = still[middle].T @ there
+    normal = rng.standard_normal(3)
+    normal /= np.linalg.norm(normal)
+    turns = -MEAN_MOTION_RAD_S * STEP_S * (np.arange(len(still)) - middle)
+    moved = Rotation.from_rotvec(turns[:, None] * normal).apply(first)
+    return np.asarray(np.einsum("nij,nj->ni", still, moved))
+
+
+def observations(model: ViewModel, mesh: Mesh, kind: str, seed: int) -> dict[str, np.ndarray]:
+    """One segment through the renderer and both trackers, as arrays."""
+    centre_m = model.centre_m
+    places, turns = true_path(kind, model.target_radius_m, centre_m, seed)
+    times_s = STEP_S * np.arange(FRAMES)
+    rotations, truth = turns(times_s)[0], places(times_s)
+    rng = np.random.default_rng([seed, KINDS.index(kind), 1])
+    jitter = Rotation.from_rotvec(JITTER_RAD * rng.standard_normal((FRAMES, 3))).as_matrix()
+    phase_rad = rng.uniform(0.0, MOST_PHASE_RAD)
+    # A turning target turns in the axes of the orbit, which are the camera's.
+    turned = jitter @ rotations
+    light = suns(jitter if kind in ("spin", "tumble") else turned, phase_rad, rng)
+    poses = [Pose(j @ r, -(j @ r) @ t) for j, r, t in zip(jitter, rotations, truth, strict=True)]
+    both = (Recognizer(model, CAMERA), Recognizer(model, CAMERA, refine=False))
+    trackers = [Tracker(recognizer, poses[0]) for recognizer in both]
+    refined, outlines, trees, nodes = [], [], [], []
+    for k, (time_s, pose) in enumerate(zip(times_s.tolist(), poses, strict=True)):
+        frame = render_frame(mesh, CAMERA, pose, light[k], SceneOptions(), rng, time_s)
+        fine, rough = (tracker.update(time_s, frame) for tracker in trackers)
+        refined += [(k, fine.pose, fine.covariance)] * (fine.pose is not None)
+        nodes += [(k, rough.points_m, rough.weights)] * bool(len(rough.points_m))
+        trees += [(k, rough.pose)] * (rough.pose is not None)
+        outlines += [(k, rough.signature)] * (rough.signature is not None)
+    return {
+        "centre_m": centre_m, "radius_m": np.array(model.target_radius_m), "times_s": times_s,
+        "truth_m": truth, "true_rotation": rotations, "jitter": jitter,
+        "pose_frame": np.array([k for k, _, _ in refined]),
+        "rotation": np.array([pose.rotation for _, pose, _ in refined]),
+        "translation_m": np.array([pose.translation_m for _, pose, _ in refined]),
+        "covariance": np.array([spread for _, _, spread in refined]),
+        "node_frame": np.concatenate([np.full(len(points), k) for k, points, _ in nodes]),
+        "node_m": np.concatenate([points for _, points, _ in nodes]),
+        "node_weight": np.concatenate([weights for _, _, weights in nodes]),
+        "outline_frame": np.array([k for k, _ in outlines]),
+        "readings": np.array([s.readings for _, s in outlines], np.float32),
+        "area_sr": np.array([s.area_sr for _, s in outlines]),
+        "centred_from_camera": np.array([s.centred_from_camera for _, s in outlines]),
+        "tree_frame": np.array([k for k, _ in trees]),
+        "tree_rotation": np.array([pose.rotation for _, pose in trees]),
+    }  # fmt: skip
+
+
+def clouds(data: dict[str, Array], between: Interpolator) -> dict[str, PointCloud]:
     """Of active nodes; of refined poses, by the target's attitude and by the chaser's own."""
     centre, times = data["centre_m"], data["times_s"]
-    nodes = PointCloud.of_nodes(
-        times[data["node_frame"]], data["node_m"] - centre, data["node_weight"]
-    )
-    refined = PointCloud.of_places(times[data["pose_frame"]], *placed(camera_place, data))
+    nodes = (times[data["node_frame"]], data["node_m"] - centre, data["node_weight"])
+    posed_s = times[data["pose_frame"]]
     # The camera's axes known to the chaser, so that the target's attitude takes no part.
     known = np.swapaxes(data["jitter"] @ data["true_rotation"], 1, 2)[data["pose_frame"]]
     places, spreads = placed(centre_place, data)
-    own = PointCloud.of_places(
-        times[data["pose_frame"]],
-        np.einsum("nij,nj->ni", known, places),
-        known @ spreads @ np.swapaxes(known, 1, 2),
-    )
-    found = {"nodes": nodes, "refined": refined, "refined, own attitude": own}
-    if between is not None:
-        found["between nodes"] = PointCloud.of_nodes(*between_nodes(data, between))
-    return found
+    own = (np.einsum("nij,nj->ni", known, places), known @ spreads @ np.swapaxes(known, 1, 2))
+    return {
+        "nodes": PointCloud.of_nodes(*nodes),
+        "refined": PointCloud.of_places(posed_s, *placed(camera_place, data)),
+        "refined, own attitude": PointCloud.of_places(posed_s, *own),
+        "between nodes": PointCloud.of_nodes(*between_nodes(data, between)),
+    }
 
 
 def placed(
@@ -83,28 +208,20 @@ def between_nodes(data: dict[str, Array], between: Interpolator) -> tuple[Array,
     return np.concatenate(times), np.concatenate(points), np.concatenate(weights)
 
 
-def spins(
-    data: dict[str, Array], kind: str, between: Interpolator | None
-) -> dict[str, Spin | Nothing]:
+def spins(data: dict[str, Array], kind: str, between: Interpolator) -> dict[str, Spin | NoFit]:
     """From directions of active nodes, from attitudes with the chaser's own known."""
     frames, times = data["pose_frame"], data["times_s"]
     back = np.swapaxes(data["jitter"][frames], 1, 2)
     attitudes = back @ data["rotation"]
     spreads = back @ data["covariance"][:, :3, :3] @ np.swapaxes(back, 1, 2)
     tumbling = kind == "tumble"
-    found = {
-        "nodes": fit_spin_of_directions(
-            times[data["node_frame"]],
-            data["node_m"] - data["centre_m"],
-            data["node_weight"],
-            tumbling=tumbling,
-        ),
+    away = data["node_m"] - data["centre_m"]
+    nodes = (times[data["node_frame"]], away, data["node_weight"])
+    return {
+        "nodes": fit_spin_of_directions(*nodes, tumbling=tumbling),
         "refined": fit_spin(times[frames], attitudes, spreads, tumbling=tumbling),
+        "between nodes": fit_spin_of_directions(*between_nodes(data, between), tumbling=tumbling),
     }
-    if between is not None:
-        cloud = between_nodes(data, between)
-        found["between nodes"] = fit_spin_of_directions(*cloud, tumbling=tumbling)
-    return found
 
 
 def segment_errors(segment: Segment, data: dict[str, Array], kind: str, seed: int) -> Array:
@@ -118,8 +235,7 @@ def segment_errors(segment: Segment, data: dict[str, Array], kind: str, seed: in
         errors.append(100.0 * float(np.median(off)))
     middle = np.array([segment.middle_s])
     miss = segment.places(middle)[0] - (flown(middle)[0] - data["centre_m"])
-    nees = float(miss @ np.linalg.solve(segment.place_covariance(segment.middle_s), miss))
-    return np.array([*errors, nees])
+    return np.array([*errors, nees(miss, segment.place_covariance(segment.middle_s))])
 
 
 def spin_errors(spin: Spin, data: dict[str, Array], kind: str, seed: int) -> Array:
@@ -143,60 +259,62 @@ def row(name: str, values: list[Array], count: int) -> str:
     """Median, 90 % and largest of each column."""
     if not values:
         return f"| {name} | 0 of {count} |"
-    table = np.array(values)
-    cells = []
-    for column in table.T:
-        median, high = np.percentile(column, [50.0, 90.0])
-        cells.append(f"{median:.3f} / {high:.3f} / {column.max():.3f}")
+    cells = [
+        " / ".join(f"{value:.3f}" for value in np.percentile(column, [50.0, 90.0, 100.0]))
+        for column in np.array(values).T
+    ]
     return f"| {name} | {len(values)} of {count} | " + " | ".join(cells) + " |"
 
 
 def judge(
-    kinds: tuple[str, ...],
-    kept: dict[tuple[str, int], dict[str, Array]],
-    errors: Callable[..., Array],
-    fits: Callable[[dict[str, Array], str], Mapping[str, Any]],
-) -> None:
+    kinds: Sequence[str], kept: dict[tuple[str, int], dict[str, Array]],
+    errors: Callable[..., Array], fits: Callable[[dict[str, Array], str], Mapping[str, Any]],
+) -> None:  # fmt: skip
     """Print a row for each kind of path and source of points."""
     for kind in kinds:
-        there = [seed for one, seed in kept if one == kind]
-        found = {seed: fits(kept[kind, seed], kind) for seed in there}
-        for source in found[there[0]] if there else ():
+        found = {seed: fits(data, kind) for (one, seed), data in kept.items() if one == kind}
+        for source in next(iter(found.values()), ()):
             values = []
-            for seed in there:
-                fit = found[seed][source]
-                if isinstance(fit, Nothing):
+            for seed, each in found.items():
+                fit = each[source]
+                if isinstance(fit, NoFit):
                     print(f"{kind} {source} seed {seed}: {fit.reason}")
                 else:
                     values.append(errors(fit, kept[kind, seed], kind, seed))
-            print(row(f"{kind}, {source}", values, len(there)))
+            print(row(f"{kind}, {source}", values, len(found)))
 
 
 def run(
-    folder: Path, *, target: str = "client", seeds: tuple[int, int] = (0, 20),
-    model: Annotated[Path | None, "also between its nodes (has far readings)"] = None,
+    folder: Annotated[Path, "of the observations, kept"],
+    model: Annotated[Path, "of client, with far readings"], *, seeds: tuple[int, int] = (0, 20),
 ) -> None:  # fmt: skip
-    """Errors of segments, predictions and spin.
+    """Draw paths of the client, recognise their frames, and judge segments, predictions and spin.
 
-    FOLDER is that of trajectory-frames; seeds without a file are left out. Position errors are
-    medians over the segment, and over the next one predicted, as parts of the range. "nodes": the
-    trees only. "between nodes": the signatures stored around the nodes (--model). "refined":
-    refined poses. "own attitude": the chaser knows its own attitude (a star tracker), and the
-    target's attitude is not used for the place. For circular and spiral, the spin is that of the
-    target in the frame of the line of sight; the chaser knows its pointing jitter. NEES is of the
-    place in the middle: three for perfect statistics. Rows: median, 90 % and largest over seeds.
+    FOLDER keeps segments of 100 frames, 2 s apart: 1024 × 768, 53° across, the Sun still in space,
+    0 to 45° from behind the camera in the middle. Two trackers read each frame: one with
+    refinement, one with the trees only. circular: one radian at 3.5 target radii. spiral: the same
+    from 4.5 to 4 radii. vbar: from 6 to 5 radii, with three hops of 3 % of the distance. spin,
+    tumble: the camera is fixed at 3.5 radii, the target turns through one radian about a fixed
+    axis, or freely with moments 1 : 1.6 : 2.
+
+    Position errors are medians over the segment, and over the next one predicted. "nodes": the
+    trees only. "between nodes": the signatures stored around the nodes. "own attitude": the chaser
+    knows its own attitude (a star tracker), and the target's is not used for the place. For
+    circular and spiral, the spin is that of the target in the frame of the line of sight. NEES is
+    of the place in the middle: 3 is right. Rows: median, 90 % and largest over seeds.
     """
-    between = None if model is None else Interpolator(ViewModel.load(model))
+    views, (_, mesh) = ViewModel.load(model), mesh_of("client")
+    between = Interpolator(views)
+    folder.mkdir(parents=True, exist_ok=True)
+    kept: dict[tuple[str, int], dict[str, Array]] = {}
+    for kind, seed in product(KINDS, range(*seeds)):
+        path = folder / f"{views.name}-{kind}-{seed}.npz"
+        if not path.exists():
+            np.savez_compressed(path, **observations(views, mesh, kind, seed))
+        with np.load(path) as file:
+            kept[kind, seed] = {name: file[name] for name in file.files}
     print("| segments | fitted | position, % of range | predicted, % of range | NEES |")
     print("|---|---|---|---|---|")
-    kept: dict[tuple[str, int], dict[str, Array]] = {}
-    for kind in KINDS:
-        for seed in range(*seeds):
-            path = folder / f"{target}-{kind}-{seed}.npz"
-            if not path.exists():
-                continue
-            with np.load(path) as file:
-                kept[kind, seed] = {name: file[name] for name in file.files}
     judge(
         tuple(SHAPES), kept, segment_errors,
         lambda data, kind: {
@@ -206,13 +324,12 @@ def run(
     )  # fmt: skip
     frame_errors = []
     for data in kept.values():
-        places = clouds(data, None)["refined"].places_m + data["centre_m"]
+        places = placed(camera_place, data)[0] + data["centre_m"]
         truth = data["truth_m"][data["pose_frame"]]
         far = np.linalg.norm(truth - data["centre_m"], axis=1)
         frame_errors.append(100.0 * float(np.median(np.linalg.norm(places - truth, axis=1) / far)))
     print(f"one refined frame: {np.median(frame_errors):.3f} % of range, median of medians")
-    print()
-    print("| spin | fitted | rate, % | axis, ° | position, % of range | predicted, % |")
+    print("\n| spin | fitted | rate, % | axis, ° | position, % of range | predicted, % |")
     print("|---|---|---|---|---|---|")
     turning = ("spin", "tumble", "circular", "spiral")
     judge(turning, kept, spin_errors, lambda data, kind: spins(data, kind, between))

@@ -11,13 +11,13 @@ import pytest
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.model.signature import Signature
 from rendezview.sensors.appearance.outline.interpolation import Interpolator
-from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.votes import Match
-from rendezview.training.mesh import Mesh
-from rendezview.training.options import TrainingOptions, view_geometry
-from rendezview.training.renderers import make_renderer
-from rendezview.training.views import ViewSet, clean_views, look_from
+from rendezview_ground.learn.options import TrainingOptions, view_geometry
+from rendezview_ground.learn.views.views import ViewSet, clean_views, look_from
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.render.renderers import make_renderer
 
 RADII = 2.5
 

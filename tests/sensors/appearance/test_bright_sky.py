@@ -9,9 +9,9 @@ from rendezview.sensors.appearance.outline.bright_sky import find_bodies
 from rendezview.sensors.appearance.outline.foreground import Foreground, from_squares, to_squares
 from rendezview.sensors.appearance.outline.silhouette import Missing
 from rendezview.sensors.observation import Status
-from rendezview.simulation import Earth, SceneOptions, SensorOptions, render_frame
-from rendezview.simulation.foreground_frames import foreground_frame
-from rendezview.simulation.random_craft import random_craft
+from rendezview_ground.simulate import Earth, SceneOptions, SensorOptions, render_frame
+from rendezview_ground.simulate.foreground_frames import foreground_frame
+from rendezview_ground.simulate.random_craft import random_craft
 
 CAMERA = Camera(width=640, height=480, fx=640.0, fy=640.0, cx=319.5, cy=239.5)
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.sensors.appearance.edges.retrieval import Retrieval, least
-from rendezview.sensors.appearance.edges.shadowed_silhouettes import READING_UNIT, SHADOWED_BINS
-from rendezview.sensors.appearance.outline.signature import Signature, rebinning
+from rendezview.sensors.appearance.model.shadowed_silhouettes import READING_UNIT, SHADOWED_BINS
+from rendezview.sensors.appearance.model.signature import Signature, rebinning
+from rendezview.sensors.appearance.outline.retrieval import Retrieval, least
 
 _RNG = np.random.default_rng(5)
 _VALUES = {

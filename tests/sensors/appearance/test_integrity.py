@@ -17,21 +17,21 @@ from rendezview.geometry import so3
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import json_line
 from rendezview.sensors.appearance import AppearanceObservation
-from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.edges.refinement import Refined
-from rendezview.sensors.appearance.evidence import Evidence, Second
-from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
-from rendezview.sensors.appearance.integrity_model import (
+from rendezview.sensors.appearance.integrity.evidence import Evidence, Second
+from rendezview.sensors.appearance.integrity.model import (
     FRAME_FEATURES,
     PACKAGED,
     SPREAD_FEATURES,
     TRACK_FEATURES,
     IntegrityModel,
-    SecondWitness,
+    SecondEstimator,
     Spread,
     frame_features,
     track_features,
 )
+from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
+from rendezview.sensors.appearance.judge.confidence import Found
 from rendezview.sensors.appearance.outline.reading import OutlineReading
 from rendezview.sensors.observation import Status
 from rendezview.sensors.protection import Levels, Protection
@@ -191,7 +191,7 @@ def test_a_disagreement_is_asked_about_again():
 
 
 def test_each_agreement_counts_up_to_a_few_and_disagreements_stand_against_them():
-    found = SecondWitness()
+    found = SecondEstimator()
     for _ in range(6):
         found = found.after(AGREES)
     young, once, again, against, none = track_features(30, found)
@@ -203,7 +203,9 @@ def test_each_agreement_counts_up_to_a_few_and_disagreements_stand_against_them(
     assert not found.contradicts(3.0)  # the level reaches it
     assert not found.after(Second(2.0, 0.4)).contradicts(0.1)  # unsure
     assert not found.after(AGREES).contradicts(0.1)
-    assert track_features(0, SecondWitness().after(None))[1:] == pytest.approx([0.0, 0.0, 0.0, 1.0])
+    assert track_features(0, SecondEstimator().after(None))[1:] == pytest.approx(
+        [0.0, 0.0, 0.0, 1.0]
+    )
 
 
 def test_a_level_follows_what_the_frame_shows_of_its_covariance():

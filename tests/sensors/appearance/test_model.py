@@ -16,9 +16,9 @@ from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.appearance.container import read_container, write_container
-from rendezview.sensors.appearance.model import Views
-from rendezview.sensors.appearance.outline.trees import Forest
+from rendezview.sensors.appearance.model.container import read_container, write_container
+from rendezview.sensors.appearance.model.trees import Forest
+from rendezview.sensors.appearance.model.view_model import Views
 
 ARRAYS: dict[str, np.ndarray] = {
     "a": np.arange(6, dtype=np.float32).reshape(2, 3),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.sensors.appearance.outline.signature import vector_area
+from rendezview.sensors.appearance.model.signature import vector_area
 from rendezview.sensors.appearance.outline.silhouette import (
     Silhouette,
     SilhouetteOptions,

@@ -13,12 +13,12 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer
+from rendezview.sensors.appearance.model.signature import Signature
 from rendezview.sensors.appearance.outline.placement import range_from_area
-from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.votes import Matcher
 from rendezview.sensors.observation import Status
-from rendezview.training.job import train
-from rendezview.training.mesh import Mesh
+from rendezview_ground.learn.job import train
+from rendezview_ground.mesh.mesh import Mesh
 
 POSES = 16
 # The model is a sphere of 162 nodes, 17° apart: these are its errors, not the method's.

@@ -13,14 +13,14 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
-from rendezview.sensors.appearance.container import read_container, write_container
 from rendezview.sensors.appearance.edges import refinement
 from rendezview.sensors.appearance.edges.profile_fit import fit_profile
 from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
 from rendezview.sensors.appearance.edges.strain import StrainMoves
+from rendezview.sensors.appearance.model.container import read_container, write_container
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
-from rendezview.simulation import (
+from rendezview_ground.simulate import (
     Earth,
     SceneOptions,
     SensorOptions,

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.appearance.outline.signature import (
+from rendezview.sensors.appearance.model.signature import (
     UNIT,
     Signature,
     quantised,
@@ -19,8 +19,8 @@ from rendezview.sensors.appearance.outline.signature import (
     twist,
 )
 from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
-from rendezview.training.projection import Window
-from rendezview.training.rasterizer import NumbaRenderer
+from rendezview_ground.render.projection import Window
+from rendezview_ground.render.rasterizer import NumbaRenderer
 
 ABOUT_Z = np.array([0.0, 0.0, 1.0])
 

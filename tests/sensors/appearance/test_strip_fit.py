@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rendezview.sensors.appearance.edges.contours import OUTLINE, POINT_UNIT, SURFACES
 from rendezview.sensors.appearance.edges.profile import (
     edge_axes,
     in_shadow,
     profile_steps,
     project_start,
 )
+from rendezview.sensors.appearance.model.contours import OUTLINE, POINT_UNIT, SURFACES
 
 # A camera on the z axis looks down on a body whose outline on the side of +x runs along y.
 EYE = np.array([0.0, 0.0, 10.0])

@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker, TrackerOptions, ViewModel
-from rendezview.sensors.appearance.edges.refinement import Refiner
-from rendezview.sensors.appearance.edges.search import SearchOptions
+from rendezview.sensors.appearance.judge.shading import Shading
+from rendezview.sensors.appearance.search.search import SearchOptions
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
-from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
+from rendezview_ground.simulate import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 
 
 def seen_at(model, seed: int, range_m: float = 8.0) -> Pose:
@@ -34,15 +34,15 @@ def shaded(mesh, camera, pose, seed: int, phase_deg: float) -> np.ndarray:
 def test_bright_and_dark_agree_with_the_true_pose_and_less_with_others(
     refining_model, bumpy_mesh, camera, phase_deg
 ):
-    refiner = Refiner(refining_model, camera)
+    shading = Shading(refining_model, camera)
     true, other = [], []
     for seed in range(8):
         pose = seen_at(refining_model, seed)
         image = shaded(bumpy_mesh, camera, pose, seed, phase_deg)
         sky = Sky.of(image)
-        true.append(refiner.shading(image, sky, pose))
+        true.append(shading.of(image, sky, pose))
         turn = Rotation.from_euler("y", 25.0, degrees=True).as_matrix()
-        other.append(refiner.shading(image, sky, Pose(turn @ pose.rotation, pose.translation_m)))
+        other.append(shading.of(image, sky, Pose(turn @ pose.rotation, pose.translation_m)))
     assert np.median(true) > 0.75
     assert np.sum(np.array(true) > np.array(other)) >= 7
     assert np.median(true) - np.median(other) > 0.2
@@ -51,27 +51,27 @@ def test_bright_and_dark_agree_with_the_true_pose_and_less_with_others(
 def test_a_mirrored_contrast_disagrees(refining_model, bumpy_mesh, camera):
     pose = seen_at(refining_model, 3)
     image = shaded(bumpy_mesh, camera, pose, 3, 45.0)
-    refiner = Refiner(refining_model, camera)
+    shading = Shading(refining_model, camera)
     level = np.uint8(image.max())
     target = image > 40
     negative = np.where(target, level - image, image).astype(np.uint8)
-    assert refiner.shading(image, Sky.of(image), pose) > 0.7
-    assert refiner.shading(negative, Sky.of(image), pose) < 0.3
+    assert shading.of(image, Sky.of(image), pose) > 0.7
+    assert shading.of(negative, Sky.of(image), pose) < 0.3
 
 
 def test_a_target_out_of_the_picture_says_nothing(refining_model, camera):
-    refiner = Refiner(refining_model, camera)
+    shading = Shading(refining_model, camera)
     image = np.full((camera.height, camera.width), 30, np.uint8)
     away = Pose(np.eye(3), np.array([30.0, 0.0, 8.0]))
-    assert refiner.shading(image, Sky.of(image), away) == 0.0
+    assert shading.of(image, Sky.of(image), away) == 0.0
     behind = Pose(np.eye(3), np.array([0.0, 0.0, -8.0]))
-    assert refiner.shading(image, Sky.of(image), behind) == 0.0
+    assert shading.of(image, Sky.of(image), behind) == 0.0
 
 
 def test_an_even_picture_agrees_with_nothing(refining_model, camera):
-    refiner = Refiner(refining_model, camera)
+    shading = Shading(refining_model, camera)
     image = np.full((camera.height, camera.width), 30, np.uint8)
-    assert abs(refiner.shading(image, Sky.of(image), seen_at(refining_model, 1))) < 0.05
+    assert abs(shading.of(image, Sky.of(image), seen_at(refining_model, 1))) < 0.05
 
 
 def test_a_model_without_its_surface_finds_poses_by_edges_alone(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from sklearn.tree import DecisionTreeClassifier
 
-from rendezview.sensors.appearance.outline.signature import rolled
-from rendezview.sensors.appearance.outline.trees import Forest, split_entropy
+from rendezview.sensors.appearance.model.signature import rolled
+from rendezview.sensors.appearance.model.trees import Forest, split_entropy
 
 # Cleghorn & Sternberg 1991, Table I; category 1 is the left one
 TABLE_I = np.array(

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from rendezview.geometry.camera import Camera
-from rendezview.simulation.ring_frames import (
+from rendezview_ground.simulate.ring_frames import (
     RingScene,
     RingSceneOptions,
     random_scene,
     render_ring_frame,
 )
-from rendezview.simulation.sensor import SensorOptions
+from rendezview_ground.simulate.sensor import SensorOptions
 
 Make = Callable[..., tuple[RingScene, np.ndarray]]
 

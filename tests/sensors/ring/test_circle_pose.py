@@ -18,7 +18,7 @@ from rendezview.sensors.ring import (
     tangent_basis,
 )
 from rendezview.sensors.ring.concentric import fit_joint, joint_poses
-from rendezview.simulation.ring_frames import tilted_axis
+from rendezview_ground.simulate.ring_frames import tilted_axis
 
 NOISE = np.diag([0.003, 0.003, 0.004, 0.003, 0.004]) ** 2
 

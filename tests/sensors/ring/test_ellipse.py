@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from tests.sensors.ring.paper_ellipse import fit_paper
 
-from experiments.ring.paper_ellipse import fit_paper
 from rendezview.sensors.ring import Ellipse, fit_hyper
 
 THIRD = 2.0 * math.pi / 3.0

@@ -20,8 +20,8 @@ from rendezview.sensors.ring import Ellipse, RingPrior, RingSensor, shape_of_cir
 from rendezview.sensors.ring.detector import Detection, RingEdge
 from rendezview.sensors.ring.prior_log import priors_of_poses
 from rendezview.sensors.ring.which_circle import by_range, without_range
-from rendezview.simulation.scene import SceneOptions, render_frame, sun_at_phase
-from rendezview.training.mesh import load_mesh
+from rendezview_ground.mesh.mesh import load_mesh
+from rendezview_ground.simulate.scene import SceneOptions, render_frame, sun_at_phase
 
 CAMERA = Camera.from_fov(640, 480, math.radians(40.0))
 RADIUS_M = 0.6

@@ -1,6 +1,6 @@
 """Recognition of views by their radial signatures (Cleghorn & Sternberg 1991)."""
 
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.silhouette import (
     Cleaning,

@@ -13,8 +13,8 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Frame, Sequence
 from rendezview.io.sequences.frame import GreyImage
-from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
+from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.recognizer import Recognizer
@@ -77,7 +77,7 @@ def follow(
             alone = recognizer.recognize(image, near, sun_camera=sun_camera, time_s=time_s)
             if integrity is None:
                 return alone
-            look = partial(recognizer.second_look, image)
+            look = partial(recognizer.second_estimate, image)
             monitor = IntegrityMonitor(integrity)
             return monitor.protected(alone, time_s, None, model.centre_m, look)
         tracker = tracker or Tracker(recognizer, prior, options, integrity)

@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import DockingRing
-from rendezview.sensors.appearance.edges.confidence import Found
-from rendezview.sensors.appearance.joint_angles import JointAngles
+from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.model.joint_angles import JointAngles
+from rendezview.sensors.appearance.model.signature import Signature
 from rendezview.sensors.appearance.outline.reading import LateReading, OutlineReading
-from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import Silhouette
 from rendezview.sensors.measurement import Measurement
 from rendezview.sensors.observation import Observation, Status

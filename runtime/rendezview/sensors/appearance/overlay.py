@@ -14,8 +14,8 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import hat
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance.edges.contour_at import contour_pixels
-from rendezview.sensors.appearance.edges.contours import OUTLINE
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.model.contours import OUTLINE
+from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
 Picture = npt.NDArray[np.uint8]

@@ -13,38 +13,39 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import nearest_alike
 from rendezview.io.grey_frame import Picture, check_frame
+from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
 from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
-from rendezview.sensors.appearance.edges.close import CloseSearch
-from rendezview.sensors.appearance.edges.confidence import Found
-from rendezview.sensors.appearance.edges.levels import LevelSearch
 from rendezview.sensors.appearance.edges.refinement import Refined
-from rendezview.sensors.appearance.evidence import Second
-from rendezview.sensors.appearance.joint_angles import JointAngles
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.integrity.evidence import Second
+from rendezview.sensors.appearance.joint_configurations import around, best_of
+from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.model.joint_angles import JointAngles
+from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import (
     CLOSE_MARGIN,
     AppearanceObservation,
     StageClock,
 )
-from rendezview.sensors.appearance.outline.recognition import OutlineRecognition
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
-from rendezview.sensors.appearance.sheets import around, best_of
-from rendezview.sensors.appearance.sketch.found import SketchFound
-from rendezview.sensors.appearance.sketch.search import SketchSearch
+from rendezview.sensors.appearance.search.close import CloseSearch
+from rendezview.sensors.appearance.search.levels import LevelSearch
+from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 
 # Of the outline: it was whole, and refinement says why there is no pose.
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
-# Rad; error of a pose whose joint is at a wrong angle. Source: experiment pose-joints
+# Rad; error of a pose whose joint is at a wrong angle. Source: experiment pose-joints (0.1)
 _NEAR_RAD = np.deg2rad(8.0)
 # Confidence: with less after the likeliest starts, a sketch is tried before all others. Of 79
 # frames of Hubble, Sun 30° and 60° aside, 4 have less although grey edges find their pose at last.
 # Source: by hand, seeds 5 and 6 of rendezview simulate --trajectory random
-_HOPELESS = 0.1
-_SHEETS = 3  # of a target with joints that are searched whole. Source: experiment pose-joints
+_LEAST_CONFIDENT = 0.1
+# Configurations of a target with joints that are searched whole. Source: pose-joints (0.1)
+_CONFIGURATIONS = 3
 # merit; chance decides between two poses nearer to each other. Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
 # Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
@@ -52,7 +53,7 @@ _LEAST_MARGIN = 0.01
 _MOST_SIGMA = 0.5
 
 
-class _Look(NamedTuple):
+class _Request(NamedTuple):
     """What ``recognize`` is asked of one frame; see there."""
 
     frame: Picture
@@ -115,10 +116,10 @@ class Recognizer:
         # The same target with its joints at other angles.
         self._others = tuple(
             Recognizer(
-                sheet, camera, silhouette, match, refine=refine, trees=trees,
+                one, camera, silhouette, match, refine=refine, trees=trees,
                 least_confidence=least_confidence,
             )
-            for sheet in model.sheets
+            for one in model.configurations
         )  # fmt: skip
         self._lock = threading.Lock()
 
@@ -153,71 +154,71 @@ class Recognizer:
         """
         frame = check_frame(image, self.camera.width, self.camera.height)
         with self._lock:
-            look = _Look(frame, prior, prior_error_rad, sun_camera, enough_inliers)
+            request = _Request(frame, prior, prior_error_rad, sun_camera, enough_inliers)
             if self.model.joints and self.search is not None:
-                seen = self._of_sheets(look, angles_rad)
+                seen = self._of_configurations(request, angles_rad)
             else:
-                seen = self._recognize(*look)
+                seen = self._recognize(*request)
         return seen if time_s is None else replace(seen, time_s=time_s)
 
-    def _of_sheets(self, look: _Look, angles_rad: npt.ArrayLike | None) -> AppearanceObservation:
-        """The look of the sheet next to the angles, or the best of all."""
-        sheets = every = (self, *self._others)
-        models = [sheet.model for sheet in every]
+    def _of_configurations(
+        self, request: _Request, angles_rad: npt.ArrayLike | None
+    ) -> AppearanceObservation:
+        """The observation of the configuration next to the angles, or the best of all."""
+        searched = every = (self, *self._others)
+        models = [one.model for one in every]
 
         def at(angles: Array) -> Recognizer:
-            return every[models.index(self.model.sheet_at(angles))]
+            return every[models.index(self.model.configuration_at(angles))]
 
-        if look.prior is not None and angles_rad is not None:
+        if request.prior is not None and angles_rad is not None:
             angles = np.array(angles_rad, dtype=np.float64).reshape(len(self.model.joints))
-            seen = at(angles)._turned_to(angles, look, tracked=True)
+            seen = at(angles)._turned_to(angles, request, tracked=True)
             if seen.found is None or seen.found.best.joint_support >= LEAST_SUPPORT:
                 return seen
             # The parts are elsewhere, or hidden.
             others = around(self.model.joints, angles) + [model.angles_rad for model in models]
-            again = [at(other)._turned_to(other, look) for other in others]
+            again = [at(other)._turned_to(other, request) for other in others]
             return best_of([seen, *again], models, self._judged)
-        looks: list[AppearanceObservation] = []
-        if look.prior is None:
-            sheets, looks = self._likely(sheets, look)
-        looks += [sheet._turned_to(sheet.model.angles_rad, look) for sheet in sheets]
-        best = best_of(looks, models, self._judged)
+        observations: list[AppearanceObservation] = []
+        if request.prior is None:
+            searched, observations = self._likely(searched, request)
+        observations += [one._turned_to(one.model.angles_rad, request) for one in searched]
+        best = best_of(observations, models, self._judged)
         if best.found is None or best.found.best.angles_rad is None:
             return best
         # Edges of a part may have led to a local optimum of its angle.
-        near = look._replace(prior=best.found.best.pose, prior_error_rad=_NEAR_RAD)
+        near = request._replace(prior=best.found.best.pose, prior_error_rad=_NEAR_RAD)
         others = around(self.model.joints, best.found.best.angles_rad)
         again = [at(angles)._turned_to(angles, near) for angles in others]
-        return best_of([*looks, *again], models, self._judged)
+        return best_of([*observations, *again], models, self._judged)
 
     def _likely(
-        self, sheets: tuple[Recognizer, ...], look: _Look
+        self, searched: tuple[Recognizer, ...], request: _Request
     ) -> tuple[tuple[Recognizer, ...], list[AppearanceObservation]]:
-        """The sheets that fit best after a brief search, and the looks of the others."""
-        frame, sky = look.frame, Sky.of(look.frame, look.sun_camera)
+        """The configurations that fit best after a brief search, and what the others observed."""
+        frame, sky = request.frame, Sky.of(request.frame, request.sun_camera)
         traced = self.outline.trace(frame, None, StageClock(), bright_sky=not sky.dark)
-        merits, looks = [], []
-        for sheet in sheets:
-            assert sheet.search is not None
-            sheet.search.start_at(sheet.model.angles_rad)
+        merits, observations = [], []
+        for one in searched:
+            assert one.search is not None
+            one.search.start_at(one.model.angles_rad)
             found = None
             if traced.outlines:
-                found = sheet.search.anywhere(
-                    frame, sky, traced.outlines, sky.sun_camera, brief=True
-                )
+                found = one.search.anywhere(frame, sky, traced.outlines, sky.sun_camera, brief=True)
             merits.append(-np.inf if found is None else found.merit)
-            looks.append(AppearanceObservation(Status.LOST, found=found))
+            observations.append(AppearanceObservation(Status.LOST, found=found))
         order = np.argsort(-np.array(merits), kind="stable")
-        chosen, others = order[:_SHEETS], order[_SHEETS:]
-        return tuple(sheets[k] for k in chosen), [looks[k] for k in others]
+        chosen, others = order[:_CONFIGURATIONS], order[_CONFIGURATIONS:]
+        return tuple(searched[k] for k in chosen), [observations[k] for k in others]
 
     def _turned_to(
-        self, angles_rad: Array, look: _Look, *, tracked: bool = False
+        self, angles_rad: Array, request: _Request, *, tracked: bool = False
     ) -> AppearanceObservation:
-        """The look of this sheet, with the joints starting at some angles (J,)."""
+        """The observation of this configuration, with the joints starting at some angles (J,)."""
         assert self.search is not None
         self.search.start_at(angles_rad, tracked=tracked)
-        return self._recognize(*look)
+        return self._recognize(*request)
 
     def _judged(self, seen: AppearanceObservation) -> AppearanceObservation:
         """The observation with its found pose given or refused."""
@@ -226,7 +227,7 @@ class Recognizer:
             return self._given(seen, seen.found)
         return _refused(seen, seen.found)
 
-    def second_look(self, image: npt.ArrayLike, pose: Pose) -> Second | None:
+    def second_estimate(self, image: npt.ArrayLike, pose: Pose) -> Second | None:
         """The pose that the sketch of a frame shows, searched without a prior, beside another one.
 
         It takes a seventh of a second. ``None``: there is no sketch, or no pose on it.
@@ -272,7 +273,7 @@ class Recognizer:
                 return self._given(seen, found)
         traced = self.outline.trace(frame, prior, clock, bright_sky=not sky.dark)
         if prior is None and traced.outlines:
-            least = 0.0 if self.sketch is None else _HOPELESS
+            least = 0.0 if self.sketch is None else _LEAST_CONFIDENT
             found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera, give_up=least)
             clock.lap("refine")
             if found is not None and self._confident(found):
@@ -290,10 +291,10 @@ class Recognizer:
         if self.sketch is not None:
             sketched = self._sketched(self.sketch, frame, sky, prior, error_rad)
             clock.lap("sketch")
-            hopeless = found is None or found.confidence < _HOPELESS
+            doubtful = found is None or found.confidence < _LEAST_CONFIDENT
             if sketched is not None and prior is None:
                 # Grey edges judge what the sketch proposes, and are the finer ones.
-                answers = sketched.answers + ([] if found is None or hopeless else found.answers)
+                answers = sketched.answers + ([] if found is None or doubtful else found.answers)
                 doubted = not self._confident(sketched) or sketched.margin < CLOSE_MARGIN
                 bodies = traced.outlines
                 proposed = search.proposed(frame, sky, answers, bodies, half_turns=doubted)
@@ -308,7 +309,7 @@ class Recognizer:
                 clock.lap("refine")
                 found = sketched if closer is None else closer
                 return self._given(self.outline.seen(traced, pose, clock), found)
-            if prior is None and traced.outlines and hopeless:
+            if prior is None and traced.outlines and doubtful:
                 found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera, again=True)
                 clock.lap("refine")
                 if found is not None and self._confident(found):

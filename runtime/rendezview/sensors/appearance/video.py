@@ -7,7 +7,7 @@ from pathlib import Path
 from rendezview.io.sequences import Frame, Sequence
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.io.video_file import VideoWriter, playing_rate_hz
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.overlay import draw_observation
 

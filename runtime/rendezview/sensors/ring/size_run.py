@@ -30,7 +30,8 @@ _AGREE_SIGMAS = 4.0
 _AGREE_SHARE = (0.005, 0.02)  # of R, of D_f. Source: a fifth of a rim's width in models_cad/client
 _SURE_SHARE = 0.05  # σ of R over R, of an ellipse that may name a circle. Source: by construction
 _AS_MANY = 0.8  # of the most frames, of a circle that may be the ring too. Source: by construction
-# σ of an error of the ring's size that all pictures share. Source: ring-size-pictures, seed 62
+# σ of an error of the ring's size that all pictures share. Source: ring-size-pictures (0.1), seed
+# 62
 _COMMON_PX = 0.05
 _MOST_CIRCLES = 4  # reported. Source: by construction
 
@@ -257,7 +258,9 @@ def measure_pass(
         size = ring_size_of_pass(camera, sights, _COMMON_PX)
         if size is not None:
             rest = [circles[number], *circles[:number], *circles[number + 1 :]]
-            return SizeResult(size, None, total, count, tuple(_told(frames, one) for one in rest))
+            return SizeResult(
+                size, None, total, count, tuple(_reported(frames, one) for one in rest)
+            )
     return SizeResult(None, "no circle has one size in three frames", total, count)
 
 
@@ -294,7 +297,7 @@ def _circles(frames: list[SizeFrame]) -> list[dict[int, int]]:
     return [members for _, _, members in found]
 
 
-def _told(frames: list[SizeFrame], members: dict[int, int]) -> tuple[float, float, int]:
+def _reported(frames: list[SizeFrame], members: dict[int, int]) -> tuple[float, float, int]:
     sizes = [frames[k].sizes[i] for k, i in members.items()]
     radius = float(np.median([size.radius_m for size in sizes]))
     return radius, float(np.median([size.distance_m for size in sizes])), len(members)

@@ -130,7 +130,7 @@ def _settle(
     """Bring a shape onto its edge; number of samples, 0 where there is none, and their scale."""
     n = 0
     for step in range(4):
-        # The first look is a sparse one: it brings the ellipse onto the edge.
+        # The first pass is a sparse one: it brings the ellipse onto the edge.
         n = sample_steps(
             image, lens, shape, 4.0 * step_px if step == 0 else step_px, 0.0, noise,
             filters, basis, blur, others, samples,

@@ -15,7 +15,7 @@ from rendezview.estimation.edge_profile import (
     REACH,
     TAPS,
     allowed_square,
-    fit_crowded,
+    fit_adjacent,
     fit_step,
     narrow_step,
     residual_square,
@@ -148,9 +148,9 @@ def _place_step(
     """
     level, contrast, shifted = fit_step(profile, filters[0])
     taken, room = spread, FAR
-    crowd = outer < REACH + 2.0 * blur_px or -inner < REACH + 2.0 * blur_px
-    if crowd:
-        taken = fit_crowded(profile, inner, outer, blur_px, solved)
+    adjacent = outer < REACH + 2.0 * blur_px or -inner < REACH + 2.0 * blur_px
+    if adjacent:
+        taken = fit_adjacent(profile, inner, outer, blur_px, solved)
         if taken < 0.0:
             return 0.0, 0.0, 0.0, -1.0
         level, contrast, shifted = solved[0], solved[1], solved[2]
@@ -159,7 +159,7 @@ def _place_step(
         return contrast, contrast, 0.0, -1.0
     place, fitted = shifted / contrast, contrast
     left = residual_square(
-        profile, basis, level, contrast, shifted, inner, outer, blur_px, solved, crowd
+        profile, basis, level, contrast, shifted, inner, outer, blur_px, solved, adjacent
     )
     # A residual beyond noise is another edge, a shade or a curve of the step's own. An unknown
     # edge leaves the near side as it is: the widest window that fits counts.

@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.ground.mesh.docking_face import RING, docking_mesh
 from tests.quick_training import REFINING
-from tests.training.docking_face import RING, docking_mesh
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
-from rendezview.sensors.appearance.edges.close import CloseSearch
-from rendezview.sensors.appearance.edges.near_views import NearSphere
+from rendezview.sensors.appearance.edges.lit_inliers import lit_inliers
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     FOUND,
@@ -24,9 +23,10 @@ from rendezview.sensors.appearance.edges.predicted import (
     U,
     V,
 )
+from rendezview.sensors.appearance.search.close import CloseSearch
 from rendezview.sensors.observation import Status
-from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.training.job import train
+from rendezview_ground.learn.job import train
+from rendezview_ground.simulate import SceneOptions, render_frame, sun_at_phase
 
 CAMERA = Camera(640, 640, 500.0, 500.0, 319.5, 319.5)
 
@@ -39,7 +39,7 @@ def mesh():
 @pytest.fixture(scope="module")
 def model(tmp_path_factory, mesh) -> ViewModel:
     path = tmp_path_factory.mktemp("docking") / "docking.rvm"
-    options = replace(REFINING, contour_radii=(1.0,), sketches=False, voters=0)
+    options = replace(REFINING, contour_radii=(1.0,), sketches=False, forest_trees=0)
     train(mesh, path, name="docking", options=options, docking_ring=RING, jobs=1)
     return ViewModel.load(path)
 
@@ -164,8 +164,8 @@ def test_a_wing_in_the_dark_does_not_count_against_a_pose():
     edges = np.zeros((4, COLUMNS))
     edges[:, STATE] = [FOUND, FOUND, NOT_FOUND, NOT_FOUND]
     edges[:, (U, V)] = [[20.0, 20.0], [20.0, 60.0], [30.0, 50.0], [80.0, 50.0]]
-    assert NearSphere.inliers(edges, image, 3.0) == (pytest.approx(2.0 / 3.0), 3)
+    assert lit_inliers(edges, image, 3.0) == (pytest.approx(2.0 / 3.0), 3)
     edges[:2, RESIDUAL] = 30.0
-    assert NearSphere.inliers(edges, image, 3.0) == (pytest.approx(0.0), 3)
+    assert lit_inliers(edges, image, 3.0) == (pytest.approx(0.0), 3)
     edges[:, STATE] = NOT_FOUND
-    assert NearSphere.inliers(edges, image, 3.0) == (0.0, 4)
+    assert lit_inliers(edges, image, 3.0) == (0.0, 4)

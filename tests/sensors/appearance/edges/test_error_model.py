@@ -11,8 +11,8 @@ import pytest
 
 from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.appearance.container import read_container, write_container
-from rendezview.sensors.appearance.edges.error_model import (
+from rendezview.sensors.appearance.model.container import read_container, write_container
+from rendezview.sensors.appearance.model.error_model import (
     CONFIDENCE_FEATURES,
     INFLATION_FEATURES,
     PACKAGED,

@@ -10,14 +10,7 @@ from scipy.special import ndtr
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.appearance.edges.alignment import covariance_of, normal_equations
-from rendezview.sensors.appearance.edges.contours import (
-    NO_POINT,
-    OUTLINE,
-    POINT_UNIT,
-    SURFACES,
-    packed_start,
-)
-from rendezview.sensors.appearance.edges.edge_search import (
+from rendezview.sensors.appearance.edges.grey import (
     measure_edges,
     read_profile,
     strongest_edge,
@@ -42,12 +35,19 @@ from rendezview.sensors.appearance.edges.profile import (
     view_at_pose,
 )
 from rendezview.sensors.appearance.edges.profile_fit import fit_profile
-from rendezview.sensors.appearance.edges.starts import second_moments
-from rendezview.sensors.appearance.edges.view_tables import (
+from rendezview.sensors.appearance.model.contours import (
+    NO_POINT,
+    OUTLINE,
+    POINT_UNIT,
+    SURFACES,
+    packed_start,
+)
+from rendezview.sensors.appearance.model.view_tables import (
     ViewTables,
     pose_slope_into,
     project_edge,
 )
+from rendezview.sensors.appearance.search.starts import second_moments
 
 CAMERA = Camera(400, 300, 520.0, 530.0, 199.0, 151.0, (-0.2, 0.1, 0.001, -0.002, 0.0))
 RADIUS_M = 2.0

@@ -19,8 +19,7 @@ from rendezview.sensors.appearance.edges.alignment import (
     inlier_ratios,
     nearest_distance,
 )
-from rendezview.sensors.appearance.edges.contours import NO_POINT, OUTLINE
-from rendezview.sensors.appearance.edges.edge_search import measure_edges
+from rendezview.sensors.appearance.edges.grey import measure_edges
 from rendezview.sensors.appearance.edges.lighting import fit_light
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
@@ -30,7 +29,8 @@ from rendezview.sensors.appearance.edges.predicted import (
     STATE,
     WEIGHT,
 )
-from rendezview.sensors.appearance.edges.view_tables import ViewTables
+from rendezview.sensors.appearance.model.contours import NO_POINT, OUTLINE
+from rendezview.sensors.appearance.model.view_tables import ViewTables
 from rendezview.sensors.appearance.sky import Sky
 
 BLUR_PX = 0.85

@@ -9,15 +9,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.geodesic import Geodesic
-from rendezview.sensors.appearance.edges.contours import (
+from rendezview.sensors.appearance.edges.lighting import fit_light, sample_surfaces, search_sun
+from rendezview.sensors.appearance.edges.predicted import COLUMNS, NX, NY, U, V
+from rendezview.sensors.appearance.model.contours import (
     OUTLINE,
     STEP,
     SURFACES,
     packed_start,
     start_radii,
 )
-from rendezview.sensors.appearance.edges.lighting import fit_light, sample_surfaces, search_sun
-from rendezview.sensors.appearance.edges.predicted import COLUMNS, NX, NY, U, V
 
 RADIUS_PX = 200.0
 REACH = 12.0 / 196.0  # of the radius

@@ -11,14 +11,14 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.appearance.edges.lighting import light_strengths
-from rendezview.sensors.appearance.edges.retrieval import _spread, _squared_distances
-from rendezview.sensors.appearance.edges.shading import (
+from rendezview.sensors.appearance.judge.shading import (
     SurfaceTables,
     _correlations,
     shading,
     visible_points,
 )
-from rendezview.sensors.appearance.edges.view_tables import through_lens
+from rendezview.sensors.appearance.model.view_tables import through_lens
+from rendezview.sensors.appearance.outline.retrieval import _spread, _squared_distances
 
 PINHOLE = Camera(400, 300, 520.0, 530.0, 199.0, 151.0)
 BENT = Camera(400, 300, 520.0, 530.0, 199.0, 151.0, (-0.2, 0.1, 0.001, -0.002, 0.0))

@@ -9,13 +9,13 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.grey_frame import shrunk
 from rendezview.sensors.appearance import Recognizer
-from rendezview.sensors.appearance.edges.levels import (
+from rendezview.sensors.appearance.search.levels import (
     LARGEST_RADIUS_PX,
     shrunk_blur,
     shrunk_sky,
     times_smaller,
 )
-from rendezview.sensors.appearance.edges.search import PoseSearch
+from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.camera import Camera, LensModel
 from rendezview.geometry.lens import distorted, is_polynomial, lens_vector, polynomial
 from rendezview.geometry.pose import Array
-from rendezview.sensors.appearance.edges.contours import NO_POINT
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     NOT_FOUND,
@@ -23,7 +22,8 @@ from rendezview.sensors.appearance.edges.predicted import (
     point_count,
     predict_edges,
 )
-from rendezview.sensors.appearance.edges.view_tables import Lens, pose_slope_into, project_edge
+from rendezview.sensors.appearance.model.contours import NO_POINT
+from rendezview.sensors.appearance.model.view_tables import Lens, pose_slope_into, project_edge
 
 UNIT_M = 1e-3
 COUNT = 60

@@ -1,4 +1,4 @@
-"""Poses that another witness proposes, judged by the grey edges."""
+"""Poses that another estimator proposes, judged by the grey edges."""
 
 import cv2
 import numpy as np
@@ -7,10 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer
-from rendezview.sensors.appearance.edges.levels import LevelSearch
 from rendezview.sensors.appearance.edges.refinement import Refiner
-from rendezview.sensors.appearance.edges.starts import half_turns
 from rendezview.sensors.appearance.observation import StageClock
+from rendezview.sensors.appearance.search.levels import LevelSearch
+from rendezview.sensors.appearance.search.starts import half_turns
 from rendezview.sensors.appearance.sky import Sky
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.sky import Sky
-from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
+from rendezview_ground.simulate import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 
 
 def test_one_refiner_serves_several_threads_with_the_same_bits(refining_model, bumpy_mesh, camera):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
+from rendezview.sensors.appearance.model.signature import vector_area
 from rendezview.sensors.appearance.outline.interpolation import descend
-from rendezview.sensors.appearance.outline.signature import vector_area
 from rendezview.sensors.appearance.outline.silhouette import mean_above
 from rendezview.sensors.appearance.outline.similarity import (
     best_shifts,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sklearn.ensemble import RandomForestClassifier
 
-from rendezview.sensors.appearance.sketch.forest import ProbabilityForest
+from rendezview.sensors.appearance.judge.probability_forest import ProbabilityForest
 
 
 def test_probabilities_are_those_of_scikit_learn():

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance.edges.alignment import nearest_views
-from rendezview.sensors.appearance.edges.contours import CREASE, NO_POINT, OUTLINE
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     FOUND,
@@ -23,7 +22,7 @@ from rendezview.sensors.appearance.edges.predicted import (
     V,
 )
 from rendezview.sensors.appearance.edges.refinement import Refiner
-from rendezview.sensors.appearance.sketch.alignment import (
+from rendezview.sensors.appearance.edges.sketch import (
     Maps,
     align_all_to_sketch,
     align_to_sketch,
@@ -35,9 +34,10 @@ from rendezview.sensors.appearance.sketch.alignment import (
     read_map,
     sketch_agreement,
 )
-from rendezview.sensors.appearance.sketch.explained import explained_share
-from rendezview.training.sketch_maps import SAMPLES, facing_normals, sketch_maps
-from rendezview.training.zbuffer import draw_perspective, empty_buffers
+from rendezview.sensors.appearance.judge.explained import explained_share
+from rendezview.sensors.appearance.model.contours import CREASE, NO_POINT, OUTLINE
+from rendezview_ground.learn.views.sketch_maps import SAMPLES, facing_normals, sketch_maps
+from rendezview_ground.render.zbuffer import draw_perspective, empty_buffers
 
 STAGES = np.array([[10.0, 5.0, 6.0, 1.0, 0.5], [4.0, 2.0, 6.0, 1.0, 0.5]])
 

@@ -8,15 +8,8 @@ import numpy as np
 import pytest
 
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.appearance.sketch.network import (
-    COVER,
-    EDGE,
-    MAPS,
-    SIDE_PX,
-    Sketcher,
-    from_squares,
-    to_squares,
-)
+from rendezview.sensors.appearance.edges.network import SIDE_PX, Sketcher, from_squares, to_squares
+from rendezview.sensors.appearance.model.sketches import COVER, EDGE, MAPS
 
 
 @pytest.fixture(scope="module")

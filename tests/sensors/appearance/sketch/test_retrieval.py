@@ -7,9 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.so3 import exp
-from rendezview.sensors.appearance.sketch.network import MAPS
-from rendezview.sensors.appearance.sketch.retrieval import _distinct, _partly
-from rendezview.sensors.appearance.sketch.views import REACH
+from rendezview.sensors.appearance.model.sketches import MAPS, REACH
+from rendezview.sensors.appearance.search.by_sketch import _distinct, _partly
 
 
 def one_by_one(

@@ -13,26 +13,33 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.sketch import choice as choice_module
-from rendezview.sensors.appearance.sketch.choice import (
+from rendezview.sensors.appearance.judge import sketch_choice as choice_module
+from rendezview.sensors.appearance.judge.sketch_choice import (
     CHOICE_FEATURES,
     PACKAGED,
     POSE_FEATURES,
-    Looks,
+    Passes,
     SketchPose,
     chosen,
     distinct,
     packaged,
 )
-from rendezview.sensors.appearance.sketch.network import EDGE, MAPS
-from rendezview.sensors.appearance.sketch.retrieval import PartialViews
-from rendezview.sensors.appearance.sketch.search import SketchSearch, _last, _lines
-from rendezview.sensors.appearance.sketch.views import GRID, REACH, ViewSketches, centroid, on_grid
+from rendezview.sensors.appearance.model.sketches import (
+    EDGE,
+    GRID,
+    MAPS,
+    REACH,
+    ViewSketches,
+    centroid,
+    on_grid,
+)
+from rendezview.sensors.appearance.search.by_sketch import PartialViews
+from rendezview.sensors.appearance.search.sketch_search import SketchSearch, _last, _lines
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
-from rendezview.simulation.scene import SceneOptions, render_frame
-from rendezview.training.options import ViewGeometry
-from rendezview.training.sketch_maps import sketched_view
+from rendezview_ground.learn.options import ViewGeometry
+from rendezview_ground.learn.views.sketch_maps import sketched_view
+from rendezview_ground.simulate.scene import SceneOptions, render_frame
 
 
 @pytest.fixture(scope="module")
@@ -222,7 +229,7 @@ def test_a_pose_in_doubt_gets_a_second_opinion(
 
 def test_an_opinion_is_surer_where_the_other_agrees():
     poses = [some_pose(0.5, 0.0), some_pose(0.3, 60.0)]
-    one = chosen(looks(poses), (), prior=False, cut=False)
+    one = chosen(passes(poses), (), prior=False, cut=False)
     same = one.beside(one, ())
     assert (same.other, same.agree) == (one.confidence, True)
     elsewhere = replace(one, pose=some_pose(0.5, 30.0).pose)
@@ -275,37 +282,37 @@ def some_pose(merit: float, turn_deg: float) -> SketchPose:
     return SketchPose(Pose(rotation, [0.0, 0.0, 5.0]), merit, 0.2, 0.5, 1.0, 0.5, 0.5, 0.5)
 
 
-def looks(poses: list[SketchPose]) -> Looks:
-    """A first look at some poses, and a closer one at the same."""
-    return Looks(poses, poses[:2], poses[2:])
+def passes(poses: list[SketchPose]) -> Passes:
+    """A first pass at some poses, and a closer one at the same."""
+    return Passes(poses, poses[:2], poses[2:])
 
 
 def test_the_choice_names_the_best_and_its_rival():
     poses = [some_pose(0.5, 0.0), some_pose(0.48, 2.0), some_pose(0.4, 40.0)]
-    choice = chosen(looks(poses), (), prior=False, cut=False)
+    choice = chosen(passes(poses), (), prior=False, cut=False)
     assert choice.best is poses[0]
     assert choice.rival is poses[2]  # 2° away is the same answer
     assert choice.margin == pytest.approx(poses[0].merit - poses[2].merit)
     assert 0.0 < choice.confidence < 1.0
-    clearer = chosen(looks(poses[:2]), (), prior=False, cut=False)
+    clearer = chosen(passes(poses[:2]), (), prior=False, cut=False)
     assert clearer.rival is None
     assert clearer.confidence > choice.confidence
-    assert chosen(looks([]), (), prior=False, cut=False) is None
+    assert chosen(passes([]), (), prior=False, cut=False) is None
     assert distinct(poses, 5, np.deg2rad(4.0)) == [poses[0], poses[2]]
 
 
 def test_what_leads_to_the_best_pose_makes_it_more_probable():
     best, near, far = some_pose(0.5, 0.0), some_pose(0.45, 1.0), some_pose(0.3, 50.0)
-    clear = Looks([best, near, near, far], [best, near, near], [far])
+    clear = Passes([best, near, near, far], [best, near, near], [far])
     assert clear.lead(best.pose) == pytest.approx(min(best.merit - far.merit, 4.0))
     assert clear.basin(best.pose) == 0.75
     assert clear.scattered(best.pose) == pytest.approx((1.0, 1.0))
-    better = some_pose(0.7, 50.0)  # in the first look only
-    unclear = Looks([best, far, better, far], [best, far], [far])
+    better = some_pose(0.7, 50.0)  # in the first pass only
+    unclear = Passes([best, far, better, far], [best, far], [far])
     assert unclear.lead(best.pose) < 0.0
     assert unclear.basin(best.pose) == 0.25
     assert unclear.scattered(best.pose) == pytest.approx((0.5, 10.0))
-    assert Looks([best], [], []).scattered(best.pose) == (0.0, 10.0)
+    assert Passes([best], [], []).scattered(best.pose) == (0.0, 10.0)
     sure, doubtful = (chosen(seen, (), prior=False, cut=False) for seen in (clear, unclear))
     assert sure.best is doubtful.best
     assert sure.confidence > doubtful.confidence

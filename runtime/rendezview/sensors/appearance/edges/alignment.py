@@ -13,8 +13,7 @@ from rendezview.estimation.linear_algebra import largest_at, solve_scaled
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import hat, orthonormalise, perturb_into
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.contours import NO_POINT, OUTLINE
-from rendezview.sensors.appearance.edges.edge_search import measure_edges
+from rendezview.sensors.appearance.edges.grey import measure_edges
 from rendezview.sensors.appearance.edges.lighting import fit_light
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
@@ -24,7 +23,8 @@ from rendezview.sensors.appearance.edges.predicted import (
     STATE,
     WEIGHT,
 )
-from rendezview.sensors.appearance.edges.view_tables import Lens, ViewTables
+from rendezview.sensors.appearance.model.contours import NO_POINT, OUTLINE
+from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
 
 
 class Stage(NamedTuple):
@@ -55,7 +55,7 @@ _LOOSE_STRIDE = 2  # one point in two is enough to judge that. Source: by constr
 AGREEING = 0.53  # of the spread: it counts exp(−½). Source: fixed with error_model.json
 _INNER_SHARE = 0.5  # of inner edges in the loose ratio. Source: by hand, docs/notes/refinement.md
 # Source: experiment pose-accuracy: one of 200 right poses lies below (commit b583915)
-_HOPELESS = 0.65  # of the best loose ratio; poses below are dropped
+_LEAST_RATIO = 0.65  # of the best loose ratio; poses below are dropped
 CUT_SPREADS = 2.5  # spreads; no residual beyond counts. Source: by hand, docs/notes/refinement.md
 _LEAST_EDGES = 12  # found, for six unknowns: twice as many. Source: by construction
 _LONGEST_TURN_RAD = 0.2  # rad, of one step. Source: by construction, linear to 2 %
@@ -342,7 +342,7 @@ def align_each(
             best = max(best, rough[k])
     for _ in range(min(survivors, count)):
         k = largest_at(rough)
-        if rough[k] < _HOPELESS * best or rough[k] <= 0.0:
+        if rough[k] < _LEAST_RATIO * best or rough[k] <= 0.0:
             break
         rough[k] = 0.0  # done
         if align(image, lens, frame, then, views, rotations[k], centres[k], edges) != DIVERGED:

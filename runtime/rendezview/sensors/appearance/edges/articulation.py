@@ -1,4 +1,4 @@
-"""The joints of one sheet: its contour points turned, and the angles found with the pose."""
+"""The joints of one configuration: its contour points turned, angles found with the pose."""
 
 from __future__ import annotations
 
@@ -12,22 +12,24 @@ from rendezview.geometry.joint import apart, hinges_of, within
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import exp
 from rendezview.sensors.appearance.edges.alignment import nearest_views
-from rendezview.sensors.appearance.edges.contours import POINT_UNIT
-from rendezview.sensors.appearance.edges.edge_search import point_of_slope
+from rendezview.sensors.appearance.edges.grey import point_of_slope
 from rendezview.sensors.appearance.edges.predicted import FOUND, NOT_FOUND, RESIDUAL, STATE, WEIGHT
-from rendezview.sensors.appearance.edges.view_tables import ViewTables
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.model.contours import POINT_UNIT
+from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview.sensors.appearance.model.view_tables import ViewTables
 
 _CONE_COSINE = np.cos(np.deg2rad(15.0))  # of views that a refinement may reach. Source: twice 5°
 _STALE_RAD = 1e-5  # rad; a smaller turn is below the unit of the points. Source: by construction
-_LONGEST_RAD = 0.15  # rad, of one step of an angle. Source: half the sheets' distance, and some
+_LONGEST_RAD = (
+    0.15  # rad, of one step of an angle. Source: half the configurations' distance, and some
+)
 # Of angles that no edge shows. Source: as of the alignment's first stage
 _DAMPING = 1e-3
-_LEVER_RADII = 0.3  # of the target's radius: of a part that turns. Source: experiment pose-joints
+_LEVER_RADII = 0.3  # of the target's radius: of a part that turns. Source: pose-joints (0.1)
 # Of the target's radius: a measured point and the table's own. Source: by construction
 _SAME_RADII = 5e-3
 # Of the visible points of a joint: with fewer in place no edge confirms its angle. Source:
-# experiment pose-joints, 7 to 13 % at wrong angles and above 34 % at right ones
+# experiment pose-joints (0.1), 7 to 13 % at wrong angles and above 34 % at right ones
 LEAST_SUPPORT = 0.22
 _INT16 = 32767  # Source: by construction, the largest stored coordinate
 
@@ -41,10 +43,10 @@ class JointStep(NamedTuple):
 
 
 class Articulation:
-    """Turns the contour points of a sheet, in tables of its own, and refines its angles."""
+    """Turns the contour points of a configuration, in tables of its own, and refines its angles."""
 
     def __init__(self, model: ViewModel, views: ViewTables) -> None:
-        """Tables (changed in place) of a sheet of a target with joints.
+        """Tables (changed in place) of a configuration of a target with joints.
 
         Raises:
             ValueError: the model's contour points have no parts.
@@ -215,11 +217,11 @@ def _turn_points(
     tangent: npt.NDArray[np.int8], turns: Array, shifts: Array, out_point: npt.NDArray[np.int16],
     out_tangent: npt.NDArray[np.int8],
 ) -> None:  # fmt: skip
-    """Fill the points and tangents of some views with those of a sheet, turned part by part.
+    """Fill the points and tangents of some views with a configuration's, turned part by part.
 
     Args:
         views: (M,) of the views.
-        part, point, tangent: of ``Contours``, at the sheet's own angles.
+        part, point, tangent: of ``Contours``, at the configuration's own angles.
         turns: (H, 3, 3) of the hinges, and ``shifts``: (H, 3) in units of the points.
     """
     p, t = np.empty(3), np.empty(3)

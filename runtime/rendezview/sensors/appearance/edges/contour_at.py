@@ -11,8 +11,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.joint import apart, hinges_of
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.edges.alignment import nearest_views
-from rendezview.sensors.appearance.edges.contours import DIRECTION_UNIT, NO_POINT, POINT_UNIT
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.model.contours import DIRECTION_UNIT, NO_POINT, POINT_UNIT
+from rendezview.sensors.appearance.model.view_model import ViewModel
 
 _FARTHEST_PX = 1e5  # from the picture, of a point that is kept. Source: a chosen limit
 _STEP_RADII = 0.01  # of the target's radius, along an edge, for its direction. Source: chosen
@@ -32,10 +32,10 @@ def contour_pixels(
 ) -> ContourPixels | None:
     """The contour of a model at ``camera_from_target``; None if the model has no contour points.
 
-    ``angles_rad``: (J,) of the joints of a target that has any; ``None``: the first sheet's.
+    ``angles_rad``: (J,) of the joints of a target that has any; ``None``: of the first.
     """
     if angles_rad is not None:
-        model = model.sheet_at(angles_rad)
+        model = model.configuration_at(angles_rad)
     contours = model.contours
     if contours is None:
         return None

@@ -16,8 +16,8 @@ from rendezview.estimation.linear_algebra import copy_into, quantile
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.contours import OUTLINE, REACH_RADII, SURFACES, start_radii
 from rendezview.sensors.appearance.edges.predicted import NX, NY, U, V
+from rendezview.sensors.appearance.model.contours import OUTLINE, REACH_RADII, SURFACES, start_radii
 
 Kinds = npt.NDArray[np.uint8]
 Starts = npt.NDArray[np.int8]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rendezview.geometry.pose import Array
-from rendezview.sensors.appearance.edges.edge_search import points_of_slopes
+from rendezview.sensors.appearance.edges.grey import points_of_slopes
 from rendezview.sensors.appearance.edges.predicted import FOUND, RESIDUAL, STATE, WEIGHT
 
 # Components of a symmetric strain, in the order of all arrays. Source: by construction

@@ -12,8 +12,8 @@ from numba import njit
 
 from rendezview.geometry.lens import is_polynomial, polynomial
 from rendezview.geometry.pose import Array
-from rendezview.sensors.appearance.edges.contours import NO_POINT
-from rendezview.sensors.appearance.edges.view_tables import (
+from rendezview.sensors.appearance.model.contours import NO_POINT
+from rendezview.sensors.appearance.model.view_tables import (
     LEAST_DEPTH_M,
     LEAST_LENGTH,
     LENS_STEP,

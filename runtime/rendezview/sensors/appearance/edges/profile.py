@@ -14,12 +14,12 @@ from numba import njit
 
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import rotate_back_into
-from rendezview.sensors.appearance.edges.contours import (
+from rendezview.sensors.appearance.model.contours import (
     DEPTH_UNIT,
     SURFACES,
     start_radii,
 )
-from rendezview.sensors.appearance.edges.view_tables import ProjectedEdge, Two
+from rendezview.sensors.appearance.model.view_tables import ProjectedEdge, Two
 
 Kinds = npt.NDArray[np.uint8]
 Starts = npt.NDArray[np.int8]

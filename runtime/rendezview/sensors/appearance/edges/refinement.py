@@ -33,15 +33,15 @@ from rendezview.sensors.appearance.edges.articulation import (
     Articulation,
     JointStep,
 )
-from rendezview.sensors.appearance.edges.contours import Contours
-from rendezview.sensors.appearance.edges.error_model import ErrorModel
+from rendezview.sensors.appearance.edges.lit_inliers import lit_inliers
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
-from rendezview.sensors.appearance.edges.near_views import NearSphere
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
-from rendezview.sensors.appearance.edges.shading import SurfaceTables, shading
 from rendezview.sensors.appearance.edges.strain import StrainMoves
-from rendezview.sensors.appearance.edges.view_tables import ViewTables
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.model.contours import Contours
+from rendezview.sensors.appearance.model.error_model import ErrorModel
+from rendezview.sensors.appearance.model.near_views import NearSphere
+from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview.sensors.appearance.model.view_tables import ViewTables
 from rendezview.sensors.appearance.sky import Sky
 
 # Stages of alignment. Source: experiment pose-accuracy, seeds 1, 88, 99, 123.
@@ -79,13 +79,13 @@ _LEAST_SIGMA_PX = 0.1
 _VIEW_STRAIN = 3e-4
 # Where edges are farther off than this, those that a strain moves most do not count any more: one
 # σ of the strain is also so many times the excess, of the target's radius. Source: experiment
-# pose-misfit, hubble and client, seed 6, strains of 0, 1 and 4 %
+# pose-misfit (0.1), hubble and client, seed 6, strains of 0, 1 and 4 %
 _STRAIN_OF_RESIDUAL = 12.0
 _FAR_RESIDUAL_PX = 0.2  # px, root mean square. Source: as above; 0.10 to 0.15 with the right mesh
 # Of the inflation, which is fitted to whole targets of 100 to 220 px: the edges of a near part are
-# longer and err together less. Source: experiment close-in, client, seeds 2 and 5 (Mitsuba)
+# longer and err together less. Source: experiment close-in (0.1), client, seeds 2 and 5 (Mitsuba)
 _NEAR_INFLATION = 0.45
-_JOINT_ROUNDS = 4  # of alignment and a step of the angles. Source: experiment pose-joints
+_JOINT_ROUNDS = 4  # of alignment and a step of the angles. Source: experiment pose-joints (0.1)
 _TURNED_PX = 0.3  # px; angles whose step moves their edges less are found. Source: its last stage
 
 
@@ -167,9 +167,6 @@ class Refiner:
             model.shape_error,
         )
         self.articulation = Articulation(model, self.views) if model.joints else None
-        self._surface = None
-        if model.surface is not None:
-            self._surface = SurfaceTables.of(model.surface, model.target_radius_m)
         self._lens = (lens_vector(camera), camera.is_distorted)
         inexact = model.shape_error > 0.0
         self._stages, self._cut_px = (_INEXACT, _INEXACT_CUT_PX) if inexact else (_FINE, _CUT_PX)
@@ -312,14 +309,6 @@ class Refiner:
             covariance=joint[:6, :6],
         )
 
-    def shading(self, image: Picture, sky: Sky, pose: Pose) -> float | None:
-        """Agreement of bright and dark with a pose, −1 … 1; None where the model has no surface."""
-        if self._surface is None:
-            return None
-        rotation, centre = self._centred(pose)
-        within, _ = shading(image, self._lens, sky.vector, self._surface, rotation, centre)
-        return float(within)
-
     def _distinct(
         self, order: npt.NDArray[np.intp], merit: Array, rotations: Array, centres: Array, most: int
     ) -> list[int]:
@@ -369,7 +358,7 @@ class Refiner:
         )
         points = 0
         if self.sphere is not None:
-            outline, points = self.sphere.inliers(edges, image, float(frame[1]))
+            outline, points = lit_inliers(edges, image, float(frame[1]))
             inner, visible = outline, 1.0
         inflation = self.error_model.inflation(outline, spread_px, frame[2])
         inflation *= self._stages[-1, VIEWS]  # which show the same edges

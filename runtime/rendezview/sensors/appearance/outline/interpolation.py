@@ -18,9 +18,9 @@ from numba import njit
 
 from rendezview.estimation.linear_algebra import solve
 from rendezview.geometry.pose import Array
-from rendezview.sensors.appearance.model import FAR_RADII, ViewModel
+from rendezview.sensors.appearance.model.signature import UNIT, Readings, Signature, rolled, twist
+from rendezview.sensors.appearance.model.view_model import FAR_RADII, ViewModel
 from rendezview.sensors.appearance.outline.placement import range_from_area
-from rendezview.sensors.appearance.outline.signature import UNIT, Readings, Signature, rolled, twist
 from rendezview.sensors.appearance.outline.votes import Match
 
 # Edges of the node sphere around a view; the quadratic is fitted to the views within.

@@ -8,8 +8,8 @@ from numba import njit
 
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.geometry.so3 import hat
-from rendezview.sensors.appearance.model import HeldOut, ViewModel
-from rendezview.sensors.appearance.outline.signature import Signature, twist
+from rendezview.sensors.appearance.model.signature import Signature, twist
+from rendezview.sensors.appearance.model.view_model import HeldOut, ViewModel
 from rendezview.sensors.appearance.outline.votes import Match
 
 

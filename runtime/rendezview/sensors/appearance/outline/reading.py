@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
-from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.sensors.appearance.model.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import Silhouette
 
 

@@ -13,8 +13,8 @@ from scipy import fft
 from rendezview.geometry.geodesic import cosine_within
 from rendezview.geometry.pose import Array, minimal_rotation
 from rendezview.geometry.so3 import about_z
-from rendezview.sensors.appearance.model import ViewModel
-from rendezview.sensors.appearance.outline.signature import Readings, roll_against, twist
+from rendezview.sensors.appearance.model.signature import Readings, roll_against, twist
+from rendezview.sensors.appearance.model.view_model import ViewModel
 
 Indices = npt.NDArray[np.intp]
 

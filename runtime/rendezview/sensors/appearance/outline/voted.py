@@ -1,4 +1,4 @@
-"""The attitude of a silhouette by its voters: also where shadow hides a part of the target."""
+"""The attitude of a silhouette by its forest: also where shadow hides a part of the target."""
 
 from __future__ import annotations
 
@@ -8,26 +8,27 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.edges.retrieval import Retrieval
-from rendezview.sensors.appearance.model import HeldOut, ViewModel
+from rendezview.sensors.appearance.model.forest import ForestScores
+from rendezview.sensors.appearance.model.signature import Signature
+from rendezview.sensors.appearance.model.view_model import HeldOut, ViewModel
 from rendezview.sensors.appearance.outline.placement import covariance_of_place
-from rendezview.sensors.appearance.outline.signature import Signature
-from rendezview.sensors.appearance.outline.voters import Ballot
+from rendezview.sensors.appearance.outline.retrieval import Retrieval
 
 _STARTS = 60  # most similar silhouettes, whole and sunlit. Source: that of the search on edges
 _STARTS_NEAR = 1000  # before those far from a prior are left out. Source: by construction
 _BESIDE_RAD = np.deg2rad(5.0)  # rad; of a view beyond the prior's error. Source: views' spacing
-VOTES_WORTH = 0.3  # of the log of the rank by similarity. Source: tree-ablation, seed 4101
-_LEAST_VOTES = -0.5  # log odds about the pose. Source: experiment tree-ablation, seed 4101
+VOTES_WORTH = 0.3  # of the log of the rank by similarity. Source: tree-ablation (0.1), seed 4101
+_LEAST_VOTES = -0.5  # log odds about the pose. Source: experiment tree-ablation (0.1), seed 4101
 # The same near a prior, which leaves fewer other views to tell from.
 _LEAST_VOTES_NEAR = 0.5  # Source: experiment recognition-accuracy, seed 77
-_LEAST_LEAD = 1.5  # log odds above another view's. Source: experiment tree-ablation, seed 4101
+_LEAST_LEAD = 1.5  # log odds above another view's. Source: tree-ablation (0.1), seed 4101
 _OTHER_RAD = np.deg2rad(20.0)  # rad; farther off is another view. Source: by construction
 # Rad; turns among which the votes are averaged: three steps either way, twice.
-_STEP_RAD, _STEPS, _ROUNDS = np.deg2rad(3.0), 3, 2  # Source: tree-ablation, seed 4101
+_STEP_RAD, _STEPS, _ROUNDS = np.deg2rad(3.0), 3, 2  # Source: tree-ablation (0.1), seed 4101
 # One σ of such a pose; the bearing's is that of whole silhouettes twice.
-_DIRECTION_RAD, _ROLL_RAD = np.deg2rad(3.0), np.deg2rad(2.5)  # Source: tree-ablation, seed 4101
-_RANGE_FRACTION = 0.06  # Source: experiment tree-ablation, seed 4101
+# Source: tree-ablation (0.1), seed 4101
+_DIRECTION_RAD, _ROLL_RAD = np.deg2rad(3.0), np.deg2rad(2.5)
+_RANGE_FRACTION = 0.06  # Source: experiment tree-ablation (0.1), seed 4101
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,10 +40,10 @@ class Voted:
 
 
 class VotedPose:
-    """Finds the pose of a silhouette among all views of a model by its voters."""
+    """Finds the pose of a silhouette among all views of a model by its forest."""
 
-    def __init__(self, model: ViewModel, ballot: Ballot) -> None:
-        self._model, self._ballot = model, ballot
+    def __init__(self, model: ViewModel, forest_scores: ForestScores) -> None:
+        self._model, self._forest_scores = model, forest_scores
         self._retrieval = Retrieval(model)
         steps = _STEP_RAD * np.arange(-_STEPS, _STEPS + 1)
         x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
@@ -67,12 +68,12 @@ class VotedPose:
             if not near.any():
                 return None
             rotations, centres = rotations[near][:_STARTS], centres[near][:_STARTS]
-        scores = self._ballot.scores(signature, rotations)
+        scores = self._forest_scores.scores(signature, rotations)
         # Whole and sunlit silhouettes come in turns.
         rank = np.log1p(np.arange(len(rotations)) // 2)
         best = int(np.argmax(VOTES_WORTH * scores - rank))
         rotation = self._averaged(signature, rotations[best])
-        votes = float(self._ballot.scores(signature, rotation[None])[0])
+        votes = float(self._forest_scores.scores(signature, rotation[None])[0])
         cosines = 0.5 * (np.einsum("kij,ij->k", rotations, rotations[best]) - 1.0)
         others = scores[cosines < np.cos(_OTHER_RAD)]
         least = _LEAST_VOTES if prior is None else _LEAST_VOTES_NEAR
@@ -99,7 +100,7 @@ class VotedPose:
         centred = signature.centred_from_camera
         attitude = centred @ rotation
         for _ in range(_ROUNDS):
-            scores = self._ballot.scores(signature, centred.T @ (self._matrices @ attitude))
+            scores = self._forest_scores.scores(signature, centred.T @ (self._matrices @ attitude))
             weights = np.exp(scores - scores.max())
             mean = weights @ self._turns / weights.sum()
             attitude = Rotation.from_rotvec(mean).as_matrix() @ attitude

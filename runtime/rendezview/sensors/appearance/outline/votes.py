@@ -10,8 +10,8 @@ from numba import njit
 
 from rendezview.geometry.geodesic import cosine_within
 from rendezview.geometry.pose import Array, Pose, rotation_angle
-from rendezview.sensors.appearance.model import ViewModel
-from rendezview.sensors.appearance.outline.signature import Readings, Signature, twist
+from rendezview.sensors.appearance.model.signature import Readings, Signature, twist
+from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.silhouette import Missing
 from rendezview.sensors.appearance.outline.similarity import Indices, ViewSimilarity
 from rendezview.sensors.observation import Status
@@ -22,9 +22,9 @@ _SETTLED = 0.5
 # Of the same residual; a larger one means another outline, of another body or of the lit parts
 # only. Source: by construction
 _MOST_RESIDUAL = 1.0
-# A node is active above these log odds of its voters, and as likely as not at the even ones.
+# A node is active above these log odds of its forest, and as likely as not at the even ones.
 # Source: experiment recognition-accuracy, hubble, seed 11
-_LEAST_ODDS, _EVEN_ODDS, _STEEPNESS = -2.0, -1.5, 1.1
+LEAST_ODDS, EVEN_ODDS, STEEPNESS = -2.0, -1.5, 1.1
 _SHIFTS = 5  # steps of the mean shift. Source: by construction, a bound only
 
 
@@ -77,7 +77,7 @@ class Matcher:
         # Shrunk, because a pure leaf of one sample is not certain.
         trust = (on + 0.5) / (on + off + 2.0)
         self._trust = np.where(forest.category == 1, trust, 0.0)
-        self.ballot = model.ballot()
+        self.forest_scores = model.forest_scores()
 
     def match(
         self,
@@ -135,12 +135,12 @@ class Matcher:
 
     def _vote(self, readings: Readings, attitude: Array) -> Match | None:
         """Active nodes around an attitude, and the direction on which they agree."""
-        if self.ballot is None:
+        if self.forest_scores is None:
             near = self._sphere.within(-attitude[2], self._reach_rad)
             nodes, trust = self.active_among(near, readings, attitude)
         else:
             cosine = cosine_within(self._reach_rad)
-            nodes, odds = self.ballot.near(readings, attitude, cosine, _LEAST_ODDS)
+            nodes, odds = self.forest_scores.near(readings, attitude, cosine, LEAST_ODDS)
             trust = _trust_of_odds(odds)
         if len(nodes) == 0:
             return None
@@ -150,12 +150,12 @@ class Matcher:
     def decided(self, nodes: Indices, readings: Readings, rolls_rad: Array) -> Array:
         """The trust (K,) that nodes are active, 0 where they are not.
 
-        The voters of the nodes decide; in a model without them the tree of each node.
+        The forest of the nodes decides; in a model without them the tree of each node.
         """
-        if self.ballot is None:
+        if self.forest_scores is None:
             return self.trust_of(self.model.forest.leaves(readings, nodes, rolls_rad))
-        odds = self.ballot.node_odds(readings, nodes, rolls_rad)
-        return np.where(odds > _LEAST_ODDS, _trust_of_odds(odds), 0.0)
+        odds = self.forest_scores.node_odds(readings, nodes, rolls_rad)
+        return np.where(odds > LEAST_ODDS, _trust_of_odds(odds), 0.0)
 
     def active_among(
         self, nodes: Indices, readings: Readings, centred_from_target: Array
@@ -205,7 +205,7 @@ class Matcher:
 
 def _trust_of_odds(odds: Array) -> Array:
     """The trust (K,) in active nodes of some odds."""
-    return np.asarray(1.0 / (1.0 + np.exp(-_STEEPNESS * (odds - _EVEN_ODDS))))
+    return np.asarray(1.0 / (1.0 + np.exp(-STEEPNESS * (odds - EVEN_ODDS))))
 
 
 def _apart(a: Match, b: Match) -> float:

@@ -1,0 +1,116 @@
+"""What speaks for a pose and against it: the input of its protection level."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rendezview.geometry import so3
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.observation import AppearanceObservation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Second:
+    """The pose of a second estimator beside the first one's."""
+
+    angle_rad: float  # between both attitudes
+    confidence: float  # of the second
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """One frame's evidence about its pose. NaN: not known."""
+
+    time_s: float
+    range_m: float  # of the view centre
+    covariance: Array  # (6, 6) of the pose
+    confidence: float
+    prior: bool  # found near a prior …
+    followed: bool  # … without a search
+    sketched: bool  # found on a sketch
+    outline: float  # inlier ratio of the outline
+    inner: float  # inlier ratio of the inner edges
+    visible: float  # share of the outline that lies in the picture
+    residual_px: float
+    light: float  # share of the grey levels that one light explains
+    overshoot: float  # of bright outlines beyond the silhouette
+    dark: bool  # the sky is
+    shading: float  # agreement of bright and dark; NaN: not computed
+    votes: float  # log odds of the forest; NaN: not asked
+    trees: float  # weights of the active nodes about the pose
+    margin: float  # merit above the rival's
+    rival_rad: float  # angle to the rival; NaN: there is none
+    rival_m: float  # distance of its translation from that of the pose
+    innovation: Array | None = None  # (6,) from the prediction to the pose: rad, m
+
+    @classmethod
+    def of(
+        cls,
+        observation: AppearanceObservation,
+        time_s: float,
+        predicted: Pose | None,
+        centre_m: Array,
+    ) -> Evidence | None:
+        """The evidence in an observation; ``None`` without a refined pose.
+
+        Args:
+            observation: of the frame.
+            time_s: of the frame.
+            predicted: camera_from_target that the frames before led to.
+            centre_m: (3,) view centre, target frame.
+        """
+        pose, found = observation.pose, observation.found
+        if pose is None or found is None or observation.covariance is None:
+            return None
+        best, centre = found.best, pose.apply(centre_m)
+        rival_rad = rival_m = np.nan
+        if found.rival is not None:
+            rival_rad = pose.angle_to(found.rival.pose)
+            apart_m = found.rival.pose.translation_m - pose.translation_m
+            rival_m = float(np.linalg.norm(apart_m))
+        innovation = None
+        if predicted is not None:
+            turn = so3.between(pose.rotation, predicted.rotation)
+            innovation = np.concatenate([turn, pose.translation_m - predicted.translation_m])
+        return cls(
+            time_s=time_s,
+            range_m=float(np.linalg.norm(centre)),
+            covariance=observation.covariance,
+            confidence=found.confidence,
+            prior=found.prior,
+            followed=found.single,
+            sketched=isinstance(found, SketchFound),
+            outline=best.outline,
+            inner=best.inner,
+            visible=best.visible,
+            residual_px=best.residual_px,
+            light=best.light,
+            overshoot=found.overshoot,
+            dark=found.dark,
+            shading=np.nan if found.shading is None else found.shading,
+            votes=np.nan if found.votes is None else found.votes,
+            trees=float(observation.weights.sum()),
+            margin=found.margin,
+            rival_rad=rival_rad,
+            rival_m=rival_m,
+            innovation=innovation,
+        )
+
+    def record(self) -> dict[str, Any]:
+        """As a JSON object, all floats in full."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, Any]) -> Evidence:
+        """The evidence of its record."""
+        values: dict[str, Any] = {name: np.nan if v is None else v for name, v in record.items()}
+        values["covariance"] = np.array(record["covariance"])
+        innovation = record["innovation"]
+        values["innovation"] = None if innovation is None else np.array(innovation)
+        return cls(**values)

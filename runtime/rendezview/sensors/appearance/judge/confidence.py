@@ -1,0 +1,193 @@
+"""Choice of the best of a frame's poses, and the probability that it is right."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import angle_between
+from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.edges.refinement import Refined, Refiner
+from rendezview.sensors.appearance.judge.shading import Shading
+from rendezview.sensors.appearance.model.error_model import ErrorModel
+from rendezview.sensors.appearance.model.forest import ForestScores
+from rendezview.sensors.appearance.model.signature import Outlines
+from rendezview.sensors.appearance.outline.retrieval import Retrieval
+from rendezview.sensors.appearance.sky import Sky
+
+# Weights of the merit, beside an inlier ratio of weight 1.
+# Of mean radii of the silhouette. Source: by hand, seeds of docs/notes/refinement.md
+_OVERSHOOT_WEIGHT = 1.0
+# Of the share of grey levels that one light explains. Source: by hand, seeds of
+# docs/notes/refinement.md
+_LIGHT_WEIGHT = 0.25
+# Source: experiment pose-accuracy, seeds 1, 88, 99 (commits f070326, 5e90c44)
+_RESIDUAL_WEIGHT = 0.08  # of log px
+# px; a smaller residual is no better. Source: by hand, seeds of docs/notes/refinement.md
+_LEAST_RESIDUAL_PX = 0.05
+# Source: experiment pose-accuracy, seeds 1, 88, 99: of 1626 frames with a right and a wrong pose
+# the wrong one came first in 13 with shading, in 34 without
+_SHADING_WEIGHT = 0.4  # of a correlation
+# merit behind the best; shading is computed for poses closer than this. Source: by hand, seeds of
+# docs/notes/refinement.md
+_IN_DOUBT = 0.35
+
+# rad; a pose further away is another answer, as in the experiments. Source: the limit of a wrong
+# pose there
+_RIVAL_RAD = np.deg2rad(5.0)
+# Of overshoot and of margin in the regression, which saturate there. Source: fixed with the fit of
+# error_model.json
+_MOST_FEATURE = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """The best pose of a frame and its rival, the best pose more than 5° away."""
+
+    best: Refined
+    overshoot: (
+        float  # of bright outlines beyond the predicted silhouette, see ``Retrieval.overshoot``
+    )
+    margin: float  # merit of the best pose above its rival's; 1 without a rival
+    dark: bool  # the sky is dark
+    prior: bool  # found near a prior
+    rival: Refined | None = None
+    shading: float | None = None  # see ``Refiner.shading``; None: not computed
+    votes: float | None = None  # log odds of the outline's forest about it; None: not asked
+    single: bool = False  # only the pose next to the prior was tried
+    error_model: ErrorModel = field(default_factory=ErrorModel.packaged)
+
+    @property
+    def merit(self) -> float:
+        """Merit of the best pose; see ``merit``."""
+        return merit(self.best, self.overshoot, self.shading)
+
+    @property
+    def answers(self) -> list[Pose]:
+        """The best pose, and its rival if there is one."""
+        return [found.pose for found in (self.best, self.rival) if found is not None]
+
+    @property
+    def features(self) -> Array:
+        """(11,) in the order of ``CONFIDENCE_FEATURES``."""
+        best = self.best
+        return np.array(
+            [
+                1.0,
+                best.outline,
+                best.inner,
+                best.residual_px,
+                min(self.overshoot, _MOST_FEATURE),
+                min(max(self.margin, 0.0), _MOST_FEATURE),
+                best.visible,
+                float(self.dark),
+                float(self.prior),
+                best.light,
+                self.shading or 0.0,
+            ]
+        )
+
+    @property
+    def confidence(self) -> float:
+        """Probability that the best pose is right to 5°, 0 … 1."""
+        return self.error_model.confidence(
+            self.features, shading=self.shading is not None, dark=self.dark
+        )
+
+
+def merit(refined: Refined, overshoot: float, shading: float | None) -> float:
+    """One figure to compare poses of one frame by."""
+    edges = refined.inlier_ratio - _OVERSHOOT_WEIGHT * overshoot + _LIGHT_WEIGHT * refined.light
+    edges -= _RESIDUAL_WEIGHT * math.log(max(refined.residual_px, _LEAST_RESIDUAL_PX))
+    return edges if shading is None else edges + _SHADING_WEIGHT * shading
+
+
+@dataclass(slots=True, eq=False)
+class _Candidate:
+    """A refined pose, with what else was computed for it."""
+
+    refined: Refined
+    overshoot: float
+    shading: float | None = None  # None: not computed yet, or the model has no surface
+
+
+@dataclass(slots=True, eq=False)
+class Candidates:
+    """All refined poses of one frame; each costs its overshoot and its shading once."""
+
+    refiner: Refiner
+    shading: Shading
+    retrieval: Retrieval
+    image: Picture
+    sky: Sky
+    bodies: list[Outlines]
+    forest_scores: ForestScores | None = None
+    prior: bool = False  # the search starts from a prior
+    _all: list[_Candidate] = field(default_factory=list)
+
+    def add(self, refined: list[Refined]) -> None:
+        """Take more poses."""
+        self._all += [_Candidate(r, self._overshoot(r)) for r in refined]
+
+    @property
+    def most_inliers(self) -> Refined | None:
+        """The pose with the highest inlier ratio, the first of equals."""
+        best = max(self._all, key=lambda c: c.refined.inlier_ratio, default=None)
+        return None if best is None else best.refined
+
+    def choose(self, *, shade: bool = True) -> Found | None:
+        """The pose of most merit and its rival; None without any pose.
+
+        ``shade``: compute the shading of those poses whose edges leave them a chance.
+        """
+        if not self._all:
+            return None
+        by_edges = [merit(c.refined, c.overshoot, None) for c in self._all]
+        least = max(by_edges) - _IN_DOUBT if shade else np.inf
+        merits = []
+        for c, edges in zip(self._all, by_edges, strict=True):
+            if edges >= least and c.shading is None:
+                c.shading = self.shading.of(self.image, self.sky, c.refined.pose)
+            merits.append(merit(c.refined, c.overshoot, c.shading if edges >= least else None))
+        k = int(np.argmax(merits))
+        best = self._all[k]
+        j = self._rival(best, merits)
+        return Found(
+            best.refined,
+            best.overshoot,
+            1.0 if j is None else merits[k] - merits[j],
+            self.sky.dark,
+            self.prior,
+            None if j is None else self._all[j].refined,
+            best.shading,
+            self._votes(best.refined),
+            error_model=self.refiner.error_model,
+        )
+
+    def _rival(self, best: _Candidate, merits: list[float]) -> int | None:
+        """The pose of most merit that is another answer than the best."""
+        symmetries, pose = self.refiner.model.symmetries, best.refined.pose
+        others = [
+            j
+            for j, c in enumerate(self._all)
+            if angle_between(c.refined.pose, pose, symmetries) > _RIVAL_RAD
+        ]
+        return max(others, key=lambda j: merits[j], default=None)
+
+    def _votes(self, refined: Refined) -> float | None:
+        """Log odds of the forest, of the outline that gives most; None before a bright sky."""
+        if self.forest_scores is None or not self.sky.dark:
+            return None
+        rotation = refined.pose.rotation[None]
+        scores = [float(self.forest_scores.scores(b.signature, rotation)[0]) for b in self.bodies]
+        return max(scores, default=None)
+
+    def _overshoot(self, refined: Refined) -> float:
+        """The largest of any outline; 0 before a bright sky, where outlines are uncertain."""
+        if not self.sky.dark:
+            return 0.0
+        pose = refined.pose
+        return max((self.retrieval.overshoot(b.rays, pose) for b in self.bodies), default=0.0)

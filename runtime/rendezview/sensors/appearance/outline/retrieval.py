@@ -1,0 +1,298 @@
+"""Retrieval of starting poses: one signature against every view of the model at every roll."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+from scipy import fft
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.pose import Array, Pose, minimal_rotation
+from rendezview.sensors.appearance.model.shadowed_silhouettes import (
+    READING_UNIT,
+    SHADOWED_BINS,
+    ShadowedSilhouettes,
+)
+from rendezview.sensors.appearance.model.signature import (
+    UNIT,
+    Readings,
+    Signature,
+    quantised,
+    radial_maxima,
+    rebinning,
+    rolled,
+    spokes_of,
+    twist,
+)
+from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview.sensors.appearance.outline.placement import range_from_area
+
+# Most similar entries at a shift; of these the poses are chosen. Source: by construction, a bound
+# of time
+_KEPT = 2000
+# Of a signature, compared first in a large catalogue. Source: by construction, details of 18°
+_HARMONICS = 20
+# Entries; of a larger catalogue those with the most similar harmonics. Source: by construction, a
+# bound of time
+_CORRELATED = 2000
+# One value in 17 gives the bound; no divisor of a number of bins. Source: by construction
+_SAMPLED = 17
+# rad; the catalogue's Suns are 32° apart.
+_SUN_REACH_RAD = np.deg2rad(30.0)  # Source: by construction
+# rad; views closer than this at the same roll are one. Source: spacing of the nodes' views
+_APART_RAD = np.deg2rad(7.0)
+_SAME_ROLL_BINS = 3  # of 90, so 12°. Source: by construction
+# Of the mean radius: perspective and the spacing of the views. Source: fixed with the fit of
+# error_model.json
+_OVERSHOOT_TOLERANCE = 0.06
+_BORESIGHT = np.array([0.0, 0.0, 1.0])  # Source: by construction
+
+
+class _Catalogue:
+    """Signatures with their spectra: the similarity of one to all, at every roll at once."""
+
+    def __init__(self, readings: Readings) -> None:
+        self.bins = readings.shape[1]
+        self._spectra = np.conj(fft.rfft(readings, axis=1))
+        self._squares = np.sum(readings**2, axis=1)
+        # The amplitudes of the harmonics do not change with roll.
+        self._sizes = np.ascontiguousarray(np.abs(self._spectra[:, :_HARMONICS]))
+
+    def most_similar(self, readings: Readings) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Entries and shifts in bins, least distance first, at most ``_KEPT``.
+
+        By circular correlation, of the entries whose harmonics are of the right size.
+        """
+        spectrum = fft.rfft(readings)
+        entries = np.arange(len(self._sizes))
+        if len(entries) > _CORRELATED:
+            sizes = np.abs(spectrum[:_HARMONICS]).astype(np.float32)
+            entries = least(_squared_distances(self._sizes, sizes), _CORRELATED)
+        correlation = fft.irfft(spectrum * self._spectra[entries], n=self.bins, axis=1)
+        distance = (self._squares[entries][:, None] - 2.0 * correlation).ravel()
+        first = least(distance, _KEPT)
+        first = first[np.argsort(distance[first], kind="stable")]
+        rows, shifts = np.divmod(first, self.bins)
+        return entries[rows], shifts
+
+
+def least(values: npt.NDArray[np.float32], count: int) -> npt.NDArray[np.intp]:
+    """Places, ascending, of the ``count`` least of many values (K,); all where there are fewer.
+
+    A bound from a sample of the values rejects nearly all of them quickly.
+    """
+    if count >= len(values):
+        return np.arange(len(values))
+    sample, place = values[::_SAMPLED], count // _SAMPLED * 3 // 2 + _SAMPLED
+    bound = np.partition(sample, place)[place] if place < len(sample) else np.inf
+    few = np.flatnonzero(values <= bound)
+    if len(few) < count:  # very unlikely with so large a sample
+        few = np.arange(len(values))
+    return np.sort(few[np.argpartition(values[few], count - 1)[:count]])
+
+
+class Retrieval:
+    """All views of one model, prepared for the comparison with a signature."""
+
+    def __init__(self, model: ViewModel) -> None:
+        self.model = model
+        self._readings = model.views.readings.astype(np.float32)
+        self._rebinning = rebinning(model.bins, SHADOWED_BINS)
+        self._whole = _Catalogue(self._coarse(self._readings))
+        self._directions = np.ascontiguousarray(model.lattice.nodes)
+        self._shadowed: _Catalogue | None = None
+        if model.lit is not None:
+            readings = model.lit.readings.astype(np.float32) * np.float32(READING_UNIT)
+            self._shadowed = _Catalogue(readings)
+
+    def of(
+        self, signature: Signature, most: int, sun_camera: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Poses whose views are most similar to the signature, spread out.
+
+        Half of them come from whole silhouettes, half from shadowed silhouettes; all from whole
+        ones where the model has no others.
+
+        Args:
+            most: how many at most.
+            sun_camera: (3,) unit, towards the Sun, camera frame, if it is known: then only
+                shadowed silhouettes under this Sun are compared.
+
+        Returns:
+            Rotations (K, 3, 3) camera_from_target and the view centre (K, 3), camera frame; the
+            most similar of both kinds first, in turns.
+        """
+        readings = self._coarse(signature.readings)
+        share = most if self._shadowed is None else most // 2
+        whole = self._of_whole(signature, readings, share)
+        if self._shadowed is None or self.model.lit is None:
+            return whole
+        shadowed = self._of_shadowed(
+            self._shadowed, self.model.lit, signature, readings, most - share, sun_camera
+        )
+        in_turns = np.argsort(
+            np.concatenate([np.arange(len(p[0])) for p in (whole, shadowed)]), kind="stable"
+        )
+        return (
+            np.concatenate([whole[0], shadowed[0]])[in_turns],
+            np.concatenate([whole[1], shadowed[1]])[in_turns],
+        )
+
+    def _of_whole(self, signature: Signature, readings: Readings, most: int) -> tuple[Array, Array]:
+        """Poses of the most similar whole silhouettes."""
+        views, shifts = self._whole.most_similar(readings)
+        chosen = self._spread(views, shifts, most)
+        views, rolls = views[chosen], self._rolls(shifts[chosen])
+        data = self.model.views
+        range_m = range_from_area(
+            self.model, data.area_m2[views], data.area_slope[views], signature.area_sr
+        )
+        attitudes, offsets_m = data.centred_from_target[views], data.offset_m[views]
+        return _placed(signature, attitudes, offsets_m, range_m, rolls)
+
+    def _of_shadowed(
+        self,
+        catalogue: _Catalogue,
+        shadowed: ShadowedSilhouettes,
+        signature: Signature,
+        readings: Readings,
+        most: int,
+        sun_camera: Array | None,
+    ) -> tuple[Array, Array]:
+        """Poses of the most similar shadowed silhouettes, under the Sun if it is known."""
+        entries, shifts = catalogue.most_similar(readings)
+        if sun_camera is not None:
+            sun = signature.centred_from_camera @ sun_camera
+            under_sun = _under_sun(shadowed, entries, self._rolls(shifts), sun)
+            entries, shifts = entries[under_sun], shifts[under_sun]
+        chosen = self._spread(shadowed.view[entries].astype(np.intp), shifts, most)
+        entries, rolls = entries[chosen], self._rolls(shifts[chosen])
+        attitudes = np.zeros((0, 3, 3))
+        if len(entries):
+            attitudes = _attitudes(shadowed.quat_wxyz[entries]).as_matrix()
+        range_m = np.sqrt(shadowed.area_m2[entries] / signature.area_sr)
+        offsets_m = shadowed.offset_m[entries].astype(np.float64)
+        return _placed(signature, attitudes, offsets_m, range_m, rolls)
+
+    def _rolls(self, shifts: npt.NDArray[np.intp]) -> Array:
+        """Roll of a view that is shifted by some bins, rad."""
+        return np.asarray(-2.0 * np.pi / SHADOWED_BINS * shifts)
+
+    def _spread(
+        self, views: npt.NDArray[np.intp], shifts: npt.NDArray[np.intp], most: int
+    ) -> npt.NDArray[np.intp]:
+        cosine = float(np.cos(_APART_RAD))
+        return np.asarray(_spread(views, shifts, self._directions, cosine, SHADOWED_BINS, most))
+
+    def overshoot(self, outlines: list[Array], pose: Pose) -> float:
+        """How far outlines reach beyond the silhouette that a pose predicts.
+
+        Mean over the bins, in mean radii of the silhouette: 0 where all outlines lie inside.
+        Parts in shadow do not count, so a target half in shadow has none.
+
+        Args:
+            outlines: (M, 3) rays each, camera frame.
+        """
+        model, views = self.model, self.model.views
+        centre = pose.apply(model.centre_m)
+        range_m = float(np.linalg.norm(centre))
+        turn = minimal_rotation(centre, _BORESIGHT)
+        attitude = turn @ pose.rotation
+        view = int(np.argmax(self._directions @ -attitude[2]))
+        roll = float(twist(attitude, views.centred_from_target[view]))
+        offset = _rolled_offset(views.offset_m[view], roll)
+        centroid = turn.T @ np.array([-offset[0] / range_m, -offset[1] / range_m, 1.0])
+        centred_from_camera = minimal_rotation(centroid, _BORESIGHT)
+        maxima = np.zeros(model.bins)
+        for rays in outlines:
+            radial_maxima(rays, centred_from_camera, spokes_of(model.bins), maxima)
+        loom = 1.0 + views.area_slope[view] * (model.sphere_radius_m / range_m - 1.0)
+        area_sr = float(views.area_m2[view] * max(loom, 0.1)) / range_m**2
+        seen = rolled(quantised(maxima, UNIT / np.sqrt(area_sr), model.smooth_bins), roll)
+        expected = self._readings[view]
+        mean = float(expected.mean())
+        beyond = np.maximum(seen - expected - _OVERSHOOT_TOLERANCE * mean, 0.0)
+        return float(beyond.mean()) / mean
+
+    def _coarse(self, readings: Readings) -> Readings:
+        return np.asarray(readings @ self._rebinning, dtype=np.float32)
+
+
+def _attitudes(quat_wxyz: npt.NDArray[np.float32]) -> Rotation:
+    return Rotation.from_quat(quat_wxyz[:, [1, 2, 3, 0]])
+
+
+def _under_sun(
+    shadowed: ShadowedSilhouettes, entries: npt.NDArray[np.intp], rolls_rad: Array, sun: Array
+) -> npt.NDArray[np.bool_]:
+    """(K,) which shadowed silhouettes, at their rolls, belong to a Sun near the given one.
+
+    ``sun`` (3,) is the direction of the Sun from the camera turned to the centroid.
+    """
+    c, s = np.cos(rolls_rad), np.sin(rolls_rad)
+    unrolled = np.stack([c * sun[0] + s * sun[1], c * sun[1] - s * sun[0], sun[2] + 0.0 * c], 1)
+    there = _attitudes(shadowed.quat_wxyz[entries]).apply(unrolled, inverse=True)
+    cosine = np.einsum("ij,ij->i", there, shadowed.suns[shadowed.sun[entries]])
+    return np.asarray(cosine > np.cos(_SUN_REACH_RAD))
+
+
+def _placed(
+    signature: Signature, attitudes: Array, offsets_m: Array, range_m: Array, rolls_rad: Array
+) -> tuple[Array, Array]:
+    """Rotations and view centres of centred attitudes (K, 3, 3) at rolls and ranges (K,)."""
+    c, s = np.cos(rolls_rad), np.sin(rolls_rad)
+    about = np.zeros((len(c), 3, 3))
+    about[:, 0, 0], about[:, 0, 1], about[:, 1, 0], about[:, 1, 1] = c, -s, s, c
+    about[:, 2, 2] = 1.0
+    x, y = offsets_m[:, 0], offsets_m[:, 1]
+    line = np.stack([(c * x - s * y) / range_m, (s * x + c * y) / range_m, np.ones(len(c))], axis=1)
+    line *= (range_m / np.linalg.norm(line, axis=1))[:, None]
+    camera_from_centred = signature.centred_from_camera.T
+    return camera_from_centred @ about @ attitudes, line @ camera_from_centred.T
+
+
+def _rolled_offset(offset_m: Array, roll_rad: float) -> Array:
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    return np.array([c * offset_m[0] - s * offset_m[1], s * offset_m[0] + c * offset_m[1]])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _squared_distances(
+    rows: npt.NDArray[np.float32], one: npt.NDArray[np.float32]
+) -> npt.NDArray[np.float32]:
+    """Of each of some vectors (K, N) to one (N,)."""
+    squares = np.empty(rows.shape[0], dtype=np.float32)
+    for k in range(rows.shape[0]):
+        total = np.float32(0.0)
+        for j in range(one.shape[0]):
+            apart = rows[k, j] - one[j]
+            total += apart * apart
+        squares[k] = total
+    return squares
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _spread(
+    views: npt.NDArray[np.intp], shifts: npt.NDArray[np.intp], directions: Array, cosine: float,
+    bins: int, most: int,
+) -> npt.NDArray[np.intp]:  # fmt: skip
+    """The first of some views and shifts, in order, that are not near one before."""
+    chosen = np.empty(most, dtype=np.intp)
+    count = 0
+    for k in range(views.shape[0]):
+        near = False
+        a = directions[views[k]]
+        for j in range(count):
+            b = directions[views[chosen[j]]]
+            if a[0] * b[0] + a[1] * b[1] + a[2] * b[2] > cosine:
+                apart = abs(shifts[k] - shifts[chosen[j]])
+                if min(apart, bins - apart) <= _SAME_ROLL_BINS:
+                    near = True
+                    break
+        if not near:
+            chosen[count] = k
+            count += 1
+            if count == most:
+                break
+    return chosen[:count]

@@ -1,0 +1,193 @@
+"""Levels of a picture: a large target is searched for in a smaller picture.
+
+The ranges of the search are pixels, and its starting poses are off by a share of the target's
+size. A target of a thousand pixels is therefore searched for where it has a few hundred. The pose
+that is found is refined once more in a finer picture.
+"""
+
+from __future__ import annotations
+
+import math
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.grey_frame import Picture, shrunk
+from rendezview.sensors.appearance.edges.refinement import Refiner
+from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.model.signature import Outlines
+from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview.sensors.appearance.search.search import PoseSearch
+from rendezview.sensors.appearance.sky import Sky
+
+# Px, radius of the largest target that is searched for in the picture itself. The stages were
+# chosen with 100 to 220 px and hold up to here.
+# Source: docs/notes/refinement.md, size of the target
+LARGEST_RADIUS_PX = 350.0
+# Px, the same for the last refinement: in larger ones the points of a view, up to 2.5° away, are
+# off by more than its last stage looks. Source: docs/notes/refinement.md, size of the target
+FINEST_RADIUS_PX = 700.0
+# Rad; a refined pose further away is another one. Twenty times the error that the search leaves.
+_MOST_APART_RAD = np.deg2rad(1.0)  # Source: docs/notes/refinement.md, size of the target
+_MOST_TIMES = 32  # a target before the camera is never larger than that. Source: by construction
+# Px², variance that reading adds to a blurred edge: a pixel is a box of 1/12, and reading between
+# pixels a triangle of 1/6. Source: by construction
+_READING_PX2 = 1.0 / 12.0 + 1.0 / 6.0
+
+
+class LevelSearch:
+    """``PoseSearch`` at the level of a picture that suits the size of the target."""
+
+    def __init__(self, model: ViewModel, camera: Camera) -> None:
+        self.model = model
+        self.whole = PoseSearch(model, camera)
+        self._levels = {1: self.whole}
+
+    @property
+    def refiner(self) -> Refiner:
+        """That of the picture itself."""
+        return self.whole.refiner
+
+    def start_at(self, angles_rad: Array, *, tracked: bool = False) -> None:
+        """Joints start at these angles (J,) in the next frame; ``tracked``: from the last one."""
+        for level in self._levels.values():
+            if level.refiner.articulation is not None:
+                level.refiner.articulation.start_rad = angles_rad.copy()
+                level.refiner.articulation.tracked = tracked
+
+    def anywhere(
+        self,
+        image: Picture,
+        sky: Sky,
+        bodies: list[Outlines],
+        sun_camera: Array | None = None,
+        *,
+        brief: bool = False,
+        give_up: float = 0.0,
+        again: bool = False,
+    ) -> Found | None:
+        """``PoseSearch.anywhere``; the outlines tell the size of the target."""
+        area_sr = float(np.median([body.signature.area_sr for body in bodies]))
+        range_m = math.sqrt(float(np.median(self.model.views.area_m2)) / area_sr)
+        search, picture, its_sky = self._level(image, sky, range_m, LARGEST_RADIUS_PX)
+        times = self.whole.camera.width // search.camera.width
+        if times > 1:
+            bodies = [Outlines([r[::times].copy() for r in b.rays], b.signature) for b in bodies]
+        found = search.anywhere(
+            picture, its_sky, bodies, sun_camera, brief=brief, give_up=give_up, again=again
+        )
+        return self._finished(found, image, sky)
+
+    def at(
+        self,
+        image: Picture,
+        sky: Sky,
+        prior: Pose,
+        error_rad: float,
+        sufficient_inlier_ratio: float = 1.0,
+    ) -> Found | None:
+        """``PoseSearch.at``."""
+        level = self._near(image, sky, prior)
+        found = level[0].at(*level[1:], prior, error_rad, sufficient_inlier_ratio)
+        return self._finished(found, image, sky)
+
+    def proposed(
+        self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
+        half_turns: bool = True,
+    ) -> Found | None:  # fmt: skip
+        """``PoseSearch.proposed``; the first proposal tells the size of the target."""
+        level = self._near(image, sky, proposals[0])
+        found = level[0].proposed(*level[1:], proposals, bodies, half_turns=half_turns)
+        return self._finished(found, image, sky)
+
+    def near(
+        self,
+        image: Picture,
+        sky: Sky,
+        prior: Pose,
+        error_rad: float,
+        bodies: list[Outlines],
+        also: list[Pose],
+    ) -> Found | None:
+        """``PoseSearch.near``."""
+        level = self._near(image, sky, prior)
+        found = level[0].near(*level[1:], prior, error_rad, bodies, also)
+        return self._finished(found, image, sky)
+
+    def _near(self, image: Picture, sky: Sky, prior: Pose) -> tuple[PoseSearch, Picture, Sky]:
+        return self._level(image, sky, self._range_m(prior), LARGEST_RADIUS_PX)
+
+    def _finished(self, found: Found | None, image: Picture, sky: Sky) -> Found | None:
+        """The same with the best pose refined in a finer picture.
+
+        Its inlier ratios and its residual stay those of the level of the search, since the
+        confidence is fitted to such sizes.
+        """
+        if found is None:
+            return None
+        range_m = self._range_m(found.best.pose)
+        searched, fine = (
+            times_smaller(self.whole.camera, self.model.target_radius_m, range_m, most)
+            for most in (LARGEST_RADIUS_PX, FINEST_RADIUS_PX)
+        )
+        if fine == searched:
+            return found
+        search, picture, its_sky = self._level(image, sky, range_m, FINEST_RADIUS_PX)
+        pose = found.best.pose
+        refined = search.refiner.refine(picture, its_sky, pose, closely=True)
+        if refined is None or refined.pose.angle_to(pose) > _MOST_APART_RAD:
+            return found
+        best = replace(
+            found.best,
+            pose=refined.pose,
+            covariance=refined.covariance,
+            angles_rad=refined.angles_rad,
+            joint_covariance=refined.joint_covariance,
+            joint_support=refined.joint_support,
+        )
+        return replace(found, best=best)
+
+    def _range_m(self, pose: Pose) -> float:
+        return float(np.linalg.norm(pose.apply(self.model.centre_m)))
+
+    def _level(
+        self, image: Picture, sky: Sky, range_m: float, most_px: float
+    ) -> tuple[PoseSearch, Picture, Sky]:
+        """The search, the picture and its sky for a target at some range."""
+        whole = self.whole
+        times = times_smaller(whole.camera, self.model.target_radius_m, range_m, most_px)
+        if times == 1:
+            return whole, image, sky
+        if times not in self._levels:
+            level = self._levels[times] = copy(whole)
+            level.camera = whole.camera.binned(times)
+            blur_px = shrunk_blur(whole.refine_options.blur_px, times)
+            level.refine_options = replace(whole.refine_options, blur_px=blur_px)
+            level.refiner = Refiner(self.model, level.camera, level.refine_options)
+            if level.refiner.articulation is not None and whole.refiner.articulation is not None:
+                level.refiner.articulation.start_rad = whole.refiner.articulation.start_rad
+        small = shrunk(image, times)
+        return self._levels[times], small, shrunk_sky(small, sky)
+
+
+def times_smaller(
+    camera: Camera, radius_m: float, range_m: float, most_px: float = LARGEST_RADIUS_PX
+) -> int:
+    """By how many times a picture is shrunk for a target's radius of ``most_px`` at most."""
+    radius_px = max(camera.fx, camera.fy) * radius_m / max(range_m, radius_m)
+    return min(_MOST_TIMES, max(1, math.ceil(radius_px / most_px)))
+
+
+def shrunk_sky(image: Picture, sky: Sky) -> Sky:
+    """Level and noise of a shrunk picture; dark and Sun are those of the whole one."""
+    small = Sky.of(image)
+    return Sky(small.level_grey, small.noise_grey, sky.dark, sky.sun_camera)
+
+
+def shrunk_blur(blur_px: float, times: int) -> float:
+    """The blur of an edge, one σ, in the pixels of a shrunk picture; as read in both."""
+    optics_px2 = max(blur_px**2 - _READING_PX2, 0.0)
+    return math.sqrt(optics_px2 / times**2 + _READING_PX2)

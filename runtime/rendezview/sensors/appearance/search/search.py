@@ -1,0 +1,358 @@
+"""The search for the pose of a frame on its edges.
+
+Retrieval proposes views and rolls by the signature of the outline. Alignment moves many of them
+roughly onto the edges (``alignment``), refinement the best ones exactly, with edge profiles under
+the fitted light (``refinement``). Shading decides between poses whose edges are alike, and a
+regression gives the confidence of the best (``confidence``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.edges.refinement import (
+    Refined,
+    RefineOptions,
+    Refiner,
+)
+from rendezview.sensors.appearance.judge.confidence import Candidates, Found
+from rendezview.sensors.appearance.judge.shading import Shading
+from rendezview.sensors.appearance.model.forest import ForestScores
+from rendezview.sensors.appearance.model.signature import Outlines
+from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview.sensors.appearance.outline.retrieval import Retrieval
+from rendezview.sensors.appearance.search.starts import (
+    half_turns,
+    rotated_about,
+    rotated_about_axes,
+)
+from rendezview.sensors.appearance.sky import Sky
+
+# Source: commit 7a5ba6e, experiment pose-accuracy
+_CONFIDENT = 0.98  # probability; such a pose needs no further search, nor its shading
+# Of the log of the rank by similarity, a unit of the forest's log odds. Source: experiment
+# tree-ablation (0.1), seed 4101
+_VOTES_WORTH = 0.3
+_REFINED_OF_VOTED = 2  # Source: experiment tree-ablation (0.1), seed 4101
+# Log odds of the nodes about a pose: a forest that knows nothing gives −2.2, the share of a node's
+# views among its samples. Source: experiment tree-ablation (0.1), seed 4101
+_LEAST_VOTES = -2.0
+_LEAST_LEAD = 0.5  # log odds above every half turn. Source: tree-ablation (0.1), seed 4101
+# Inlier ratio of the likeliest starts' best pose: below 0.3, no half turn of it has been right in
+# 120 frames of Mitsuba. Source: docs/notes/photographs.md
+_WORTH_TURNING = 0.2
+# The same after coarse alignment: of 252 right poses of Mitsuba none had less. Source: the same
+_WORTH_REFINING = 0.15
+_WORTH_REFINING_LAST = 0.08  # in the search after the sketch. Source: the same
+# Source: commits 7a5ba6e and 1cf9b72, experiment pose-accuracy
+_ROUNDS = 2  # of looks around the best two poses where none is confident; after a sketch one
+# rad; a local optimum lies about that far from the right pose. Source: spacing of the nodes' views,
+# 8.6°
+_ASIDE_RAD = np.deg2rad(9.0)
+# rad; error of a good prior. Source: by hand, seeds of docs/notes/refinement.md
+_CLOSE_RAD = np.deg2rad(3.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions:
+    """How far to search."""
+
+    # Views and rolls that are aligned without a prior. Source: by hand, seeds of
+    # docs/notes/refinement.md
+    retrieved: int = 60
+    # With a forest: the likeliest are aligned first, and two of them refined. Where edges and the
+    # forest agree on a pose, nothing else is tried. Source: tree-ablation (0.1), seed 4101
+    voted_first: int = 8
+    retrieved_first: int = 20  # of them, before the others; often enough. Source: commit cb7137c
+    # For each of several outlines before a bright sky. Source: by hand, seeds of
+    # docs/notes/refinement.md
+    retrieved_of_several: int = 40
+    refined: int = 6  # of them that are refined. Source: by hand, seeds of docs/notes/refinement.md
+    # The same near a prior. Source: by hand, seeds of docs/notes/refinement.md
+    refined_near: int = 3
+    # Source: commit f31a7df; poses 5° to 10° off the truth reached the limit before it
+    inlier_ratio: float = 0.5  # of the pose next to a prior: then nothing else is tried …
+    # … and before a bright sky, where clouds give edges too. Source: by hand, seeds of
+    # docs/notes/refinement.md
+    inlier_ratio_bright: float = 0.6
+
+
+@dataclass(slots=True, eq=False)
+class PoseSearch:
+    """Finds poses of one model in the frames of one camera."""
+
+    model: ViewModel
+    camera: Camera
+    options: SearchOptions = field(default_factory=SearchOptions)
+    refine_options: RefineOptions = field(default_factory=RefineOptions)
+    refiner: Refiner = field(init=False)
+    shading: Shading = field(init=False)
+    retrieval: Retrieval = field(init=False)
+    forest_scores: ForestScores | None = field(init=False)  # None: the model has no forest
+    _half_turns: Array = field(init=False)  # (3, 3, 3)
+
+    def __post_init__(self) -> None:
+        self.refiner = Refiner(self.model, self.camera, self.refine_options)
+        self.shading = Shading(self.model, self.camera)
+        self.retrieval = Retrieval(self.model)
+        self.forest_scores = self.model.forest_scores()
+        self._half_turns = half_turns(self.model)
+
+    def _candidates(
+        self,
+        image: Picture,
+        sky: Sky,
+        bodies: list[Outlines],
+        forest_scores: ForestScores | None = None,
+        *,
+        prior: bool = False,
+    ) -> Candidates:
+        return Candidates(
+            self.refiner, self.shading, self.retrieval, image, sky, bodies, forest_scores, prior
+        )
+
+    def anywhere(
+        self,
+        image: Picture,
+        sky: Sky,
+        bodies: list[Outlines],
+        sun_camera: Array | None = None,
+        *,
+        brief: bool = False,
+        give_up: float = 0.0,
+        again: bool = False,
+    ) -> Found | None:
+        """The pose without a prior, from one or several readings of the outline.
+
+        Args:
+            brief: of the likeliest starts only, confident or not.
+            give_up: confidence that the likeliest starts must reach, else no others are tried.
+            again: after giving up: all starts at once, thoroughly, and one look around the best.
+        """
+        least = worth = 0.0
+        if again or give_up > 0.0:  # beside a sketch, which is better at what is hard here
+            least, worth = _WORTH_REFINING_LAST if again else _WORTH_REFINING, _WORTH_TURNING
+        each = self.options.retrieved if len(bodies) == 1 else self.options.retrieved_of_several
+        first = self.options.retrieved_first // len(bodies)
+        starts = [
+            self._voted(body, *self.retrieval.of(body.signature, each, sun_camera))
+            for body in bodies
+        ]
+        candidates = self._candidates(image, sky, bodies, self.forest_scores)
+        if self.forest_scores is not None and len(bodies) == 1 and not again:
+            agreed = self._agreed(image, sky, candidates, bodies[0], *starts[0], least)
+            if agreed is not None:
+                return agreed
+        if brief:
+            rotations, centres = (np.concatenate([s[k][:first] for s in starts]) for k in (0, 1))
+            candidates.add(self.refiner.best(image, sky, rotations, centres, _REFINED_OF_VOTED))
+            return candidates.choose()
+        turned: list[Refined] = []  # poses whose half turns have been tried
+        found = None
+        likeliest, others = (slice(0, first), False), (slice(first, None), False)
+        everything = (slice(None), True)
+        for part, thorough in (everything,) if again else (likeliest, others, everything):
+            rotations = np.concatenate([r[part] for r, _ in starts])
+            centres = np.concatenate([c[part] for _, c in starts])
+            keep = self.options.refined
+            candidates.add(
+                self.refiner.best(
+                    image, sky, rotations, centres, keep, thorough=thorough, least=least
+                )
+            )
+            best = candidates.most_inliers
+            if best is not None and best not in turned and best.inlier_ratio >= worth:
+                candidates.add(self._half_turned(image, sky, best.pose))
+                turned.append(best)
+            found = candidates.choose()
+            confidence = 0.0 if found is None else found.confidence
+            if confidence >= _CONFIDENT or confidence < give_up:
+                return found
+        rounds = 1 if again else _ROUNDS
+        return self._around_best_two(image, sky, candidates, found, turned, rounds)
+
+    def _voted(self, body: Outlines, rotations: Array, centres: Array) -> tuple[Array, Array]:
+        """Starting poses in the order of similarity and votes together, likeliest first."""
+        if self.forest_scores is None:
+            return rotations, centres
+        # Whole and sunlit silhouettes come in turns.
+        rank = np.log1p(np.arange(len(rotations)) // 2)
+        order = np.argsort(
+            rank - _VOTES_WORTH * self.forest_scores.scores(body.signature, rotations),
+            kind="stable",
+        )
+        return rotations[order], centres[order]
+
+    def _agreed(
+        self,
+        image: Picture,
+        sky: Sky,
+        candidates: Candidates,
+        body: Outlines,
+        rotations: Array,
+        centres: Array,
+        least: float,
+    ) -> Found | None:
+        """The pose on which edges and forest agree, from the likeliest starts; None without one."""
+        assert self.forest_scores is not None
+        first = slice(0, self.options.voted_first)
+        starts = rotations[first].copy(), centres[first].copy()
+        candidates.add(self.refiner.best(image, sky, *starts, _REFINED_OF_VOTED, least=least))
+        found = candidates.choose()
+        if found is None or found.confidence < _CONFIDENT or found.votes is None:
+            return None
+        turned = found.best.pose.rotation @ self._half_turns
+        other = float(np.max(self.forest_scores.scores(body.signature, turned)))
+        leads = found.votes >= _LEAST_VOTES and found.votes - other >= _LEAST_LEAD
+        return found if leads else None
+
+    def _around_best_two(
+        self,
+        image: Picture,
+        sky: Sky,
+        candidates: Candidates,
+        found: Found | None,
+        turned: list[Refined],
+        rounds: int,
+    ) -> Found | None:
+        """Search around the best pose and its rival, then around those that lead after that."""
+        searched: list[Refined] = []
+        for _ in range(rounds):
+            more: list[Refined] = []
+            for pose in () if found is None else (found.best, found.rival):
+                if pose is None or pose in searched:
+                    continue
+                searched.append(pose)
+                more += self._around(image, sky, pose) + self._close_to(image, sky, pose.pose)
+                if pose not in turned:
+                    turned.append(pose)
+                    more += self._half_turned(image, sky, pose.pose)
+            if not more:
+                break
+            candidates.add(more)
+            found = candidates.choose()
+            if found is not None and found.confidence >= _CONFIDENT:
+                break
+        return found
+
+    def at(
+        self,
+        image: Picture,
+        sky: Sky,
+        prior: Pose,
+        error_rad: float,
+        sufficient_inlier_ratio: float = 1.0,
+    ) -> Found | None:
+        """The pose next to a prior that is right to a few degrees; None unless it is confident.
+
+        ``sufficient_inlier_ratio`` lowers the inlier ratio that the options require.
+        """
+        usual = self.options.inlier_ratio if sky.dark else self.options.inlier_ratio_bright
+        refined = self.refiner.refine(image, sky, prior)
+        if refined is None or refined.inlier_ratio < min(sufficient_inlier_ratio, usual):
+            return None
+        if refined.pose.angle_to(prior) > _furthest_rad(error_rad):
+            return None
+        single = self._candidates(image, sky, [], prior=True)
+        single.add([refined])
+        reaches_usual = refined.inlier_ratio >= usual
+        found = single.choose(shade=not reaches_usual)
+        if reaches_usual and found is not None and found.confidence < _CONFIDENT:
+            found = single.choose()
+        if found is None or found.confidence < _CONFIDENT:
+            return None
+        return replace(found, single=True)
+
+    def proposed(
+        self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
+        half_turns: bool = True,
+    ) -> Found | None:  # fmt: skip
+        """The best of some poses that another estimator proposes, and of half turns of it.
+
+        Args:
+            proposals: right to a few degrees, or another answer.
+            half_turns: ``False`` where the second estimator has ruled them out.
+        """
+        candidates = self._candidates(image, sky, bodies, self.forest_scores)
+        refined = [self.refiner.refine(image, sky, pose) for pose in proposals]
+        candidates.add([r for r in refined if r is not None])
+        if half_turns:
+            best = candidates.most_inliers
+            pose = proposals[0] if best is None else best.pose
+            candidates.add(self._half_turned(image, sky, pose))
+        return candidates.choose()
+
+    def near(
+        self,
+        image: Picture,
+        sky: Sky,
+        prior: Pose,
+        error_rad: float,
+        bodies: list[Outlines],
+        also: list[Pose],
+    ) -> Found | None:
+        """The pose within some angle of a prior, from rotations of it and retrieved views."""
+        rotations, centres = self._starts_near(prior, error_rad, bodies, also)
+        refined = self._close_to(image, sky, prior)
+        refined += self.refiner.best(image, sky, rotations, centres, self.options.refined_near)
+        candidates = self._candidates(image, sky, bodies, prior=True)
+        candidates.add(_within(refined, prior, error_rad))
+        found = candidates.choose()
+        if found is not None and found.confidence < _CONFIDENT:
+            candidates.add(_within(self._around(image, sky, found.best), prior, error_rad))
+            found = candidates.choose()
+        return found
+
+    def _starts_near(
+        self, prior: Pose, error_rad: float, bodies: list[Outlines], also: list[Pose]
+    ) -> tuple[Array, Array]:
+        """Rotations (K, 3, 3) and view centres (K, 3) to start from near a prior."""
+        rotations, centres = rotated_about(prior, self.model.centre_m, error_rad)
+        rotations = np.concatenate([rotations, *(p.rotation[None] for p in also)])
+        centres = np.concatenate([centres, *(p.apply(self.model.centre_m)[None] for p in also)])
+        cosine = np.cos(error_rad)
+        for body in bodies:
+            more, places = self.retrieval.of(body.signature, 3 * self.options.retrieved)
+            trace = np.einsum("kij,ij->k", more, prior.rotation)
+            close = np.flatnonzero(0.5 * (trace - 1.0) > cosine)[: self.options.retrieved]
+            rotations = np.concatenate([rotations, more[close]])
+            centres = np.concatenate([centres, places[close]])
+        return rotations, centres
+
+    def _around(self, image: Picture, sky: Sky, best: Refined) -> list[Refined]:
+        """Poses from 9° around: the best one may be a local optimum."""
+        rotations, centres = rotated_about(best.pose, self.model.centre_m, _ASIDE_RAD)
+        return self.refiner.best(image, sky, rotations[1:], centres[1:], 2)
+
+    def _close_to(self, image: Picture, sky: Sky, prior: Pose) -> list[Refined]:
+        """Poses from 3° around, refined without coarse stages, which may find another pose."""
+        starts = rotated_about_axes(prior, self.model.centre_m, _CLOSE_RAD)
+        found = [self.refiner.refine(image, sky, start, closely=True) for start in starts]
+        found.append(self.refiner.refine(image, sky, prior))
+        return [refined for refined in found if refined is not None]
+
+    def _half_turned(self, image: Picture, sky: Sky, pose: Pose) -> list[Refined]:
+        """Poses from half turns of one: many craft look nearly the same from behind or below.
+
+        Each is refined directly and after coarse alignment, which may move it away.
+        """
+        rotations = pose.rotation @ self._half_turns
+        centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
+        starts = map(Pose, rotations, centres - rotations @ self.model.centre_m)
+        refined = [self.refiner.refine(image, sky, start) for start in starts]
+        found = [r for r in refined if r is not None]
+        return found + self.refiner.best(image, sky, rotations, centres, 2)
+
+
+def _within(refined: list[Refined], prior: Pose, error_rad: float) -> list[Refined]:
+    return [r for r in refined if r.pose.angle_to(prior) < _furthest_rad(error_rad)]
+
+
+def _furthest_rad(error_rad: float) -> float:
+    """How far from a prior a pose may be: the error of the prior and a tenth, and a degree."""
+    return float(1.1 * error_rad + np.deg2rad(1.0))

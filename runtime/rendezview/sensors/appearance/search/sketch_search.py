@@ -1,0 +1,332 @@
+"""The search for the pose of a frame on its sketch.
+
+The network draws a sketch of the frame (``network``). Correlation with the model's views proposes
+poses (``retrieval``), which are moved onto the sketch's edges (``alignment``). What of its lines
+they explain (``explained``), and how far the grey levels are those of a lit surface at the pose
+(``edges/shading``), decides between them. The best are looked at again in a sketch twice as fine.
+A forest gives the probability that the best of them is right (``choice``).
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.lens import lens_vector
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.so3 import exp, hat, log
+from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.edges.alignment import nearest_views
+from rendezview.sensors.appearance.edges.measured import MeasuredEdges
+from rendezview.sensors.appearance.edges.network import Box, Sketch, Sketcher
+from rendezview.sensors.appearance.edges.predicted import COLUMNS
+from rendezview.sensors.appearance.edges.sketch import (
+    CUT_SPREADS,
+    Maps,
+    align_all_to_sketch,
+    align_to_sketch,
+    pose_covariance,
+)
+from rendezview.sensors.appearance.judge.explained import explained_share
+from rendezview.sensors.appearance.judge.shading import SurfaceTables, shading
+from rendezview.sensors.appearance.judge.sketch_choice import (
+    Passes,
+    SketchChoice,
+    SketchPose,
+    chosen,
+    distinct,
+)
+from rendezview.sensors.appearance.model.contours import NO_POINT, POINT_UNIT
+from rendezview.sensors.appearance.model.sketches import COVER, CREASE, EDGE, Float32s
+from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
+from rendezview.sensors.appearance.search.by_sketch import SketchRetrieval
+from rendezview.sensors.appearance.search.starts import rotated_about
+from rendezview.sensors.appearance.sky import Sky
+
+# Stages of alignment: reach and spread (sketch px), steps, stride, weight of inner edges. A third
+# of the target is looked over first, then less and less. Source: experiment photo-accuracy
+_COARSE = np.array(
+    [[14.0, 7.0, 3.0, 4.0, 0.5], [9.0, 4.0, 3.0, 1.0, 0.5], [6.0, 2.5, 4.0, 1.0, 0.5]]
+)
+# In the finer sketch all edges within 3 % of the target's size count: where the mesh is wrong, the
+# mean of many edges is nearer to the pose than the few that fit. Source: experiment photo-accuracy
+_FINE = np.array([[18.0, 8.0, 10.0, 2.0, 1.0]])
+# The pose that is given has converged: edges hold it where it is, so it takes more steps. Lengths
+# are of a first pass, and grow with its fineness: the mesh's errors do. Source: frames of
+# sketch-confidence and photo-accuracy (docs/notes/photographs.md)
+_LAST = np.array([[10.0, 4.5, 40.0, 1.0, 0.7]])
+_FINER = 2  # times a first pass. Source: experiment photo-accuracy
+# Source: experiment photo-accuracy
+_RETRIEVED = 120  # views and rolls that are aligned without a prior
+_RETRIEVED_NEAR = 30  # the same near a prior. Source: experiment photo-accuracy
+_KEPT = 24  # of them after the first stage. Source: experiment photo-accuracy, rank of right ones
+# Of outline, inner edges and contrast, how promising a pose is then. Source: the same
+_PROMISE = np.array([1.0, 0.3, 0.5])
+_LOOKED_AT = 5  # of the aligned poses, more closely. Source: experiment photo-accuracy
+_APART_RAD = np.deg2rad(4.0)  # rad, between them. Source: experiment photo-accuracy
+# Source: experiment photo-accuracy
+_ASIDE_RAD = np.deg2rad(4.0)  # rad; the pose that fits best is looked for that far around
+_VIEW_RAD = np.deg2rad(6.0)  # rad; from any attitude to the nearest view. Source: the node sphere
+_UNKNOWN = 1e-9  # of the information, added: it can be solved for. Source: by construction
+_SMOOTH_PX = 0.7  # sketch px; σ of the lines before they are read. Source: half their width
+_NOTHING = 1e-6  # keeps quotients finite. Source: by construction
+# Source: experiment photo-accuracy
+_CREASE_SHARE = 0.5  # of the edges in the map of creases: the network confuses the two
+
+
+class Reading(NamedTuple):
+    """A sketch as poses are aligned to it and judged by it."""
+
+    maps: Maps
+    grey: Picture  # (h, w) of the sketch
+    lens: Lens  # of a camera whose picture that is
+    last: Array  # (1, 5) of ``_last``
+    lines: Float32s  # (h, w) of ``_lines``
+    lines_lens: Lens  # of a camera whose picture they are
+    sky: Array  # (6,) of ``Sky.vector``
+
+
+class SketchSearch:
+    """Finds poses of one model in the frames of one camera by their sketches."""
+
+    def __init__(self, model: ViewModel, camera: Camera, views: ViewTables) -> None:
+        """A search; ``views`` are the contour points of the model.
+
+        Raises:
+            ValueError: the model has no sketches.
+        """
+        if model.sketches is None:
+            raise ValueError("the model has no sketches")
+        self.sketcher = Sketcher()
+        self.retrieval = SketchRetrieval(model, model.sketches, camera)
+        self._set_tables(model, camera, views)
+
+    def _set_tables(self, model: ViewModel, camera: Camera, views: ViewTables) -> None:
+        self.model, self.camera, self._views = model, camera, views
+        self._lens = (lens_vector(camera), camera.is_distorted)
+        self._surface = None
+        if model.surface is not None:
+            self._surface = SurfaceTables.of(model.surface, model.target_radius_m)
+
+    def best(self, frame: Picture, sky: Sky) -> SketchChoice | None:
+        """As ``anywhere``, with a second opinion where the pose is in doubt.
+
+        Near a prior there is none: both searches are held by the prior, and agree where it is
+        wrong.
+        """
+        first = self.anywhere(frame, sky)
+        if first is None or not first.in_doubt:
+            return first
+        second = self.anywhere(frame, sky, turned=True)
+        return first if second is None else first.beside(second, self.model.symmetries)
+
+    def anywhere(self, frame: Picture, sky: Sky, *, turned: bool = False) -> SketchChoice | None:
+        """The best pose of a frame without a prior; None where the sketch shows no target.
+
+        ``turned``: the network sees the frame upside down.
+        """
+        sketch = self.sketcher.find(frame, turned=turned)
+        if sketch is None:
+            return None
+        rotations, centres = self.retrieval.starts(sketch, _RETRIEVED)
+        reading = self.read(sketch, sky)
+        poses = self.aligned(reading, rotations, centres)
+        return self._closer(frame, sky, reading, poses, prior=False, turned=turned)
+
+    def near(self, frame: Picture, sky: Sky, prior: Pose, error_rad: float) -> SketchChoice | None:
+        """The best pose within some angle of a prior; None where there is none."""
+        sketch = self.sketcher.near(frame, self._box(prior))
+        if sketch is None:
+            return None
+        around, stay = rotated_about(prior, self.model.centre_m, error_rad)
+        alike, places = self.retrieval.starts(
+            sketch, _RETRIEVED_NEAR, prior.rotation, error_rad + _VIEW_RAD
+        )
+        rotations = np.concatenate([around, around, alike])
+        centres = np.concatenate([stay, self.retrieval.placed(sketch, around), places])
+        reading = self.read(sketch, sky)
+        poses = self.aligned(reading, rotations, centres)
+        furthest = 1.1 * error_rad + _VIEW_RAD
+        within = [p for p in poses if p.pose.angle_to(prior) < furthest]
+        return self._closer(frame, sky, reading, within, prior=True, turned=False)
+
+    def with_tables(self, model: ViewModel, views: ViewTables, camera: Camera) -> SketchSearch:
+        """The same search for the model with its contour points moved, and a camera alike."""
+        moved = copy(self)
+        moved._set_tables(model, camera, views)
+        return moved
+
+    def closer_sketch(self, frame: Picture, pose: Pose, *, turned: bool = False) -> Sketch | None:
+        """The finer sketch of the target at a pose; None where it lies outside the frame."""
+        return self.sketcher.near(frame, self._box(pose), _FINER, turned=turned)
+
+    def measured(self, sketch: Sketch, start: Pose) -> MeasuredEdges | None:
+        """The edges of a sketch at the pose next to ``start`` that fits them, sketch px."""
+        return self._measured(_maps(sketch), self._lens_of(sketch.place), _last(sketch), start)
+
+    def _measured(self, maps: Maps, lens: Lens, last: Array, start: Pose) -> MeasuredEdges | None:
+        edges = np.zeros((self._views.point.shape[2], COLUMNS))
+        rotation, centre = start.rotation.copy(), start.apply(self.model.centre_m)
+        if not align_to_sketch(maps, lens, self._views, last, rotation, centre, edges):
+            return None
+        return MeasuredEdges.of(edges, CUT_SPREADS * last[-1, 1], rotation, centre)
+
+    def aligned(self, reading: Reading, rotations: Array, centres: Array) -> list[SketchPose]:
+        """Poses (K, 3, 3) and view centres (K, 3), changed in place, moved onto a sketch.
+
+        All take the first stage, the most promising ones the others. Those that find no hold are
+        left out.
+        """
+        scores = np.empty((len(rotations), 4))
+        align_all_to_sketch(
+            reading.maps, reading.lens, self._views, _COARSE[:1], rotations, centres, scores,
+            int(_COARSE[0, 3]),
+        )  # fmt: skip
+        promise = np.where(scores[:, 0] >= 0.0, scores[:, :3] @ _PROMISE, -np.inf)
+        kept = np.argsort(-promise, kind="stable")[:_KEPT]
+        kept = kept[np.isfinite(promise[kept])]
+        return self._aligned(reading, rotations[kept], centres[kept], _COARSE[1:])
+
+    def read(self, sketch: Sketch, sky: Sky) -> Reading:
+        """What alignment and judgement read of a sketch of a frame."""
+        lines, place = _lines(sketch)
+        lens, lines_lens = self._lens_of(sketch.place), self._lens_of(place)
+        return Reading(
+            _maps(sketch), sketch.grey, lens, _last(sketch), lines, lines_lens, sky.vector
+        )
+
+    def _aligned(
+        self, reading: Reading, rotations: Array, centres: Array, stages: Array
+    ) -> list[SketchPose]:
+        maps, grey, lens, _, lines, lines_lens, sky = reading
+        scores = np.empty((len(rotations), 4))
+        align_all_to_sketch(maps, lens, self._views, stages, rotations, centres, scores)
+        seen = np.empty(lines.shape, np.uint8)
+        found = []
+        for k in np.flatnonzero(scores[:, 0] >= 0.0):
+            at = rotations[k], centres[k]
+            pose = Pose(at[0], at[1] - at[0] @ self.model.centre_m)
+            explained = explained_share(lines, lines_lens, self._views, *at, seen)
+            alike = (0.0, 0.0)
+            if self._surface is not None:
+                alike = shading(grey, lens, sky, self._surface, *at)
+            lit = (max(correlation, 0.0) ** 2 for correlation in alike)
+            outline, inner, contrast, visible = (float(score) for score in scores[k])
+            found.append(SketchPose(pose, outline, inner, contrast, visible, explained, *lit))
+        return found
+
+    def _closer(
+        self, frame: Picture, sky: Sky, first: Reading, poses: list[SketchPose], *, prior: bool,
+        turned: bool,
+    ) -> SketchChoice | None:  # fmt: skip
+        """The best of some poses of a first sketch after a closer pass at the target."""
+        best = distinct(poses, _LOOKED_AT, _APART_RAD)
+        if not best:
+            return None
+        sketch = self.closer_sketch(frame, best[0].pose, turned=turned)
+        if sketch is None:
+            return None
+        centre_m, reading = self.model.centre_m, self.read(sketch, sky)
+        starts, places = rotated_about(best[0].pose, centre_m, _ASIDE_RAD)
+        around = self._aligned(reading, starts, places, _FINE)
+        starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
+        places = np.array([b.pose.apply(centre_m) for b in best[1:]]).reshape(-1, 3)
+        passes = Passes(poses, around, self._aligned(reading, starts, places, _FINE))
+        choice = chosen(passes, self.model.symmetries, prior=prior, cut=sketch.is_cut)
+        if choice is None:
+            return None
+        pose, spread_deg, scatter = self._mean(choice.best.pose, [first, reading])
+        choice = replace(choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows)
+        covariance, strained, residual_px = pose_covariance(
+            reading.maps, reading.lens, self._views, reading.last[-1], pose.rotation.copy(),
+            pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
+        )  # fmt: skip
+        return choice.with_covariance(covariance, strained + scatter, residual_px / sketch.scale)
+
+    def _mean(self, best: Pose, readings: list[Reading]) -> tuple[Pose, float, Array]:
+        """The mean of the poses that one leads to in some sketches, weighted by what each knows.
+
+        Returns:
+            The mean; the largest angle between it and one of them, °; (6, 6) its covariance as
+            their scatter shows it, of the rotation vector and the target's origin.
+        """
+        centre = best.apply(self.model.centre_m)
+        each = (self._measured(r.maps, r.lens, r.last, best) for r in readings)
+        found = [edges for edges in each if edges is not None]
+        if not found:
+            return best, 0.0, np.zeros((6, 6))
+        moves = np.array(
+            [np.append(log(e.rotation @ best.rotation.T), e.centre_m - centre) for e in found]
+        )
+        known = np.array([edges.information for edges in found])
+        total = known.sum(0)
+        total += _UNKNOWN * np.diag(np.diag(total))
+        move = np.linalg.solve(total, np.einsum("kij,kj->i", known, moves))
+        off = moves - move
+        rotation = exp(move[:3]) @ best.rotation
+        arm = rotation @ self.model.centre_m
+        carry = np.eye(6)  # from the view centre to the target's origin
+        carry[3:, :3] = hat(arm)
+        count = len(found)
+        scatter = carry @ (off.T @ off) @ carry.T / (count * max(count - 1, 1))
+        spread_deg = float(np.rad2deg(np.linalg.norm(off[:, :3], axis=1).max()))
+        return Pose(rotation, centre + move[3:] - arm), spread_deg, scatter
+
+    def _lens_of(self, place: Array) -> Lens:
+        """The lens of a camera whose picture is a sketch, ``place`` as of ``Sketch.place``."""
+        scale, left, top = place
+        vector = self._lens[0].copy()
+        vector[:4] *= scale
+        vector[2:4] += left, top
+        return vector, self._lens[1]
+
+    def _box(self, pose: Pose) -> Box:
+        """The box of the target at a pose, frame px: of the contour points of its nearest view."""
+        views, nearest = self._views, np.zeros(1, dtype=np.int64)
+        centre = pose.apply(self.model.centre_m)
+        rotation = pose.rotation.copy()  # numba compiles a copy for read-only arrays
+        shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
+        exists = views.kind[shell, nearest[0]] != NO_POINT
+        points = views.point[shell, nearest[0]][exists] * (POINT_UNIT * views.radius_m)
+        in_camera = points @ pose.rotation.T + centre
+        px = np.asarray(self.camera.project(in_camera[in_camera[:, 2] > 0.0]))
+        if not len(px) or not np.isfinite(px).all():
+            return -1.0, -1.0, -1.0, -1.0  # nothing of it is ahead: outside the frame
+        left, top, right, bottom = (float(v) for v in (*px.min(0), *px.max(0)))
+        return left, top, right, bottom
+
+
+def _last(sketch: Sketch) -> Array:
+    """(1, 5) the last stage of alignment, its lengths in pixels of this sketch."""
+    finer = np.array([sketch.fineness, sketch.fineness, 1.0, 1.0, 1.0])
+    return np.asarray(_LAST * finer, dtype=np.float64)
+
+
+def _maps(sketch: Sketch) -> Maps:
+    """The maps as alignment reads them."""
+    edge, crease = sketch.maps[EDGE], sketch.maps[CREASE]
+    crease = np.maximum(crease, np.float32(_CREASE_SHARE) * edge)
+    soft = [np.asarray(cv2.GaussianBlur(m, (0, 0), _SMOOTH_PX)) for m in (edge, crease)]
+    return Maps(np.ascontiguousarray(sketch.maps[COVER]), soft[0], soft[1])
+
+
+def _lines(sketch: Sketch) -> tuple[Float32s, Array]:
+    """How much of a line there is, (h, w), as a share of the sum, and its place as of a sketch.
+
+    They are as fine as a first pass. Squares of the probabilities of edges and creases: faint
+    doubts all over a sketch add up to as much as its lines.
+    """
+    lines = sketch.maps[EDGE] ** 2 + sketch.maps[CREASE] ** 2
+    n = min(max(1, round(sketch.fineness)), *lines.shape)
+    height, width = (side // n for side in lines.shape)
+    whole = lines[: n * height, : n * width]
+    lines = np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
+    scale, left, top = sketch.place
+    place = np.array([scale / n, (left + 0.5) / n - 0.5, (top + 0.5) / n - 0.5])
+    return np.asarray(lines / (lines.sum() + _NOTHING), dtype=np.float32), place

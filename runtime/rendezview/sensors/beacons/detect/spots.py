@@ -1,0 +1,359 @@
+"""Connected spots of the difference picture, and where their middles are.
+
+Three centroids: binary (every pixel alike), weighted by what is above the threshold (Book et
+al.'s), and Gaussian-windowed: the point about which a Gaussian window of the spot's own size
+finds no first moment. For a spot that is itself Gaussian that is the best there is: its error
+σ_noise √(2/π) / peak is the Cramér–Rao bound.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.estimation.saturated_spot import Plane, fit_rim
+from rendezview.estimation.spot_centroid import (
+    centre_spot,
+    overlap_error,
+    ring_plane,
+    saturated_error,
+)
+from rendezview.geometry.pose import Array
+from rendezview.sensors.beacons.detect.difference import (
+    Centroid,
+    Grey,
+    LitDark,
+    ThresholdOptions,
+    background_of,
+    drop_glare,
+    faint_mask,
+    noise_grey,
+    spot_mask,
+    threshold_of,
+)
+from rendezview.sensors.beacons.detect.discs import expected_size
+
+SATURATED_GREY = 255  # grey. Source: by construction, 8 bits
+_FEWEST = 3  # spots that can be a target. Source: by construction
+_RISES = 10  # of the threshold, each by a half: up to 38 times. Source: by construction
+# σ between two centroids of one spot: further apart, something overlaps it. Source: reflector-nees
+_OVERLAP = 4.0
+# share of a spot's size: moved further, it may not be the spot. Source: reflector-nees --seed 101
+_DOMINATED = 0.1
+# px by which a saturated spot's light passes the threshold beyond its disc. Source: by
+# construction, one σ of the blur; a start only
+_SKIRT_PX = 0.7
+# share of a saturated spot's size: an error where its rim is not that of a disc. Source: by
+# construction, charge over a quarter of a flat disc's diameter at one end
+_RAN_OVER = 0.4
+# share of a saturated spot's size: an error up to which its rim tells it. Source: by construction,
+# less than AcquisitionOptions.size_limit
+_SIZE_KNOWN = 0.1
+# Among more, chance fits dots of another size, or fainter ones. Source: experiments
+# reflector-tolerance (0.1) and reflector-nees
+MOST_CERTAIN = 20
+# more than that is no picture of a target. Source: by construction, a bound of time
+MOST_SPOTS = 400
+# Columns of the spot table that the compiled loops fill.
+X, Y, AREA, AMPLITUDE, PEAK, SIZE, SATURATED, SIGMA = range(8)
+BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DARK, ABOVE = range(
+    8, 19
+)
+# grey²: texture of the ring about it, as white noise of a pixel. Source: by construction
+ROUGH = 19
+COLUMNS = 20  # Source: by construction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpotTable:
+    """Spots of one picture; ``table`` (N, 20) as the compiled loops use it."""
+
+    table: Array
+    overfull: bool = False  # more than MOST_SPOTS were found, and dropped
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def centroids_px(self) -> Array:
+        """(N, 2) by the method asked for."""
+        return self.table[:, :2]
+
+    @property
+    def area_px(self) -> Array:
+        """(N,) pixels above the threshold."""
+        return np.asarray(self.table[:, AREA])
+
+    @property
+    def peak_grey(self) -> Array:
+        """(N,) largest difference."""
+        return np.asarray(self.table[:, PEAK])
+
+    @property
+    def size_px(self) -> Array:
+        """(N,) σ of the Gaussian that has the spot's extent."""
+        return np.asarray(self.table[:, SIZE])
+
+    @property
+    def saturated_px(self) -> Array:
+        """(N,) number of saturated pixels."""
+        return np.asarray(self.table[:, SATURATED])
+
+    @property
+    def sigma_px(self) -> Array:
+        """(N,) error of the centroid that the picture's noise makes, one σ an axis."""
+        return np.asarray(self.table[:, SIGMA])
+
+    def records(self) -> list[dict[str, float]]:
+        """One mapping a spot, as a log has them."""
+        return [
+            {
+                "x_px": float(row[X]),
+                "y_px": float(row[Y]),
+                "area_px": int(row[AREA]),
+                "peak_grey": float(row[PEAK]),
+                "size_px": float(row[SIZE]),
+                "saturated_px": int(row[SATURATED]),
+                "sigma_px": float(row[SIGMA]),
+            }
+            for row in self.table
+        ]
+
+
+def find_spots(
+    frames: LitDark,
+    options: ThresholdOptions | None = None,
+    centroid: Centroid | None = None,
+    *,
+    faint: bool = False,
+) -> SpotTable:
+    """All spots of a picture, in the order in which a scan meets them.
+
+    ``centroid`` wins over that of the options. ``faint``: look for spots below the threshold of
+    single pixels too, as is done where fewer than three are above it.
+    """
+    chosen = options or ThresholdOptions()
+    noise = noise_grey(frames)
+    table = np.zeros((MOST_SPOTS, COLUMNS))
+    if frames.dark is None and chosen.lower_grey is None:
+        count = _label_faint(frames.lit, noise, chosen, table)
+    else:
+        level = threshold_of(chosen, noise, frames)
+        dark, count = frames.dark_or_nothing, 0
+        if not faint or chosen.lower_grey is not None:
+            count = _label(spot_mask(frames, level, chosen), frames.lit, dark, level, table)
+        if 0 <= count < _FEWEST and chosen.lower_grey is None:
+            mask = faint_mask(frames.lit, dark, noise, chosen.faint_factor)
+            drop_glare(mask, frames, chosen)
+            count = _label(mask, frames.lit, dark, noise, table)
+    overfull = count < 0
+    found = table[: MOST_SPOTS if overfull else count]
+    place(frames.lit, frames.dark_or_nothing, found, noise)
+    recentre(found, noise, centroid or chosen.centroid)
+    return SpotTable(found, overfull)
+
+
+def _label_faint(lit: Grey, noise: float, options: ThresholdOptions, table: Array) -> int:
+    """Label the spots of a single picture; among too many the threshold rises until they fit."""
+    behind, factor = background_of(lit), options.faint_factor
+    for _ in range(_RISES):
+        mask = faint_mask(lit, behind, noise, factor)
+        drop_glare(mask, LitDark(lit), options)
+        count = _label(mask, lit, behind, noise, table)
+        if count >= 0:
+            break
+        factor *= 1.5
+    return count
+
+
+def _label(mask: Grey, lit: Grey, dark: Grey, level: float, table: Array) -> int:
+    flat = mask.reshape(-1)
+    whole = flat.size - flat.size % 8
+    words = flat[:whole].view(np.uint64)
+    stack = np.empty(max(flat.size, 1), np.int32)
+    return int(_label_loop(mask, words, lit, dark, level, stack, table))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _label_loop(
+    mask: Grey, words: npt.NDArray[np.uint64], lit: Grey, dark: Grey, level: float,
+    stack: npt.NDArray[np.int32], table: Array,
+) -> int:  # fmt: skip
+    height, width = mask.shape
+    flat = mask.reshape(-1)
+    count = 0
+    for w in range(words.shape[0] + 1):
+        if w < words.shape[0] and words[w] == 0:
+            continue
+        for start in range(8 * w, min(8 * w + 8, flat.shape[0])):
+            if flat[start] == 0:
+                continue
+            if count == table.shape[0]:
+                return -1
+            gather(flat, width, height, start, lit, dark, level, stack, table[count])
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def gather(
+    flat: Grey, width: int, height: int, start: int, lit: Grey, dark: Grey, level: float,
+    stack: npt.NDArray[np.int32], row: Array,
+) -> None:  # fmt: skip
+    """Zero a spot out of the mask, layer by layer, and fill its row (8-connected)."""
+    has_dark = dark.shape[0] > 0
+    area = saturated = 0
+    bx = by = wx = wy = flux = peak = darkest = 0.0
+    xx = yy = xy = 0.0
+    left, right, top, bottom = width, -1, height, -1
+    x_first, y_first = start % width, start // width
+    stack[0] = start
+    flat[start] = 0
+    depth = 1
+    while depth:
+        depth -= 1
+        at = stack[depth]
+        y, x = at // width, at % width
+        value = float(lit[y, x])
+        if lit[y, x] >= SATURATED_GREY:
+            saturated += 1
+        if has_dark:
+            value -= dark[y, x]
+            darkest = max(darkest, float(dark[y, x]))
+        weight = max(value - level, 0.0)
+        dx, dy = float(x - x_first), float(y - y_first)
+        area += 1
+        bx += dx
+        by += dy
+        flux += weight
+        wx += weight * dx
+        wy += weight * dy
+        xx += weight * dx * dx
+        yy += weight * dy * dy
+        xy += weight * dx * dy
+        peak = max(peak, value)
+        left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
+        for ny in range(max(y - 1, 0), min(y + 2, height)):
+            for nx in range(max(x - 1, 0), min(x + 2, width)):
+                n = ny * width + nx
+                if flat[n]:
+                    flat[n] = 0
+                    stack[depth] = n
+                    depth += 1
+    row[AREA], row[AMPLITUDE], row[PEAK], row[SATURATED] = area, peak, peak, saturated
+    row[ABOVE] = flux
+    row[BINARY_X], row[BINARY_Y] = x_first + bx / area, y_first + by / area
+    if flux > 0.0:
+        mx, my = wx / flux, wy / flux
+        xx, yy, xy = xx / flux - mx * mx, yy / flux - my * my, xy / flux - mx * my
+        row[WEIGHTED_X], row[WEIGHTED_Y] = x_first + mx, y_first + my
+    else:
+        row[WEIGHTED_X], row[WEIGHTED_Y] = row[BINARY_X], row[BINARY_Y]
+        xx = yy = xy = 0.0
+    row[LEFT], row[TOP], row[RIGHT], row[BOTTOM] = left, top, right, bottom
+    # A pixel's own width (1/12) rounds off the shape of the smallest.
+    mean, half = 0.5 * (xx + yy) + 1.0 / 12.0, math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    row[SHAPE] = math.sqrt(max(mean - half, 1e-6) / (mean + half))
+    row[SIZE] = math.sqrt(mean)
+    row[DARK] = darkest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place(lit: Grey, dark: Grey, table: Array, noise: float) -> None:
+    """Fill place, size and error of every spot by its window.
+
+    Sizes are compared, and the window of a saturated spot sees a flat top. So the sizes of all
+    saturated spots are those of their rims, or of none.
+    """
+    columns, rows = np.empty(lit.shape[1]), np.empty(lit.shape[0])
+    sizes, known = np.zeros(table.shape[0]), True
+    for i in range(table.shape[0]):
+        sizes[i] = window_centroid(lit, dark, table[i], noise, columns, rows)
+        known = known and (sizes[i] > 0.0 or table[i, SATURATED] <= 1.0)
+    for i in range(table.shape[0]):
+        if known and sizes[i] > 0.0:
+            table[i, SIZE] = sizes[i]
+
+
+def recentre(table: Array, noise: float, centroid: Centroid) -> None:
+    """Put another centroid and its error in the place of the windowed one; sizes stay."""
+    if centroid is Centroid.WINDOWED:
+        return
+    k = BINARY_X if centroid is Centroid.BINARY else WEIGHTED_X
+    table[:, X], table[:, Y] = table[:, k], table[:, k + 1]
+    if centroid is Centroid.BINARY:  # each pixel of the rim is in or out: uniform, about √area
+        table[:, SIGMA] = 0.29 / table[:, AREA] ** 0.25
+    else:  # noise of every pixel times its lever, the thresholded rim included
+        lever = table[:, SIZE] * np.sqrt(table[:, AREA])
+        table[:, SIGMA] = noise * lever / np.maximum(table[:, ABOVE], 1e-6)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def window_centroid(
+    lit: Grey, dark: Grey, row: Array, noise: float, columns: Array, rows: Array
+) -> float:
+    """Fill place, size, amplitude and error of a spot by a Gaussian window of its own size.
+
+    The place of a saturated spot is that of its rim, whose size is returned; 0 where it is unknown.
+    """
+    x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
+    box = (int(row[LEFT]), int(row[RIGHT]), int(row[TOP]), int(row[BOTTOM]))
+    level, slope_x, slope_y, rough, doubt = ring_plane(lit, dark, box, noise)
+    at_x, at_y = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
+    here = level + slope_x * (x - at_x) + slope_y * (y - at_y)
+    # The rows above the threshold are the top of the spot: its true width is larger.
+    x, y, size, amplitude, error = centre_spot(
+        lit, dark, (here, slope_x, slope_y, doubt), (x, y, 1.2 * row[SIZE]), rough, columns, rows
+    )
+    # A window that ran away from its spot is no measurement of it.
+    away = 0.5 * max(row[RIGHT] - row[LEFT], row[BOTTOM] - row[TOP], 2.0)
+    ran = max(abs(x - row[WEIGHTED_X]), abs(y - row[WEIGHTED_Y])) > away
+    if ran or not error > 0.0:
+        x, y, error = row[WEIGHTED_X], row[WEIGHTED_Y], max(error, away)
+    elif amplitude > 0.0:
+        beside = overlap_error(
+            lit,
+            dark,
+            (x, y, size, amplitude),
+            (slope_x, slope_y),
+            max(rough, noise),
+            row[SATURATED] > 1.0,
+        )
+        if dark.shape[0] > 0 and row[ABOVE] > 0.0:
+            # What overlaps a spot moves the mean of all its light more than that of a window.
+            gap = math.hypot(x - row[WEIGHTED_X], y - row[WEIGHTED_Y])
+            chance = math.hypot(error, noise * row[SIZE] * math.sqrt(row[AREA]) / row[ABOVE])
+            if gap > _OVERLAP * chance:
+                beside = math.hypot(beside, gap)
+        # So bright a light may be what the window is centred on, and the spot what moves it.
+        error = math.hypot(error, beside if beside < _DOMINATED * size else size)
+    error = saturated_error(error, int(row[SATURATED]), size)
+    row[X], row[Y], row[SIZE], row[SIGMA] = x, y, size, error
+    row[ROUGH] = max(rough * rough - noise * noise, 0.0)
+    if amplitude > 0.0:
+        row[AMPLITUDE] = amplitude
+    if row[SATURATED] <= 1.0:
+        return 0.0
+    x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
+    here = level + slope_x * (x - at_x) + slope_y * (y - at_y)
+    return _use_rim(lit, dark, row, (x, y, here, slope_x, slope_y), max(rough, noise), away)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _use_rim(
+    lit: Grey, dark: Grey, row: Array, plane: Plane, noise: float, away: float
+) -> float:  # fmt: skip
+    """Take place and error of a saturated spot from its rim, if that is one of a disc; its size."""
+    box = (int(row[LEFT]), int(row[RIGHT]), int(row[TOP]), int(row[BOTTOM]))
+    radius = max(math.sqrt(row[AREA] / math.pi) - _SKIRT_PX, _SKIRT_PX)
+    x, y, error, radius, blur, size_error = fit_rim(lit, dark, plane, radius, noise, box)
+    if not error > 0.0 or max(abs(x - plane[0]), abs(y - plane[1])) > away:
+        row[SIGMA] = math.hypot(row[SIGMA], _RAN_OVER * row[SIZE])
+        return 0.0
+    row[X], row[Y], row[SIGMA], row[ROUGH] = x, y, error, 0.0
+    size = expected_size(blur, radius)
+    return size if size_error < _SIZE_KNOWN * size else 0.0

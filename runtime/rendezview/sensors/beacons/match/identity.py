@@ -1,0 +1,220 @@
+"""Assigns spots to lights from geometry only: for lights that all shine at once.
+
+Three spots of one camera, taken for any three lights, give a few poses (P3P); the right
+one puts the other lights on spots in every camera. Close to a known pose the spots nearest
+to the predicted places are enough.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from scipy.optimize import linear_sum_assignment
+
+from rendezview.geometry.pose import Array, Pose, rotation_angle
+from rendezview.sensors.beacons.detect.detectors import UNKNOWN, Spots
+from rendezview.sensors.beacons.match.agreement import Disagreement, LightsFit, agree
+from rendezview.sensors.beacons.match.start import (
+    CAP,
+    DISTINCT_RAD,
+    NOISY_TIMES,
+    Retrieval,
+    p3p,
+    widest,
+)
+from rendezview.sensors.beacons.pose.collinearity import squares
+from rendezview.sensors.beacons.rig import Rig, Sights
+
+_MOST_SPOTS = 40  # a camera that sees more sees no target. Source: by construction, a bound of time
+_MOST_ASSIGNMENTS = 12_000  # Source: by construction, a bound of time
+# over all cameras: four spots and four lights fit in too many ways. Source: by construction
+_FEWEST_SPOTS = 5
+_TRIPLES = 12  # of spots that are tried, the widest first. Source: by construction, a bound of time
+_KEPT = 8  # Source: by construction, a bound of time
+
+
+def nearest_lights(
+    rig: Rig, leds: Array, normals: Array, spots: Sequence[Spots], pose: Pose, gate: float
+) -> tuple[Spots, ...]:
+    """The spots with the numbers of the lights that a pose puts closest to them.
+
+    One spot for each light and the other way round, at least total distance (Hungarian);
+    ``gate``: distance, normalised, beyond which a spot is no light.
+    """
+    return tuple(
+        _numbered(rig, k, leds, normals, found, pose, gate) for k, found in enumerate(spots)
+    )
+
+
+def _numbered(
+    rig: Rig, k: int, leds: Array, normals: Array, found: Spots, pose: Pose, gate: float
+) -> Spots:
+    led = np.full(len(found), UNKNOWN)
+    camera = rig.cameras[k]
+    in_camera = camera.camera_from_rig @ pose
+    points = in_camera.apply(leds)
+    away = np.einsum("li,li->l", normals @ in_camera.rotation.T, points) > 0.0
+    ideal, _ = camera.ideal(found)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        predicted = points[:, :2] / points[:, 2:]
+    apart = np.linalg.norm(ideal[:, None] - predicted[None], axis=2)
+    apart[:, away | ~(points[:, 2] > 0.0)] = np.inf
+    allowed = np.where(apart < gate, apart, 2.0 * gate)
+    for i, j in zip(*linear_sum_assignment(allowed), strict=True):
+        if apart[i, j] < gate:
+            led[i] = j
+    return Spots(found.positions, found.sigma, led, found.brightness)
+
+
+def identify(
+    rig: Rig, leds: Array, normals: Array, spots: Sequence[Spots]
+) -> tuple[tuple[Spots, ...], LightsFit] | Disagreement:
+    """Numbers of all spots and the pose that they give, without knowing either.
+
+    Lights may be missing and spots may be none of the target's. Two poses that explain as
+    many spots are an ambiguity, not an answer.
+    """
+    counts = [len(found) for found in spots]
+    if max(counts) > _MOST_SPOTS:
+        return Disagreement(f"{max(counts)} spots in one camera: that is more than the target")
+    if max(counts) < 3 or sum(counts) < _FEWEST_SPOTS:
+        return Disagreement(
+            f"{' + '.join(map(str, counts))} spots: to identify them takes 3 in one camera "
+            f"and {_FEWEST_SPOTS} in all"
+        )
+    xy, weight = _padded(rig, spots)
+    # Spread-out triples of the camera that sees the most; then the others.
+    answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]] = []
+    tried = 0
+    for k in np.argsort([-count for count in counts], kind="stable"):
+        if counts[k] < 3:
+            continue
+        places = xy[k, : counts[k]]
+        good = np.flatnonzero(np.isfinite(places).all(axis=1)).tolist()
+        for three in widest(places, list(itertools.combinations(good, 3)))[:_TRIPLES]:
+            orders = list(itertools.permutations(range(len(leds)), 3))
+            tried += len(orders)
+            poses = p3p(rig, int(k), ((leds[list(o)], places[list(three)]) for o in orders))
+            if len(poses[0]):
+                _explain(rig, leds, normals, spots, xy, weight, poses, answers)
+            # Nothing can explain more than all lights in all cameras.
+            if answers and max(a[0] for a in answers) >= min(sum(counts), len(rig) * len(leds)):
+                break
+            if tried > _MOST_ASSIGNMENTS:
+                break
+        else:
+            continue
+        break
+    return _verdict(answers)
+
+
+def _padded(rig: Rig, spots: Sequence[Spots]) -> tuple[Array, Array]:
+    """(C, S, 2) ideal places (NaN where none) and 1/σ."""
+    size = max(len(found) for found in spots)
+    xy, weight = np.full((len(spots), size, 2), np.nan), np.zeros((len(spots), size, 2))
+    for k, found in enumerate(spots):
+        ideal, sigma = rig.cameras[k].ideal(found)
+        xy[k, : len(found)], weight[k, : len(found)] = ideal, 1.0 / sigma
+    return xy, weight
+
+
+def _explain(
+    rig: Rig,
+    leds: Array,
+    normals: Array,
+    spots: Sequence[Spots],
+    xy: Array,
+    weight: Array,
+    poses: Retrieval,
+    answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]],
+) -> None:
+    """Judge poses by the spots they explain; the best are refined and added to the answers."""
+    rotations, translations = poses
+    misfit = np.empty(len(rotations))
+    _misfits(
+        rotations, translations, leds, normals, rig.rotations, rig.translations, xy,
+        weight / NOISY_TIMES, misfit,
+    )  # fmt: skip
+    coarse = 2.0 * np.sqrt(CAP) * NOISY_TIMES / np.median(weight[weight > 0.0])
+    for i in np.argsort(misfit, kind="stable")[:_KEPT]:
+        pose, gate = Pose(rotations[i], translations[i]), coarse
+        fit: LightsFit | Disagreement | None = None
+        numbered: tuple[Spots, ...] = ()
+        for _ in range(3):
+            numbered = nearest_lights(rig, leds, normals, spots, pose, gate)
+            sights = rig.sights(numbered, len(leds))
+            if sights.visible.sum() < _FEWEST_SPOTS:
+                fit = None
+                break
+            fit = agree(rig, leds, sights, pose.rotation, pose.translation_m)
+            if isinstance(fit, Disagreement):
+                break
+            pose, gate = Pose(fit.rotation, fit.translation), 0.25 * coarse
+        if isinstance(fit, LightsFit) and not _shines_away(rig, leds, normals, sights, fit):
+            explained = int(sights.visible.sum()) - len(fit.left_out)
+            answers.append((explained, fit.cost, numbered, fit))
+
+
+def _shines_away(rig: Rig, leds: Array, normals: Array, sights: Sights, fit: LightsFit) -> bool:
+    each = np.empty(sights.visible.shape)
+    squares(
+        fit.rotation, fit.translation, leds, normals, rig.rotations, rig.translations,
+        sights.xy, sights.weight, each,
+    )  # fmt: skip
+    return bool(np.isinf(each).any())
+
+
+def _verdict(
+    answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]],
+) -> tuple[tuple[Spots, ...], LightsFit] | Disagreement:
+    if not answers:
+        return Disagreement("no assignment of spots to lights fits the target")
+    answers.sort(key=lambda answer: (-answer[0], answer[1]))
+    explained, cost, numbered, fit = answers[0]
+    if explained < _FEWEST_SPOTS:
+        return Disagreement(f"only {explained} spots fit the target: too few to be confident")
+    for other in answers[1:]:
+        apart = rotation_angle(other[3].rotation @ fit.rotation.T) > DISTINCT_RAD
+        # A spot more explained is worth CAP; less than that is no proof.
+        if apart and other[1] - cost + CAP * (explained - other[0]) < 0.5 * CAP:
+            return Disagreement(
+                f"two poses explain {explained} and {other[0]} spots: they cannot be distinguished",
+                ambiguous=True,
+            )
+    return numbered, fit
+
+
+@njit(cache=True, nogil=True)
+def _misfits(
+    rotations: Array,
+    translations: Array,
+    leds: Array,
+    normals: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+    out: Array,
+) -> None:
+    """Sum over lights and cameras of the squared distance to the nearest spot, up to CAP."""
+    for h in range(rotations.shape[0]):
+        total = 0.0
+        for j in range(leds.shape[0]):
+            p = rotations[h] @ leds[j] + translations[h]
+            n = rotations[h] @ normals[j]
+            for k in range(cr.shape[0]):
+                q, m = cr[k] @ p + ct[k], cr[k] @ n
+                nearest = CAP
+                if q[2] > 1e-9 and m[0] * q[0] + m[1] * q[1] + m[2] * q[2] <= 0.0:
+                    x, y = q[0] / q[2], q[1] / q[2]
+                    for i in range(xy.shape[1]):
+                        rx = weight[k, i, 0] * (xy[k, i, 0] - x)
+                        ry = weight[k, i, 1] * (xy[k, i, 1] - y)
+                        d = rx * rx + ry * ry
+                        if d < nearest:
+                            nearest = d
+                total += nearest
+        out[h] = total

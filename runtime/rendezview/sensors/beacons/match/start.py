@@ -1,0 +1,236 @@
+"""Starting poses without a prior: the linear solution, and poses from three lights.
+
+The paper's tracker cannot find its target again once a sensor was lost; it proposes a linear
+method instead. Here the lights that two or more cameras see are intersected (linear
+least squares), and the rigid body is laid through the points (Kabsch). Further starts are
+the poses of every three lights in every single camera (P3P): a false light spoils only
+some of them, and they need no second camera. All are judged by the collinearity equations
+of all cameras, the best are refined, and every distinct answer is returned.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.beacons.pose.collinearity import solve, squares
+from rendezview.sensors.beacons.rig import Rig, Sights
+
+# Of lights, for each camera: all of six lights'.
+_MOST_TRIPLES = 20  # Source: by construction, 6 over 3
+_REFINED = 12  # starts that are refined. Source: by construction, a bound of time
+DISTINCT_RAD = np.deg2rad(3.0)  # rad; poses nearer than this are one. Source: by construction
+# A pose of three lights fits the other lights so many times worse than σ. Source: by hand;
+# stereo-accuracy --part recovery finds all
+NOISY_TIMES = 6.0
+# Squared residual of a light, at which it counts as false: 1 in 3 million by chance.
+CAP = 30.0  # Source: χ² distribution, two degrees of freedom
+_CAMERA_MATRIX = np.eye(3)  # Source: by construction
+
+Retrieval = tuple[Array, Array]  # (N, 3, 3) rotations and (N, 3) translations, rig from target
+_NO: Retrieval = (np.empty((0, 3, 3)), np.empty((0, 3)))  # Source: by construction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One answer of the equations: a minimum, with its sum of squares, each light up to CAP."""
+
+    rig_from_target: Pose
+    cost: float
+
+
+def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[Candidate]:
+    """All distinct poses that the sights allow, the likeliest first.
+
+    Empty where no camera sees three lights and no three are visible to two cameras.
+
+    Args:
+        rig: the cameras.
+        leds: (L, 3) lights in the target frame.
+        normals: (L, 3) directions of their beams, zeros where not known.
+        sights: identified lights.
+    """
+    linear = linear_start(rig, leds, sights)
+    whole = [] if linear is None else [linear]
+    parts = [three_light_poses(rig, k, leds, sights) for k in range(len(rig))]
+    rotations = np.concatenate(
+        [[pose.rotation for pose in whole] or _NO[0], *(p[0] for p in parts)]
+    )
+    translations = np.concatenate(
+        [[pose.translation_m for pose in whole] or _NO[1], *(p[1] for p in parts)]
+    )
+    refined = refine(rig, leds, normals, sights, (rotations, translations))
+    distinct: list[Candidate] = []
+    for one in sorted(refined, key=lambda candidate: candidate.cost):
+        traces = [
+            np.vdot(one.rig_from_target.rotation, other.rig_from_target.rotation)
+            for other in distinct
+        ]
+        if all(trace < 1.0 + 2.0 * np.cos(DISTINCT_RAD) for trace in traces):
+            distinct.append(one)
+    return distinct
+
+
+def linear_start(rig: Rig, leds: Array, sights: Sights) -> Pose | None:
+    """Intersection of each light's rays, then the rigid body through the points.
+
+    ``None`` where fewer than three lights are visible to two cameras, or all on one line.
+    """
+    points, covered = intersect(rig, sights)
+    if covered.sum() < 3:
+        return None
+    return rigid_body(leds[covered], points[covered])
+
+
+def intersect(rig: Rig, sights: Sights) -> tuple[Array, np.ndarray]:
+    """(L, 3) points of least squared distance from their rays, rig frame, and (L,) which exist.
+
+    Photogrammetric triangulation (intersection), linear; a light needs two cameras.
+    """
+    visible = sights.visible
+    rays = np.concatenate([sights.xy, np.ones((*visible.shape, 1))], axis=2) @ rig.rotations
+    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+    origins = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)
+    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
+    across *= visible[..., None, None]
+    matrix = across.sum(axis=0)
+    vector = np.einsum("kljm,km->lj", across, origins)
+    usable = (visible.sum(axis=0) >= 2) & (np.linalg.det(matrix) > 1e-9)
+    matrix[~usable] = np.eye(3)
+    return np.linalg.solve(matrix, vector[..., None])[..., 0], usable
+
+
+def rigid_body(points_from: Array, points_to: Array) -> Pose | None:
+    """Least-squares pose ``p_to = R p_from + t`` of (N, 3) points (Kabsch); planar ones too."""
+    a, b = points_from - points_from.mean(axis=0), points_to - points_to.mean(axis=0)
+    u, s, vt = np.linalg.svd(b.T @ a)
+    if not s[1] > 1e-9 * s[0]:
+        return None
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return Pose(rotation, points_to.mean(axis=0) - rotation @ points_from.mean(axis=0))
+
+
+def three_light_poses(rig: Rig, camera: int, leds: Array, sights: Sights) -> Retrieval:
+    """Every pose of every three lights (at most the 20 widest) that one camera sees."""
+    visible = np.flatnonzero(sights.visible[camera])
+    triples: list[tuple[int, ...]] = list(itertools.combinations(visible.tolist(), 3))
+    xy = sights.xy[camera]
+    if len(triples) > _MOST_TRIPLES:
+        triples = widest(xy, triples)[:_MOST_TRIPLES]
+    return p3p(rig, camera, [(leds[three], xy[three]) for three in map(list, triples)])
+
+
+def widest(xy: Array, triples: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
+    """Triples of points by the area of their triangle, largest first."""
+    corners = xy[np.array(triples, dtype=np.intp)]
+    u, v = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    area = np.abs(u[0] * v[1] - u[1] * v[0])
+    return [triples[i] for i in np.argsort(-area, kind="stable")]
+
+
+def p3p(rig: Rig, camera: int, problems: Iterable[tuple[Array, Array]]) -> Retrieval:
+    """rig_from_points of many three points (3, 3) at ideal places (3, 2): up to four each."""
+    turns, places = [], []
+    for points, xy in problems:
+        try:
+            _, turned, placed = cv2.solveP3P(
+                np.ascontiguousarray(points), np.ascontiguousarray(xy), _CAMERA_MATRIX, None,
+                cv2.SOLVEPNP_P3P,
+            )  # fmt: skip
+        except cv2.error:  # three lights on one line
+            continue
+        turns += [vector.ravel() for vector in turned]
+        places += [vector.ravel() for vector in placed]
+    if not turns:
+        return _NO
+    both = np.column_stack([turns, places])
+    both = both[np.isfinite(both).all(axis=1)]
+    # The camera's own axes to the rig's
+    rotation, translation = rig.rotations[camera].T, rig.translations[camera]
+    matrices = Rotation.from_rotvec(both[:, :3]).as_matrix()
+    return rotation @ matrices, (both[:, 3:] - translation) @ rotation.T
+
+
+def refine(
+    rig: Rig, leds: Array, normals: Array, sights: Sights, starts: Retrieval
+) -> list[Candidate]:
+    """The starts that fit best, each iterated to its minimum, false lights kept out."""
+    rotations, translations = starts
+    if not len(rotations):
+        return []
+    arguments = (leds, normals, rig.rotations, rig.translations, sights.xy)
+    rough = np.empty(len(rotations))
+    _capped(rotations, translations, *arguments, sights.weight / NOISY_TIMES, CAP, rough)
+    best = np.argsort(rough, kind="stable")[:_REFINED]
+    rotations = np.ascontiguousarray(rotations[best])
+    translations = np.ascontiguousarray(translations[best])
+    cost = np.empty(len(best))
+    _settle(rotations, translations, *arguments, sights.weight)
+    _capped(rotations, translations, *arguments, sights.weight, CAP, cost)
+    return [
+        Candidate(Pose(rotation, translation), float(value))
+        for rotation, translation, value in zip(rotations, translations, cost, strict=True)
+        if np.isfinite(rotation).all() and np.isfinite(translation).all()
+    ]
+
+
+@njit(cache=True, nogil=True)
+def _capped(
+    rotations: Array,
+    translations: Array,
+    leds: Array,
+    normals: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+    cap: float,
+    out: Array,
+) -> None:
+    each = np.empty(weight.shape[:2])
+    for i in range(rotations.shape[0]):
+        squares(rotations[i], translations[i], leds, normals, cr, ct, xy, weight, each)
+        out[i] = 0.0
+        for k in range(weight.shape[0]):
+            for j in range(weight.shape[1]):
+                out[i] += min(each[k, j], cap)
+
+
+@njit(cache=True, nogil=True)
+def _settle(
+    rotations: Array,
+    translations: Array,
+    leds: Array,
+    normals: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+) -> None:
+    """Iterate each pose with Geman's and McClure's weights, from loose to tight."""
+    each = np.empty(weight.shape[:2])
+    nothing, no_turn, origin = np.zeros((6, 6)), np.zeros((3, 3)), np.zeros(3)  # no prior
+    information = np.empty((6, 6))
+    softened = np.empty_like(weight)
+    # A 4 would be a type of its own, for which `solve` is compiled again.
+    steps: int = np.int64(4)  # type: ignore[assignment]
+    for i in range(rotations.shape[0]):
+        for scale2 in (900.0, 200.0, 60.0, 20.0, 20.0, 20.0):
+            squares(rotations[i], translations[i], leds, normals, cr, ct, xy, weight, each)
+            for k in range(weight.shape[0]):
+                for j in range(weight.shape[1]):
+                    g = scale2 / (scale2 + each[k, j])  # 0 where the light is not visible
+                    g = g if g > 1e-6 else 0.0
+                    # One by one: numba compiles a row's assignment for two seconds.
+                    softened[k, j, 0], softened[k, j, 1] = weight[k, j, 0] * g, weight[k, j, 1] * g
+            solve(
+                rotations[i], translations[i], leds, cr, ct, xy, softened, nothing, no_turn,
+                origin, steps, 1e-3, information,
+            )  # fmt: skip

@@ -1,0 +1,127 @@
+"""Lights that shine one after the other: the target moves between the first and the last of a scan.
+
+Six lights 1/60 s apart turn by 1.7° at 20°/s while they are read. Each spot is moved back to the
+time of the reading by the rates of filters over the poses before. What the rates' error adds goes
+into the spots' errors and into the pose's covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.estimation.motion import extrapolate
+from rendezview.estimation.rates import RateBank
+from rendezview.geometry import so3
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.beacons.detect.detectors import Spots
+from rendezview.sensors.beacons.rig import RigCamera
+from rendezview.sensors.beacons.stereo_observation import StereoObservation
+from rendezview.sensors.beacons.stereo_tracker import StereoTracker
+from rendezview.sensors.observation import Status
+
+# rad/s and m/s, σ of rates that nothing is known of. Source: by construction, twice the 20°/s at
+# which a scan of 0.1 s is a problem
+_FIRST_RATE, _FIRST_VELOCITY = 0.5, 0.15
+_STEP = 1e-5  # of the range, of the numeric slopes. Source: by construction, 1e-10 of curvature
+
+
+class MultiplexedTracker:
+    """A tracker whose lights shine at ``time_s + times_s[k]``; poses are at ``time_s``.
+
+    Args:
+        tracker: of the target's lights, without this object's knowledge of time.
+        times_s: (L,) of each light within a scan, seconds.
+
+    Raises:
+        ValueError: not one finite time for each light.
+    """
+
+    def __init__(self, tracker: StereoTracker, times_s: npt.ArrayLike) -> None:
+        self.tracker = tracker
+        self.times_s = np.asarray(times_s, dtype=np.float64)
+        if self.times_s.shape != (len(tracker.leds),) or not np.isfinite(self.times_s).all():
+            raise ValueError(
+                f"times_s must be {len(tracker.leds)} finite numbers, not {self.times_s.tolist()}"
+            )
+        self._middle_s = float(self.times_s.mean())
+        self._rig_from_first = tracker.rig.cameras[0].camera_from_rig.inverse()
+        self._bank = RateBank()
+        self._forget()
+
+    def _forget(self) -> None:
+        self._bank.clear()
+        self._last: tuple[float, Pose] | None = None
+        self._rates = np.zeros(6)
+        sigma = [_FIRST_RATE] * 3 + [_FIRST_VELOCITY] * 3
+        self._covariance = np.diag(np.square(sigma))
+
+    def update(self, time_s: float, spots: Sequence[Spots]) -> StereoObservation:
+        """As `StereoTracker.update`; spots without a light's number are not moved."""
+        last = self._last
+        if last is not None and time_s - last[0] > self.tracker.options.longest_outage_s:
+            self._forget()
+            last = None
+        pose = None if last is None else extrapolate(last[1], self._rates, time_s - last[0])
+        still = [
+            self._still(found, camera, pose)
+            for found, camera in zip(spots, self.tracker.rig.cameras, strict=True)
+        ]
+        observation = self.tracker.update(time_s, still)
+        if observation.status is not Status.OK or observation.pose is None:
+            return observation
+        assert observation.covariance is not None
+        covariance = observation.covariance + self._middle_s**2 * self._covariance
+        found = self._bank.add(time_s, observation.pose, covariance)
+        self._last = (time_s, observation.pose)
+        if found is not None:
+            self._rates, self._covariance = found.rates, found.covariance
+        return replace(observation, covariance=covariance)
+
+    def _still(self, spots: Spots, camera: RigCamera, pose: Pose | None) -> Spots:
+        """The spots as they would be if all lights shone at the reading's time."""
+        named = spots.led >= 0
+        if not named.any():
+            return spots
+        lights = spots.led[named]
+        positions, sigma = spots.positions.copy(), spots.sigma.copy()
+        away_s = self.times_s[lights] - self._middle_s
+        if pose is None:  # a turning body moves its spots by the turn times their spread
+            spread = float(np.sqrt(positions[named].var(axis=0).sum()))
+            sigma[named] = np.hypot(sigma[named], _FIRST_RATE * spread * np.abs(away_s)[:, None])
+            return Spots(positions, sigma, spots.led)
+        places = self._lights(pose, lights, np.zeros(len(lights)))
+        moved = self._lights(pose, lights, self.times_s[lights])
+        positions[named] -= self._project(camera, moved) - self._project(camera, places)
+        slopes = self._slopes(camera, pose, places)
+        spread = np.einsum("nij,jk,nik->ni", slopes, self._covariance, slopes)
+        sigma[named] = np.hypot(sigma[named], np.sqrt(spread) * np.abs(away_s)[:, None])
+        seen = np.isfinite(positions).all(axis=1) & np.isfinite(sigma).all(axis=1)
+        return Spots(positions[seen], sigma[seen], spots.led[seen])
+
+    def _lights(self, pose: Pose, lights: npt.NDArray[np.int64], after_s: Array) -> Array:
+        """(N, 3) places of lights, each after its own time, first camera's frame."""
+        leds = self.tracker.leds[lights]
+        turns = np.array([so3.exp(t * self._rates[:3]) for t in after_s])
+        turned = np.einsum("nij,nj->ni", turns, leds @ pose.rotation.T)
+        return np.asarray(turned + pose.translation_m + after_s[:, None] * self._rates[3:])
+
+    def _project(self, camera: RigCamera, places: Array) -> Array:
+        """(N, 2) spots of places in the first camera's frame."""
+        return camera.project(self._rig_from_first.apply(places))
+
+    def _slopes(self, camera: RigCamera, pose: Pose, places: Array) -> Array:
+        """(N, 2, 6) motion of each spot, detector units a second, by rates of one each."""
+        arms, slopes = places - pose.translation_m, np.empty((len(places), 2, 6))
+        far = float(np.linalg.norm(pose.translation_m))
+        for i in range(6):
+            unit = np.zeros(3)
+            unit[i % 3] = 1.0
+            speed = np.cross(unit, arms) if i < 3 else np.tile(unit, (len(places), 1))
+            step_s = _STEP * far / max(float(np.linalg.norm(speed, axis=1).max()), 1e-12)
+            ends = [self._project(camera, places + s * step_s * speed) for s in (0.5, -0.5)]
+            slopes[:, :, i] = (ends[0] - ends[1]) / step_s
+        return slopes

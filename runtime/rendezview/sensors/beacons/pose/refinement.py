@@ -1,0 +1,385 @@
+"""Least squares of a pose on any three or more spots, through the camera's full model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.estimation.least_squares import (
+    DAMPING_DECAY,
+    DAMPING_GROWTH,
+    FIRST_DAMPING,
+    damped_step,
+)
+from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into, invert
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.so3 import between, hat, orthonormalise, perturb_into
+from rendezview.sensors.beacons.constellation import ReflectorPattern
+from rendezview.sensors.beacons.detect.discs import LAW, camera_numbers, project_disc, turned
+from rendezview.sensors.beacons.detect.spots import SATURATED
+
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+
+_ITERATIONS = 30  # Source: by construction, a bound only
+# Of damping, before the last pose is taken as the minimum.
+_TRIALS = 8  # Source: by construction, a bound only
+_STEP = 1e-12  # rad and share of the range: the end. Source: by construction, rounding
+# rad + share of the range: after so small a step the cost may rise by rounding.
+# Source: by construction, root of rounding
+_ROUNDING = 1e-9
+_GAIN = 1e-13  # of the cost: the end. Source: by construction, rounding
+# σ of the law of light (1 retro-reflected, 0 even): even light is then 1.7 σ away, which leaves the
+# normalised error of either within 4 to 8. Source: experiment reflector-nees
+_LIGHT_SIGMA = 0.6
+# The law of rims of saturated discs, and its σ: 0 in even light, 0.13 of a retro-reflector near by.
+# Source: experiment reflector-nees, at 0.8 m
+_RIM_LAW, _RIM_SIGMA = 0.07, 0.07
+_EXACT = 1e-18  # χ²: the spots are fitted. Source: by construction, rounding
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """A pose adjusted to its spots."""
+
+    camera_from_target: Pose
+    covariance: Array  # (6, 6) camera frame, (rotation vector, translation), left perturbation
+    residuals_px: Array  # (K, 2) observed minus predicted
+    iterations: int
+    converged: bool
+
+
+def refine(
+    camera: Camera,
+    pattern: ReflectorPattern,
+    spots_px: npt.ArrayLike,
+    reflectors: npt.ArrayLike,
+    start: Pose,
+    sigma_px: npt.ArrayLike = 0.02,
+    blur_px: float = 0.75,
+    *,
+    saturated: bool = False,
+) -> Refined | None:
+    """The pose that fits spots (K, 2) of the reflectors numbered ``reflectors`` (K,), K ≥ 3.
+
+    Args:
+        camera: with its distortion.
+        pattern: the reflectors.
+        spots_px: centroids.
+        reflectors: which reflector each spot is.
+        start: a pose near the answer.
+        sigma_px: error of the centroids, one or (K,), one standard deviation.
+        blur_px: σ of the optics and a pixel's width together.
+        saturated: whether all spots are: their places are those of rims.
+
+    Returns:
+        None where the spots do not determine a pose near ``start``.
+
+    Raises:
+        ValueError: fewer than three spots, or wrong shapes.
+    """
+    spots = np.ascontiguousarray(spots_px, dtype=np.float64)
+    which = np.ascontiguousarray(reflectors, dtype=np.int64)
+    if spots.ndim != 2 or spots.shape[1] != 2 or which.shape != (len(spots),) or len(spots) < 3:
+        raise ValueError(
+            f"spots_px must be (K, 2) and reflectors (K,) with K of three or more, "
+            f"not {spots.shape} and {which.shape}"
+        )
+    sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), which.shape).copy()
+    centre = pattern.centre_m
+    rotation = np.array(start.rotation)
+    shift = start.apply(centre)
+    covariance, residuals = np.empty((6, 6)), np.empty((len(spots), 2))
+    lens = camera_numbers(camera, blur_px)
+    if saturated:
+        lens[LAW] = _RIM_LAW
+    iterations = adjust(
+        lens,
+        (pattern.positions_m - centre)[which], pattern.normals[which],
+        pattern.diameters_m[which], spots, sigma, np.zeros((6, 6)),
+        rotation, shift, covariance, residuals,
+    )  # fmt: skip
+    if iterations < 0:
+        return None
+    return Refined(
+        Pose(rotation, shift - rotation @ centre),
+        covariance_at_origin(covariance, rotation @ centre),
+        residuals,
+        iterations,
+        iterations < _ITERATIONS,
+    )
+
+
+def covariance_at_origin(covariance: Array, centre_camera_m: Array) -> Array:
+    """A covariance of (rotation, position of a centre) as one of (rotation, target origin).
+
+    ``t = shift − R centre``: a left rotation w moves the origin by ``−w × (R centre)``.
+    """
+    turn = np.eye(6)
+    turn[3:, :3] = hat(centre_camera_m)
+    return np.asarray(turn @ covariance @ turn.T)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def adjust(
+    lens: Array, arms: Array, normals: Array, diameters: Array, spots: Array, sigma: Array,
+    prior: Array, rotation: Array, shift: Array, covariance: Array, residuals: Array,
+) -> int:  # fmt: skip
+    """Levenberg–Marquardt on the spots; changes ``rotation`` and ``shift`` (of the arms' origin).
+
+    ``prior`` is the information (6, 6) of the start, zero for none. Returns the number of
+    iterations, −1 where the pose is not determined or leaves the front of the camera.
+    """
+    start_r, start_t = rotation.copy(), shift.copy()
+    normal, lower, right, step = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
+    trial_r, trial_t, offset = np.empty((3, 3)), np.empty(3), np.zeros(6)
+    trials, damping, done, used = np.empty_like(residuals), 0.0, False, 0
+    cost = _cost(lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals)
+    if not math.isfinite(cost):
+        return -1
+    with_prior = prior[0, 0] > 0.0
+    for _ in range(_ITERATIONS):
+        used += 1
+        _difference(rotation, shift, start_r, start_t, with_prior, offset)
+        _equations(
+            lens, arms, normals, diameters, sigma, rotation, shift, residuals, prior, offset,
+            normal, right,
+        )  # fmt: skip
+        if done:
+            break
+        total, accepted = cost + _prior_cost(prior, offset), False
+        far = math.sqrt(shift[0] ** 2 + shift[1] ** 2 + shift[2] ** 2)
+        for _ in range(_TRIALS):
+            if not damped_step(normal, right, damping, lower, step):
+                return -1
+            perturb_into(step[:3], rotation, trial_r)
+            for a in range(3):
+                trial_t[a] = shift[a] + step[3 + a]
+            turn = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+            move = math.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2) / far
+            if trial_t[2] > 0.0 and turn < 1.0 and move < 1.0:
+                new = _cost(lens, arms, normals, diameters, spots, sigma, trial_r, trial_t, trials)
+                _difference(trial_r, trial_t, start_r, start_t, with_prior, offset)
+                there = new + _prior_cost(prior, offset)
+                # At the limit of rounding the cost may rise a little: converged, not a bad step.
+                if there <= total or turn + move < _ROUNDING:
+                    copy_matrix_into(trial_r, rotation)
+                    copy_matrix_into(trials, residuals)
+                    copy_into(trial_t, shift)
+                    # Three spots are fitted exactly: a cost of almost zero ends the iteration too.
+                    small = (turn < _STEP and move < _STEP) or new < _EXACT
+                    done = small or abs(total - there) <= _GAIN * total
+                    cost, accepted = new, True
+                    damping *= DAMPING_DECAY
+                    break
+            damping = max(DAMPING_GROWTH * damping, FIRST_DAMPING)
+        done = done or not accepted
+    if not invert(normal, lower, covariance):
+        return -1
+    _doubt_light(lens, arms, normals, diameters, sigma, rotation, shift, covariance)
+    orthonormalise(rotation)
+    return used if done else _ITERATIONS
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _doubt_light(
+    lens: Array, arms: Array, normals: Array, diameters: Array, sigma: Array, rotation: Array,
+    shift: Array, covariance: Array,
+) -> None:  # fmt: skip
+    """Add what the law of light, which may be even, moves the pose by: one number for all spots."""
+    doubt = _RIM_SIGMA if lens[LAW] < 1.0 else _LIGHT_SIGMA
+    law, jacobian, pull, ends = lens.copy(), np.empty((2, 6)), np.zeros(6), np.empty((2, 2))
+    for i in range(arms.shape[0]):
+        x, y, z = turned(rotation, arms, i)
+        x, y, z = x + shift[0], y + shift[1], z + shift[2]
+        nx, ny, nz = turned(rotation, normals, i)
+        for k in range(2):
+            law[LAW] = float(k)
+            u, v = project_disc(law, x, y, z, nx, ny, nz, 0.5 * diameters[i])
+            ends[k, 0], ends[k, 1] = u, v
+        _jacobian(lens, arms, normals, diameters, rotation, shift, i, jacobian)
+        weight = doubt / (sigma[i] * sigma[i])
+        for a in range(6):
+            for k in range(2):
+                pull[a] += weight * jacobian[k, a] * (ends[1, k] - ends[0, k])
+    moved = np.zeros(6)
+    for a in range(6):
+        for b in range(6):
+            moved[a] += covariance[a, b] * pull[b]
+    for a in range(6):
+        for b in range(6):
+            covariance[a, b] += moved[a] * moved[b]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _equations(
+    lens: Array, arms: Array, normals: Array, diameters: Array, sigma: Array, rotation: Array,
+    shift: Array, residuals: Array, prior: Array, offset: Array, normal: Array, right: Array,
+) -> None:  # fmt: skip
+    """Normal equations (6, 6) and (6,) of the spots and of a prior ``offset`` (6,) away."""
+    jacobian = np.empty((2, 6))
+    for a in range(6):
+        right[a] = 0.0
+        for b in range(6):
+            normal[a, b] = prior[a, b]
+            right[a] -= prior[a, b] * offset[b]
+    for i in range(arms.shape[0]):
+        _jacobian(lens, arms, normals, diameters, rotation, shift, i, jacobian)
+        weight = 1.0 / (sigma[i] * sigma[i])
+        for a in range(6):
+            right[a] += weight * (
+                jacobian[0, a] * residuals[i, 0] + jacobian[1, a] * residuals[i, 1]
+            )
+            for b in range(a + 1):
+                normal[a, b] += weight * (
+                    jacobian[0, a] * jacobian[0, b] + jacobian[1, a] * jacobian[1, b]
+                )
+    for a in range(6):
+        for b in range(a):
+            normal[b, a] = normal[a, b]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _difference(
+    rotation: Array, shift: Array, from_r: Array, from_t: Array, wanted: bool, out: Array
+) -> None:
+    """Left perturbation (6,) that leads from one pose to another; untouched where not wanted."""
+    if wanted:
+        turn = between(rotation, from_r)
+        for a in range(3):
+            out[a], out[3 + a] = turn[a], shift[a] - from_t[a]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve_spots(
+    lens: Array, arms: Array, normals: Array, diameters: Array, centre: Array, table: Array,
+    seen: Ints, floor_px: float, rotation: Array, translation_before: Array, translation: Array,
+    covariance: Array, residuals: Array,
+) -> int:  # fmt: skip
+    """`adjust` on the rows ``seen`` of a spot table; pose and covariance at the target's origin.
+
+    ``rotation`` is that of the start and becomes the result's. Returns the iterations, or −1
+    where the visible reflectors are on a line or the pose is not determined.
+    """
+    count = seen.shape[0]
+    some_arms, some_normals = np.empty((count, 3)), np.empty((count, 3))
+    some_diameters, spots, sigma = np.empty(count), np.empty((count, 2)), np.empty(count)
+    lens, clipped = lens.copy(), True
+    for i in range(count):
+        k = seen[i]
+        clipped = clipped and table[k, SATURATED] > 1.0
+        some_diameters[i] = diameters[k]
+        for a in range(3):
+            some_arms[i, a], some_normals[i, a] = arms[k, a], normals[k, a]
+        spots[i, 0], spots[i, 1] = table[k, 0], table[k, 1]
+        sigma[i] = math.sqrt(table[k, 7] ** 2 + floor_px**2)
+    if not _spans(some_arms):
+        return -1
+    if clipped:  # their middles are those of their rims
+        lens[LAW] = _RIM_LAW
+    x, y, z = turned(rotation, centre.reshape(1, 3), 0)
+    shift = np.empty(3)
+    shift[0], shift[1] = translation_before[0] + x, translation_before[1] + y
+    shift[2] = translation_before[2] + z
+    used = adjust(
+        lens, some_arms, some_normals, some_diameters, spots, sigma, np.zeros((6, 6)),
+        rotation, shift, covariance, residuals,
+    )  # fmt: skip
+    if used < 0 or used >= _ITERATIONS:
+        return -1
+    x, y, z = turned(rotation, centre.reshape(1, 3), 0)
+    translation[0], translation[1], translation[2] = shift[0] - x, shift[1] - y, shift[2] - z
+    for j in range(6):  # rows, then columns, as in `covariance_at_origin`
+        a, b, c = covariance[0, j], covariance[1, j], covariance[2, j]
+        covariance[3, j] += y * c - z * b
+        covariance[4, j] += z * a - x * c
+        covariance[5, j] += x * b - y * a
+    for j in range(6):
+        a, b, c = covariance[j, 0], covariance[j, 1], covariance[j, 2]
+        covariance[j, 3] += y * c - z * b
+        covariance[j, 4] += z * a - x * c
+        covariance[j, 5] += x * b - y * a
+    return used
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _spans(arms: Array) -> bool:
+    """Whether reflectors are not all on one line."""
+    longest, widest = 0.0, 0.0
+    for i in range(1, arms.shape[0]):
+        ax, ay, az = arms[i, 0] - arms[0, 0], arms[i, 1] - arms[0, 1], arms[i, 2] - arms[0, 2]
+        longest = max(longest, ax * ax + ay * ay + az * az)
+        for j in range(1, i):
+            bx, by, bz = arms[j, 0] - arms[0, 0], arms[j, 1] - arms[0, 1], arms[j, 2] - arms[0, 2]
+            cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            widest = max(widest, cx * cx + cy * cy + cz * cz)
+    return widest > 1e-6 * longest * longest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _prior_cost(prior: Array, offset: Array) -> float:
+    total = 0.0
+    for a in range(6):
+        for b in range(6):
+            total += offset[a] * prior[a, b] * offset[b]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cost(
+    lens: Array, arms: Array, normals: Array, diameters: Array, spots: Array, sigma: Array,
+    rotation: Array, shift: Array, residuals: Array,
+) -> float:  # fmt: skip
+    total = 0.0
+    for i in range(arms.shape[0]):
+        px, py, pz = turned(rotation, arms, i)
+        nx, ny, nz = turned(rotation, normals, i)
+        u, v = project_disc(
+            lens, px + shift[0], py + shift[1], pz + shift[2], nx, ny, nz, 0.5 * diameters[i]
+        )
+        residuals[i, 0], residuals[i, 1] = spots[i, 0] - u, spots[i, 1] - v
+        total += (residuals[i, 0] ** 2 + residuals[i, 1] ** 2) / (sigma[i] * sigma[i])
+    return total if math.isfinite(total) else np.inf
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _jacobian(
+    lens: Array, arms: Array, normals: Array, diameters: Array, rotation: Array, shift: Array,
+    i: int, out: Array,
+) -> None:  # fmt: skip
+    """(2, 6) of spot i by central differences: a turn moves arm and normal, a shift the centre."""
+    arm = turned(rotation, arms, i)
+    n = turned(rotation, normals, i)
+    z = arm[2] + shift[2]
+    for k in range(6):  # one call of the projection: each is compiled in its place
+        out[0, k] = out[1, k] = 0.0
+        for end in range(2):
+            h = (1e-5 if k < 3 else 1e-5 * z) * (2 * end - 1)
+            tx, ty, tz, mx, my, mz = _displaced(k, arm, n)
+            u, v = project_disc(
+                lens, arm[0] + shift[0] + h * tx, arm[1] + shift[1] + h * ty, z + h * tz,
+                n[0] + h * mx, n[1] + h * my, n[2] + h * mz, 0.5 * diameters[i],
+            )  # fmt: skip
+            out[0, k] += u / (2.0 * h)
+            out[1, k] += v / (2.0 * h)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _displaced(
+    k: int, v: tuple[float, float, float], n: tuple[float, float, float]
+) -> tuple[float, float, float, float, float, float]:
+    """How number k of a pose moves an arm and turns a normal."""
+    if k == 0:
+        return 0.0, -v[2], v[1], 0.0, -n[2], n[1]
+    if k == 1:
+        return v[2], 0.0, -v[0], n[2], 0.0, -n[0]
+    if k == 2:
+        return -v[1], v[0], 0.0, -n[1], n[0], 0.0
+    if k == 3:
+        return 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    return 0.0, 1.0 if k == 4 else 0.0, 1.0 if k == 5 else 0.0, 0.0, 0.0, 0.0

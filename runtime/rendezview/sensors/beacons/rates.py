@@ -1,0 +1,58 @@
+"""Rates of all six numbers, from filters over the readings."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rendezview.estimation.rates import RateBank, RateOptions
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.beacons.constellation import Face
+
+_LONGEST_S = 30.0  # s between two readings: the motion is forgotten. Source: by construction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rates:
+    """Rates at the last reading.
+
+    ``velocity_m_s`` and ``turn_rad_s`` are of the target in the camera frame:
+    ``dt/dt`` and w with ``dR/dt = [w]× R``. ``six`` are the rates of the six numbers, in their
+    own units a second.
+    """
+
+    velocity_m_s: Array  # (3,)
+    turn_rad_s: Array  # (3,)
+    six_per_s: Array  # (6,) range, azimuth, elevation, roll, pitch, yaw
+    covariance: Array  # (6, 6) of (turn, velocity)
+    span_s: float  # of the readings used
+    readings: int
+
+
+class RateEstimator:
+    """Follows the poses of one target; see `rendezview.estimation.rates`."""
+
+    def __init__(self, options: RateOptions | None = None) -> None:
+        self._bank = RateBank(options)
+        self._first_s = self._last_s = math.nan
+        self._readings = 0
+
+    def clear(self) -> None:
+        """Forget the readings: the target was lost."""
+        self._bank.clear()
+        self._readings = 0
+
+    def add(self, time_s: float, pose: Pose, covariance: Array, face: Face) -> Rates | None:
+        """Take a reading in; None while there is only one. ``face``: of the six numbers."""
+        if self._readings and time_s - self._last_s > _LONGEST_S:
+            self.clear()
+        found = self._bank.add(time_s, pose, covariance)
+        self._first_s = self._first_s if self._readings else time_s
+        self._last_s = time_s
+        self._readings += 1
+        if found is None:
+            return None
+        return Rates(
+            found.rates[3:], found.rates[:3], face.six_rates(pose, found.rates), found.covariance,
+            time_s - self._first_s, self._readings,
+        )  # fmt: skip

@@ -1,0 +1,274 @@
+"""The cameras of a stereo tracker, each with its detector and lens, in one rig frame.
+
+The rig frame is the paper's fixed laboratory frame; with two ordinary cameras it is most
+simply the first camera's own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera, LensModel
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.beacons.detect.brown_lens import (
+    COEFFICIENT_NAMES,
+    Array,
+    Lens,
+    ideal_with_sigma,
+)
+from rendezview.sensors.beacons.detect.detectors import Photodiode, Spots
+
+# Numbers of a camera in the order of their covariance: intrinsics, then camera_from_rig.
+INTRINSICS = ("fx", "fy", "cx", "cy", *COEFFICIENT_NAMES)
+POSE = ("wx", "wy", "wz", "tx", "ty", "tz")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigCamera:
+    """One camera: ``u = fx x' + cx``, ``v = fy y' + cy``, in the detector's units.
+
+    (x', y') is measured, normalised; the lens leads from there to the ideal (x/z, y/z).
+
+    Raises:
+        ValueError: a number is not finite, or a focal length or size not positive.
+    """
+
+    name: str
+    fx: float  # detector units: px, or m
+    fy: float
+    cx: float  # principal point
+    cy: float
+    camera_from_rig: Pose
+    lens: Lens = field(default_factory=Lens)
+    size: tuple[int, int] | None = None  # width, height in px; None: a photodiode
+    photodiode: Photodiode | None = None
+    floor: float = 0.0  # what calibration leaves, r.m.s., detector units; added to each spot's σ
+    sigma: dict[str, float] = field(default_factory=dict)  # of what was calibrated, by name
+    rms: float | None = None  # calibration residual, detector units
+    # the lens model's share of the floor; the rest is noise of the board's corners
+    misfit: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, least in (("fx", 0.0), ("fy", 0.0), ("cx", -math.inf), ("cy", -math.inf)):
+            value = float(getattr(self, name))
+            if not (math.isfinite(value) and value > least):
+                raise ValueError(f"{name} of camera {self.name!r} must not be {value}")
+        if not 0.0 <= self.floor < math.inf:
+            raise ValueError(f"floor of camera {self.name!r} must not be {self.floor}")
+        if (self.size is None) == (self.photodiode is None):
+            raise ValueError(f"camera {self.name!r} needs a size in pixels or a photodiode")
+        if self.size is not None and not all(isinstance(n, int) and n > 0 for n in self.size):
+            raise ValueError(f"size of camera {self.name!r} must be positive, not {self.size}")
+
+    @classmethod
+    def from_camera(
+        cls, name: str, camera: Camera, camera_from_rig: Pose, floor: float = 0.0
+    ) -> RigCamera:
+        """From a camera of OpenCV's model.
+
+        Raises:
+            RendezviewError: a fisheye, or terms that Brown's model does not have.
+        """
+        if camera.lens_model is LensModel.FISHEYE:
+            raise RendezviewError(
+                f"camera {name!r} has a fisheye lens, which Brown's model (eq. 6) does not have: "
+                "calibrate with k1 k2 p1 p2 k3"
+            )
+        return cls(
+            name, camera.fx, camera.fy, camera.cx, camera.cy, camera_from_rig,
+            Lens.from_opencv(camera.distortion), (camera.width, camera.height), floor=floor,
+        )  # fmt: skip
+
+    def to_camera(self, tolerance_px: float = 0.01) -> Camera:
+        """The same as a camera of OpenCV's model, lens refitted where the models differ.
+
+        Raises:
+            RendezviewError: a photodiode, or the models differ by more than the tolerance.
+        """
+        if self.size is None:
+            raise RendezviewError(f"camera {self.name!r} is a photodiode: OpenCV has no such model")
+        distortion = self.lens.to_opencv(self.reach, tolerance_px / max(self.fx, self.fy))
+        return Camera(*self.size, self.fx, self.fy, self.cx, self.cy, distortion)
+
+    @property
+    def reach(self) -> float:
+        """Largest half-width of the field, normalised."""
+        if self.size is None:
+            assert self.photodiode is not None
+            half = self.photodiode.half_width_m
+            return (half + max(abs(self.cx), abs(self.cy))) / min(self.fx, self.fy)
+        width, height = self.size
+        return max(
+            max(self.cx, width - 1 - self.cx) / self.fx,
+            max(self.cy, height - 1 - self.cy) / self.fy,
+        )
+
+    def project(self, points_rig_m: npt.ArrayLike) -> Array:
+        """(N, 3) points in the rig frame → (N, 2) detector units; NaN where not in front."""
+        points = self.camera_from_rig.apply(np.asarray(points_rig_m, dtype=np.float64))
+        depth = np.where(points[:, 2:] > 0.0, points[:, 2:], np.nan)
+        normalised = self.lens.distort(points[:, :2] / depth)
+        return np.asarray(normalised * (self.fx, self.fy) + (self.cx, self.cy))
+
+    def ideal(self, spots: Spots) -> tuple[Array, Array]:
+        """(N, 2) ideal places of spots, normalised, and their standard deviations."""
+        xy, sigma = np.empty((len(spots), 2)), np.empty((len(spots), 2))
+        k, lens, corrects = self.kernel_arguments
+        _ideal(spots.positions, spots.sigma, k, lens, corrects, xy, sigma)
+        return xy, sigma
+
+    @property
+    def kernel_arguments(self) -> Any:
+        """The data of this camera for the compiled correction."""
+        intrinsics = np.array([self.fx, self.fy, self.cx, self.cy, self.floor])
+        return intrinsics, self.lens.coefficients, self.lens.corrects
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sights:
+    """Where all cameras saw the target's lights at one time: the 24 numbers of eq. 4."""
+
+    xy: Array  # (C, L, 2) ideal places x/z, y/z; 0 where not visible
+    weight: Array  # (C, L, 2) 1/σ; 0 where not visible
+
+    @property
+    def visible(self) -> npt.NDArray[np.bool_]:
+        """(C, L) which camera saw which light."""
+        return np.asarray((self.weight > 0.0).all(axis=2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """One or more cameras that look at the same target."""
+
+    cameras: tuple[RigCamera, ...]
+    covariance: Array | None = None  # of the calibration's free parameters
+    covariance_names: tuple[str, ...] = ()
+    rotations: Array = field(init=False)  # (C, 3, 3) camera from rig
+    translations: Array = field(init=False)  # (C, 3)
+    _kernel_arguments: Any = field(init=False)
+
+    def __post_init__(self) -> None:
+        if not self.cameras:
+            raise ValueError("a rig needs at least one camera")
+        names = [camera.name for camera in self.cameras]
+        if len(set(names)) < len(names):
+            raise ValueError(f"the cameras of a rig need different names, not {names}")
+        object.__setattr__(self, "cameras", tuple(self.cameras))
+        poses = [camera.camera_from_rig for camera in self.cameras]
+        object.__setattr__(self, "rotations", np.stack([p.rotation for p in poses]))
+        object.__setattr__(self, "translations", np.stack([p.translation_m for p in poses]))
+        arguments = tuple(camera.kernel_arguments for camera in self.cameras)
+        object.__setattr__(self, "_kernel_arguments", arguments)
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def sights(self, spots: Sequence[Spots], leds: int) -> Sights:
+        """The tracker's input from identified spots, one `Spots` for each camera.
+
+        Spots without identity, and those that the lens model cannot correct, are left out;
+        of several spots with one number none is believed.
+
+        Raises:
+            ValueError: a number of cameras or lights that is not the rig's or target's.
+        """
+        if len(spots) != len(self.cameras):
+            raise ValueError(f"{len(spots)} cameras' spots for a rig of {len(self.cameras)}")
+        xy, weight = np.zeros((len(spots), leds, 2)), np.zeros((len(spots), leds, 2))
+        for k, found in enumerate(spots):
+            given, lens, corrects = self._kernel_arguments[k]
+            if not _fill_sights(
+                found.positions, found.sigma, found.led, given, lens, corrects, xy[k], weight[k]
+            ):
+                raise ValueError(
+                    f"camera {self.cameras[k].name!r} names a light beyond the target's {leds}"
+                )
+        return Sights(xy, weight)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def ideal_spot(
+    u: float, v: float, su: float, sv: float, k: Array, lens: Array, corrects: bool
+) -> tuple[float, float, float, float]:
+    """A spot in detector units → ideal normalised place and its standard deviations."""
+    su, sv = np.sqrt(su * su + k[4] * k[4]), np.sqrt(sv * sv + k[4] * k[4])
+    return ideal_with_sigma(
+        (u - k[2]) / k[0], (v - k[3]) / k[1], su / k[0], sv / k[1], lens, corrects
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _ideal(
+    spots: Array, sigma: Array, k: Array, lens: Array, corrects: bool, xy: Array, out: Array
+) -> None:
+    for i in range(spots.shape[0]):
+        xy[i, 0], xy[i, 1], out[i, 0], out[i, 1] = ideal_spot(
+            spots[i, 0], spots[i, 1], sigma[i, 0], sigma[i, 1], k, lens, corrects
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_sights(
+    spots: Array,
+    sigma: Array,
+    led: npt.NDArray[np.int64],
+    k: Array,
+    lens: Array,
+    corrects: bool,
+    xy: Array,
+    weight: Array,
+) -> bool:
+    twice = np.zeros(xy.shape[0], np.int64)
+    for i in range(led.shape[0]):
+        j = led[i]
+        if j >= xy.shape[0]:
+            return False
+        if j < 0:
+            continue
+        twice[j] += 1
+        x, y, sx, sy = ideal_spot(
+            spots[i, 0], spots[i, 1], sigma[i, 0], sigma[i, 1], k, lens, corrects
+        )
+        wx, wy = 1.0 / sx, 1.0 / sy
+        if not (np.isfinite(x) and np.isfinite(y) and twice[j] == 1):
+            x = y = wx = wy = 0.0
+        xy[j, 0], xy[j, 1], weight[j, 0], weight[j, 1] = x, y, wx, wy
+    return True
+
+
+def required_leds(positions: Sequence[npt.ArrayLike], what: str) -> Array:
+    """(L, 3) places of a target's lights, checked.
+
+    Raises:
+        RendezviewError: fewer than three, or all on one line.
+    """
+    leds = np.ascontiguousarray(positions, dtype=np.float64).reshape(-1, 3)
+    if len(leds) < 3 or not np.isfinite(leds).all():
+        raise RendezviewError(
+            f"{what}: has {len(leds)} lights, a pose needs at least 3: add [[leds]] to target.toml"
+        )
+    spread = np.linalg.svd(leds - leds.mean(axis=0), compute_uv=False)
+    if spread[1] < 1e-6 * spread[0] or spread[0] == 0.0:
+        raise RendezviewError(f"{what}: its lights are all on one line: a pose needs a triangle")
+    return leds
+
+
+def intrinsics_of(camera: RigCamera) -> Array:
+    """(12,) in the order of INTRINSICS."""
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.lens.coefficients])
+
+
+def with_intrinsics(camera: RigCamera, values: Array, pose: Pose) -> RigCamera:
+    """The camera with other intrinsics (12,) at another place."""
+    fx, fy, cx, cy = values[:4].tolist()
+    lens = Lens.from_coefficients(values[4:], corrects=camera.lens.corrects)
+    return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, lens=lens, camera_from_rig=pose)

@@ -1,0 +1,170 @@
+"""The observation of the stereo tracker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from rendezview.estimation.linear_algebra import invert
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.beacons.detect.detectors import Spots
+from rendezview.sensors.beacons.euler import YawPitchRoll, yaw_pitch_roll
+from rendezview.sensors.beacons.match.agreement import LightsFit
+from rendezview.sensors.beacons.stereo_motion import Motion
+from rendezview.sensors.observation import Observation, Status
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """Names of the cameras and of the target's lights, for logs."""
+
+    cameras: tuple[str, ...]
+    leds: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoObservation(Observation):
+    """One reading's answer; `pose` and `covariance` are in the frame of the first camera."""
+
+    fit: LightsFit | None = None  # from this reading only, rig frame
+    estimate: Motion | None = None  # the filter after it, where there is one
+    restarted: bool = False  # the pose was found without the estimate before
+    spots: tuple[Spots, ...] = ()  # with the lights' numbers
+    names: Names = Names((), ())
+
+    @classmethod
+    def of_pose(
+        cls,
+        status: Status,
+        reason: str | None,
+        time_s: float,
+        camera_from_rig: Pose,
+        fit: LightsFit | None,
+        estimate: Motion | None,
+        restarted: bool,
+        spots: tuple[Spots, ...],
+        names: Names,
+    ) -> StereoObservation:
+        """The observation of a pose: the filter's where there is one, else the reading's own.
+
+        The covariance of a single reading is the inverse of its information.
+        """
+        rotation, place, covariance = np.empty((3, 3)), np.empty(3), np.empty((6, 6))
+        if estimate is not None:
+            _in_camera(
+                camera_from_rig.rotation, camera_from_rig.translation_m, estimate.rotation,
+                estimate.translation, estimate.covariance, False, rotation, place, covariance,
+            )  # fmt: skip
+        else:
+            assert fit is not None
+            _in_camera(
+                camera_from_rig.rotation, camera_from_rig.translation_m, fit.rotation,
+                fit.translation, fit.information, True, rotation, place, covariance,
+            )  # fmt: skip
+        return cls(
+            status, reason, fit, estimate, restarted, spots, names,
+            time_s=time_s, pose=Pose.unchecked(rotation, place), covariance=covariance,
+        )  # fmt: skip
+
+    @property
+    def rig_from_target(self) -> Pose | None:
+        """The pose in the rig (laboratory) frame: the filter's where there is one."""
+        source = self.estimate or self.fit
+        return None if source is None else Pose(source.rotation, source.translation)
+
+    @property
+    def yaw_pitch_roll(self) -> YawPitchRoll | None:
+        """ψ, θ, φ of eq. 3 in the rig frame, radians."""
+        source = self.estimate or self.fit
+        return None if source is None else yaw_pitch_roll(source.rotation)
+
+    @property
+    def left_out(self) -> tuple[tuple[int, int], ...]:
+        """(camera, light) pairs that were visible and are outliers."""
+        return () if self.fit is None else self.fit.left_out
+
+    @property
+    def exchanged(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of lights that came under each other's number."""
+        return () if self.fit is None else self.fit.exchanged
+
+    @property
+    def inliers(self) -> int:
+        """Identified spots that the pose explains."""
+        return sum(int((found.led >= 0).sum()) for found in self.spots) - len(self.left_out)
+
+    def record(self) -> dict[str, Any]:
+        """The observation as its line of JSON (docs/files-logs.md)."""
+        angles, fit, names = self.yaw_pitch_roll, self.fit, self.names
+        line = Observation.record(self)  # slots: no super() without arguments
+        stage_ms = line.pop("stage_ms")
+        return line | {
+            "rig_from_target": self.rig_from_target,
+            "yaw_pitch_roll_rad": None if angles is None else list(angles),
+            "rates": None if self.estimate is None else self.estimate.rates,
+            "sum_of_squares": None if fit is None else fit.cost,
+            "degrees_of_freedom": None if fit is None else fit.spare,
+            "left_out": [
+                {"camera": names.cameras[camera], "led": names.leds[light]}
+                for camera, light in self.left_out
+            ],
+            "exchanged": [[names.leds[a], names.leds[b]] for a, b in self.exchanged],
+            "leds": [
+                [names.leds[number] if number >= 0 else None for number in found.led]
+                for found in self.spots
+            ],
+            "found_anew": self.restarted,
+            "stage_ms": stage_ms,
+        }
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _in_camera(
+    camera_rotation: Array,
+    camera_translation: Array,
+    rotation: Array,
+    translation: Array,
+    spread: Array,
+    is_information: bool,
+    out_rotation: Array,
+    out_translation: Array,
+    out: Array,
+) -> None:
+    """Fill a pose and its covariance (6, 6) in the camera frame, from the rig frame.
+
+    ``spread`` is the covariance, or its inverse where ``is_information``; only its first six rows
+    and columns are read. NaN where the information is singular.
+    """
+    c = camera_rotation
+    covariance, lower = np.empty((6, 6)), np.empty((6, 6))
+    inverted = is_information and invert(spread, lower, covariance)
+    for i in range(0 if inverted else 6):
+        for j in range(6):
+            covariance[i, j] = np.nan if is_information else spread[i, j]
+    half = np.empty((6, 6))
+    for i in range(3):
+        out_translation[i] = camera_translation[i]
+        for j in range(3):
+            out_translation[i] += c[i, j] * translation[j]
+            out_rotation[i, j] = (
+                c[i, 0] * rotation[0, j] + c[i, 1] * rotation[1, j] + c[i, 2] * rotation[2, j]
+            )
+    for block in range(0, 6, 3):
+        for i in range(3):
+            for j in range(6):
+                half[block + i, j] = (
+                    c[i, 0] * covariance[block, j]
+                    + c[i, 1] * covariance[block + 1, j]
+                    + c[i, 2] * covariance[block + 2, j]
+                )
+    for block in range(0, 6, 3):
+        for j in range(3):
+            for i in range(6):
+                out[i, block + j] = (
+                    half[i, block] * c[j, 0]
+                    + half[i, block + 1] * c[j, 1]
+                    + half[i, block + 2] * c[j, 2]
+                )

@@ -1,0 +1,289 @@
+"""The tracker: each reading is solved from the last estimate; a lost target is found again."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
+from rendezview.sensors.beacons import stereo_motion as motion
+from rendezview.sensors.beacons.calibration_error import CalibrationError, turned
+from rendezview.sensors.beacons.detect.detectors import Spots
+from rendezview.sensors.beacons.match.agreement import (
+    FEWEST_LIGHTS,
+    Disagreement,
+    LightsFit,
+    agree,
+    distance,
+    iterate,
+)
+from rendezview.sensors.beacons.match.identity import identify, nearest_lights
+from rendezview.sensors.beacons.match.start import candidates
+from rendezview.sensors.beacons.pose.collinearity import count_lights
+from rendezview.sensors.beacons.rig import Rig, Sights, required_leds
+from rendezview.sensors.beacons.stereo_motion import Motion, MotionOptions
+from rendezview.sensors.beacons.stereo_observation import Names, StereoObservation
+from rendezview.sensors.observation import Status
+
+# sums of squares closer than this do not distinguish two minima. Source: by construction, odds of
+# e⁷
+_ALIKE = 15.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackerOptions:
+    """How a target is followed."""
+
+    motion: MotionOptions | None = None  # the filter; None: each reading's pose as it is
+    # after that the last estimate is no longer used. Source: a chosen limit
+    longest_outage_s: float = 5.0
+    # Add the covariance of the rig's calibration to each pose's: 7 ms where the pose has moved.
+    calibration_error: bool = False
+    # normalised; unnamed spots are looked for so far from the forecast. Source: by hand; see
+    # stereo-accuracy --part identity
+    window: float = 0.03
+
+
+class StereoTracker:
+    """Follows the lights of one target with the cameras of one rig.
+
+    Args:
+        rig: calibrated cameras, two as in the paper, or one, or more.
+        leds: (L, 3) lights in the target frame, metres.
+        normals: (L, 3) directions of their beams; left out, they shine everywhere.
+        options: of following.
+        led_names: of the lights, for logs; left out: led1, led2 ...
+
+    Raises:
+        RendezviewError: fewer than three lights, or all on one line.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        leds: npt.ArrayLike,
+        normals: npt.ArrayLike | None = None,
+        options: TrackerOptions | None = None,
+        led_names: Sequence[str] | None = None,
+    ) -> None:
+        self.rig = rig
+        self.leds = required_leds(list(np.asarray(leds, dtype=np.float64)), "the target")
+        self.normals = np.zeros_like(self.leds)
+        if normals is not None:
+            self.normals = np.ascontiguousarray(normals, dtype=np.float64)
+        if self.normals.shape != self.leds.shape:
+            raise ValueError(f"normals must be {self.leds.shape}, not {self.normals.shape}")
+        self.options = options or TrackerOptions()
+        self.names = Names(
+            tuple(camera.name for camera in rig.cameras),
+            tuple(led_names or (f"led{k + 1}" for k in range(len(self.leds)))),
+        )
+        self._first = rig.cameras[0].camera_from_rig
+        self._calibration = CalibrationError(rig, self.leds)
+        self._last: Motion | None = None
+        self._last_time_s = -np.inf
+        self._lock = threading.Lock()  # of the two above
+
+    @classmethod
+    def of_target(
+        cls, rig: Rig, target: Target, options: TrackerOptions | None = None
+    ) -> StereoTracker:
+        """A tracker of the LEDs that a target file names.
+
+        Raises:
+            RendezviewError: the target has fewer than three LEDs.
+        """
+        required_leds([led.position_m for led in target.leds], f"target {target.name!r}")
+        positions = np.array([led.position_m for led in target.leds])
+        normals = np.array([led.normal for led in target.leds])
+        return cls(rig, positions, normals, options, [led.name for led in target.leds])
+
+    @property
+    def estimate(self) -> Motion | None:
+        """The last estimate, or None where the target is lost."""
+        return self._last
+
+    def update(self, time_s: float, spots: Sequence[Spots]) -> StereoObservation:
+        """Solve the next reading, one `Spots` for each camera.
+
+        Named spots keep their names; if any spot has no name, all are identified by geometry.
+
+        Raises:
+            ValueError: times that do not rise, or spots that are not this rig's or target's.
+        """
+        start_s = time.perf_counter()
+        with self._lock:
+            observation = self._update(time_s, spots)
+        observation.stage_ms["track"] = 1e3 * (time.perf_counter() - start_s)
+        return observation
+
+    def _update(self, time_s: float, spots: Sequence[Spots]) -> StereoObservation:
+        if not (np.isfinite(time_s) and time_s > self._last_time_s):
+            raise ValueError(
+                f"readings must come in order of time: {time_s} s after {self._last_time_s} s"
+            )
+        self._last_time_s = time_s
+        forecast = self._forecast(time_s)
+        restarted, named = forecast is None, tuple(spots)
+        fit: LightsFit | Disagreement | None = None
+        if not all(found.identified for found in spots):
+            fit, named, restarted = self._identify(spots, forecast)
+        sights = self.rig.sights(named, len(self.leds))
+        if fit is None and count_lights(sights.weight)[0] < FEWEST_LIGHTS:
+            return self._partial(time_s, forecast, sights, named)
+        if fit is None and forecast is not None:
+            fit = iterate(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
+            if fit is None or not fit.agrees:
+                fit = agree(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
+        if fit is None or (isinstance(fit, Disagreement) and not fit.ambiguous):
+            restarted = True
+            fit = self.locate(sights, forecast)
+        if isinstance(fit, Disagreement):
+            self._lose(time_s)
+            status = Status.AMBIGUOUS if fit.ambiguous else Status.DISAGREE
+            return self._none(time_s, status, fit.reason, named)
+        return self._accept(time_s, fit, forecast, restarted, named)
+
+    def locate(self, sights: Sights, forecast: Motion | None = None) -> LightsFit | Disagreement:
+        """The pose from identified lights without knowing where the target is.
+
+        A forecast only chooses between poses that fit equally well.
+        """
+        found = candidates(self.rig, self.leds, self.normals, sights)
+        if not found:
+            return Disagreement("no camera sees three lights, nor two cameras the same three")
+        fits: list[tuple[float, LightsFit]] = []
+        reason = Disagreement("the lights do not determine a pose")
+        for candidate in found:
+            if candidate.cost > found[0].cost + _ALIKE:
+                break
+            pose = candidate.rig_from_target
+            fit = agree(self.rig, self.leds, sights, pose.rotation, pose.translation_m)
+            if isinstance(fit, LightsFit):
+                fits.append((candidate.cost, fit))
+            elif not fits:
+                reason = fit
+        if not fits:
+            return reason
+        best = fits[0][1]
+        others = [fit for _, fit in fits[1:] if distance(best, fit) > 1.0]
+        if not others:
+            return best
+        if forecast is not None:
+            turned = [np.trace(fit.rotation @ forecast.rotation.T) for fit in (best, *others)]
+            order = np.argsort(turned)
+            if turned[order[-1]] > 1.0 + 2.0 * np.cos(np.deg2rad(20.0)):
+                return [best, *others][int(order[-1])]
+        return Disagreement(
+            f"{1 + len(others)} poses fit the lights equally well: show more lights, or a prior",
+            ambiguous=True,
+        )
+
+    def _forecast(self, time_s: float) -> Motion | None:
+        last = self._last
+        if last is None or time_s - last.time_s > self.options.longest_outage_s:
+            return None
+        if self.options.motion is None:
+            return last
+        return motion.predict(last, time_s, self.options.motion)
+
+    def _identify(
+        self, spots: Sequence[Spots], forecast: Motion | None
+    ) -> tuple[LightsFit | Disagreement | None, tuple[Spots, ...], bool]:
+        if forecast is not None:
+            pose = Pose(forecast.rotation, forecast.translation)
+            gate = self.options.window
+            named = nearest_lights(self.rig, self.leds, self.normals, spots, pose, gate)
+            sights = self.rig.sights(named, len(self.leds))
+            fit = agree(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
+            # A spot that is left over may be a light whose name another took.
+            left = sum(int((found.led < 0).sum()) for found in named)
+            if isinstance(fit, LightsFit) and not (fit.left_out and left):
+                return fit, named, False
+        answer = identify(self.rig, self.leds, self.normals, spots)
+        if isinstance(answer, Disagreement):
+            return answer, tuple(spots), True
+        return answer[1], answer[0], True
+
+    def _partial(
+        self, time_s: float, forecast: Motion | None, sights: Sights, named: tuple[Spots, ...]
+    ) -> StereoObservation:
+        lights = int(sights.visible.any(axis=0).sum())
+        reason = f"{lights} lights visible, a pose needs {FEWEST_LIGHTS}"
+        if self.options.motion is not None and forecast is not None:
+            after = motion.update(forecast, self.rig, self.leds, sights.xy, sights.weight)
+            if after is not None:
+                self._last = after
+                return StereoObservation.of_pose(
+                    Status.PARTIAL, reason, time_s, self._first, None, after, False, named,
+                    self.names,
+                )  # fmt: skip
+        self._lose(time_s)
+        return self._none(time_s, Status.FEW_LIGHTS, reason, named)
+
+    def _accept(
+        self,
+        time_s: float,
+        fit: LightsFit,
+        forecast: Motion | None,
+        restarted: bool,
+        named: tuple[Spots, ...],
+    ) -> StereoObservation:
+        options = self.options.motion
+        if options is None:
+            self._last = Motion(time_s, fit.rotation, fit.translation, _NO_RATES, _NO_COVARIANCE)
+            return self._calibrated(
+                StereoObservation.of_pose(
+                    Status.OK, None, time_s, self._first, fit, None, restarted, named, self.names
+                )
+            )
+        after = None
+        own = fit.rotation, fit.translation
+        if forecast is not None and not motion.breaks(forecast, *own, fit.information):
+            after = motion.update(
+                forecast, self.rig, self.leds, fit.sights.xy, fit.sights.weight, own
+            )
+        if after is None:  # the first, or the motion exceeds the filter's model
+            covariance = np.asarray(np.linalg.inv(fit.information), np.float64)
+            after = motion.begin(time_s, fit.rotation, fit.translation, covariance, options)
+        self._last = after
+        return self._calibrated(
+            StereoObservation.of_pose(
+                Status.OK, None, time_s, self._first, fit, after, restarted, named, self.names
+            )
+        )
+
+    def _calibrated(self, observation: StereoObservation) -> StereoObservation:
+        """The observation with the calibration's share in its covariance."""
+        pose, fit = observation.rig_from_target, observation.fit
+        wanted = self.options.calibration_error and self._calibration
+        if not wanted or pose is None or fit is None:
+            return observation
+        assert observation.covariance is not None
+        covariance = self._calibration.covariance(pose, fit.sights.weight)
+        noise = self._calibration.noise(fit.sights.weight)
+        if self.options.motion is None and noise is not None:
+            return replace(observation, covariance=turned(noise + covariance, self._first.rotation))
+        return replace(
+            observation,
+            covariance=observation.covariance + turned(covariance, self._first.rotation),
+        )
+
+    def _none(
+        self, time_s: float, status: Status, reason: str, named: tuple[Spots, ...]
+    ) -> StereoObservation:
+        return StereoObservation(status, reason, spots=named, names=self.names, time_s=time_s)
+
+    def _lose(self, time_s: float) -> None:
+        if self._last is not None and time_s - self._last.time_s > self.options.longest_outage_s:
+            self._last = None
+
+
+_NO_RATES = np.zeros(6)  # Source: by construction
+_NO_COVARIANCE = np.zeros((12, 12))  # Source: by construction

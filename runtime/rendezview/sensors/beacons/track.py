@@ -1,0 +1,91 @@
+"""The sensor's memory from one reading to the next, and how long it lasts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.estimation.rates import RateOptions
+from rendezview.geometry.pose import Array, Pose
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackingOptions:
+    """Windows, and when to give up."""
+
+    # Half width over a spot's σ … Source: by hand; uncritical halved or doubled
+    window_sizes: float = 4.0
+    # … and the margin for motion. Source: by hand; uncritical halved or doubled
+    window_px: float = 6.0
+    # … and each reading without that spot. Source: by hand; uncritical halved or doubled
+    coasting_px: float = 4.0
+    # Of the distance to the next reflector, at most. Source: by construction, less than half
+    window_share: float = 0.45
+    # ln of size over expected size. Source: by hand; uncritical halved or doubled
+    size_limit: float = 0.25
+    # Small over large axis. Source: by construction, looser than AcquisitionOptions
+    least_shape: float = 0.45
+    # Reflectors nearer than so many σ run together: not looked for. Source: by construction, 3 σ of
+    # each
+    apart_sizes: float = 6.0
+    # Readings without a pose before the whole picture is searched again. Source: a chosen limit
+    coast: int = 5
+    memory: int = 50  # … and before the last range is no longer used. Source: a chosen limit
+    confirm: bool = True  # a first find counts when the next reading agrees
+    # Of a redundant fit: a spot further off is no reflector. Source: normal distribution, 2·10⁻⁹
+    gate_sigma: float = 6.0
+    # error of a centroid beside the noise: pixels, lens, reflector edge. Source: by hand; doubled,
+    # NEES falls from 0.53 to 0.29
+    floor_px: float = 0.01
+    rates: RateOptions = field(default_factory=RateOptions)
+
+
+class Branch(StrEnum):
+    """How the pose is distinguished from the mirrored one that shows nearly the same spots."""
+
+    SURE = "sure"  # by the spots of this reading: no other pose shows them
+    FOLLOWED = "followed"  # by its motion, since it was certain
+    MERGED = "merged"  # both are within the error: the covariance holds both
+    OPEN = "open"  # not at all: there is no pose
+
+
+@dataclass(slots=True, eq=False)
+class Track:
+    """The memory between readings."""
+
+    time_s: float
+    pose: Pose
+    places: Array  # (N, 2) of the last reading, NaN where not visible
+    before: Array  # (N, 2) of the reading before that
+    before_s: float
+    brightness: Array  # (N,) of each reflector when it was last visible, grey
+    noise: float
+    roll_ambiguous: bool
+    covariance: Array
+    misses: int = 0
+    branch: Branch = Branch.SURE
+    unseen: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    @classmethod
+    def begun(cls, time_s: float, pose: Pose, reflectors: int, *, roll_known: bool) -> Track:
+        """The memory of a pose that another sensor has found: no spot was seen yet."""
+        nowhere, never = np.full((reflectors, 2), np.nan), np.zeros(reflectors, np.int64)
+        return cls(
+            time_s, pose, nowhere, nowhere.copy(), time_s, np.full(reflectors, np.nan), 2.0,
+            not roll_known, np.zeros((6, 6)), unseen=never,
+        )  # fmt: skip
+
+
+def checked_acceleration(acceleration: npt.ArrayLike) -> Array:
+    """(6,) angular rad/s², linear m/s² of the target, camera frame.
+
+    Raises:
+        ValueError: another shape, or not finite.
+    """
+    checked = np.asarray(acceleration, dtype=np.float64)
+    if checked.shape != (6,) or not np.isfinite(checked).all():
+        raise ValueError(f"acceleration must be (6,) and finite, not {checked.tolist()}")
+    return checked

@@ -1,0 +1,204 @@
+"""Where the windows are, the pose from their spots, and what else these spots could mean."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.beacons.constellation import ReflectorPattern
+from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptions
+from rendezview.sensors.beacons.detect.discs import camera_numbers
+from rendezview.sensors.beacons.detect.hidden_noise import HiddenNoise
+from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, recentre
+from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
+from rendezview.sensors.beacons.match.choice import FEW, mirror
+from rendezview.sensors.beacons.match.judgement import least_facing
+from rendezview.sensors.beacons.match.matching import expect_spots
+from rendezview.sensors.beacons.pose.refinement import Refined, adjust, solve_spots
+from rendezview.sensors.beacons.track import Branch, Track, TrackingOptions
+from rendezview.sensors.beacons.windows import (
+    VISIBLE,
+    place_windows,
+    read_windows,
+    window_noise,
+)
+
+Ints = npt.NDArray[np.int64]
+
+_SAME_RAD = 0.02  # rad: poses nearer than this, or than 4 σ, are one. Source: by construction
+_CONTINUITY = 3.0  # the nearer of two poses to the last, by this factor. Source: by construction
+
+
+class WindowFit:
+    """Least squares on the spots of one constellation in one camera."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        constellation: ReflectorPattern,
+        acquisition: AcquisitionOptions,
+        tracking: TrackingOptions,
+    ) -> None:
+        self.camera, self.options, self.constellation = camera, tracking, constellation
+        self._blur_px = acquisition.blur_px
+        self._margin = acquisition.pose_margin
+        self._least_cosine = math.cos(1.2 * acquisition.tilt_rad)
+        self._lens = camera_numbers(camera, acquisition.blur_px)
+        self._centre = constellation.centre_m
+        self._arms = constellation.positions_m - self._centre
+        self.hidden = HiddenNoise.none()  # of the last whole picture
+        n = len(constellation)  # of the last reading's windows:
+        self.expected, self.table = np.empty((n, 3)), np.empty((n, COLUMNS))
+        self.outcome = np.zeros(n, np.int64)
+        self.half, self._level = np.empty(n), np.empty(n)
+
+    def look(
+        self, time_s: float, track: Track, push: Array | None, frames: LitDark,
+        threshold: ThresholdOptions,
+    ) -> float:  # fmt: skip
+        """Read all windows into ``expected``, ``table`` and ``outcome``; the noise of a pixel.
+
+        ``push`` (6,) is the target's acceleration, `checked_acceleration`.
+        """
+        self._place(time_s, track, push, threshold)
+        dark, limits = frames.dark_or_nothing, (self.options.size_limit, self.options.least_shape)
+        noise = window_noise(frames.lit, dark, self.expected, self.half)
+        noise = track.noise if noise < 0.0 else noise
+        read_windows(
+            frames.lit, dark, self.expected, self.half, self._level, noise, limits, self.table,
+            self.outcome,
+        )  # fmt: skip
+        seen = self.outcome == VISIBLE
+        rows = self.table[seen]
+        recentre(rows, noise, threshold.centroid)
+        self.hidden.widen(rows)
+        self.table[seen] = rows
+        return noise
+
+    def solve(self, start: Pose, table: Array, seen: Ints) -> Refined | None:
+        """Least squares on the rows ``seen`` of a spot table, from a pose."""
+        rotation, translation = np.array(start.rotation), np.empty(3)
+        covariance, residuals = np.empty((6, 6)), np.empty((len(seen), 2))
+        iterations = solve_spots(
+            self._lens, self._arms, self.constellation.normals, self.constellation.diameters_m,
+            self._centre, table, seen, self.options.floor_px,
+            rotation, np.ascontiguousarray(start.translation_m), translation, covariance, residuals,
+        )  # fmt: skip
+        if iterations < 0:
+            return None
+        return Refined(Pose(rotation, translation), covariance, residuals, iterations, True)
+
+    def without_strangers(
+        self, start: Pose, refined: Refined, table: Array, seen: Ints
+    ) -> tuple[Refined | None, Ints]:
+        """Drop the spot that fits worst for as long as one is out of the gate.
+
+        No pose where four or fewer would be left: they may have their neighbours' names.
+        """
+        while True:
+            sigma = np.hypot(table[seen, SIGMA], self.options.floor_px)
+            off = np.abs(refined.residuals_px).max(axis=1) / sigma
+            if off.max() < self.options.gate_sigma:
+                return refined, seen
+            # The one without which the rest agree best.
+            trials = []
+            for k in range(len(seen) if len(seen) > FEW + 1 else 0):
+                trial = self.solve(start, table, np.delete(seen, k))
+                if trial is not None:
+                    trials.append((float(np.sum(trial.residuals_px**2)), k, trial))
+            if not trials:
+                return None, seen[:0]
+            _, k, refined = min(trials, key=lambda item: item[:2])
+            seen = np.delete(seen, k)
+
+    def branch(self, track: Track, refined: Refined, table: Array, seen: Ints) -> Branch:
+        """Whether the spots, or the motion, tell the pose from the mirrored one beside it."""
+        pattern, pose = self.constellation, refined.camera_from_target
+        mirrored = mirror(pose, pattern, seen)
+        facing = least_facing(
+            mirrored.rotation.copy(), mirrored.translation_m.copy(),
+            pattern.positions_m[seen], pattern.normals[seen],
+        )  # fmt: skip
+        if facing < self._least_cosine:
+            return Branch.SURE
+        limit = max(_SAME_RAD, 4.0 * math.sqrt(float(np.trace(refined.covariance[:3, :3]))))
+        if mirrored.angle_to(pose) < limit:
+            return Branch.MERGED
+        other = self.solve(mirrored, table, seen)
+        if other is None or other.camera_from_target.angle_to(pose) < limit:
+            return Branch.SURE
+        if self._cost(other, table, seen) - self._cost(refined, table, seen) > self._margin:
+            return Branch.SURE
+        step = pose.angle_to(track.pose)
+        continuous = other.camera_from_target.angle_to(track.pose) > _CONTINUITY * step
+        if continuous and track.branch in (Branch.SURE, Branch.FOLLOWED):
+            return Branch.FOLLOWED
+        return Branch.OPEN
+
+    def _cost(self, refined: Refined, table: Array, seen: Ints) -> float:
+        sigma = np.hypot(table[seen, SIGMA], self.options.floor_px)
+        return float(np.sum((refined.residuals_px / sigma[:, None]) ** 2))
+
+    def _place(
+        self, time_s: float, track: Track, push: Array | None, threshold: ThresholdOptions
+    ) -> None:
+        """Where spots are expected (N, 3), half widths (N,) and thresholds (N,)."""
+        expected = self.expected
+        options = self.options
+        self._show(track.pose, expected)
+        step, span = time_s - track.time_s, track.time_s - track.before_s
+        if push is not None:
+            moved, still = np.empty_like(expected), expected.copy()
+            self._show(track.pose.perturbed(0.5 * step * (step + span) * push), moved)
+            expected[:, :2] += moved[:, :2] - still[:, :2]
+        least = max(threshold.noise_factor * 0.7 * track.noise, threshold.least_grey)
+        place_windows(
+            expected, track.places, track.before, track.brightness, track.unseen,
+            step / span if span > 0.0 else 0.0, track.misses,
+            (options.window_sizes, options.window_px, options.coasting_px, options.window_share,
+             options.apart_sizes, least),
+            self.half, self._level,
+        )  # fmt: skip
+
+    def _show(self, pose: Pose, out: Array) -> None:
+        """(N, 3) place and size of every reflector at a pose; NaN where it is not visible."""
+        pattern = self.constellation
+        expect_spots(
+            self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
+            pose.rotation.copy(), pose.translation_m.copy(), self.camera.fx, self._blur_px, out,
+        )  # fmt: skip
+
+    def missing(self, names: tuple[str, ...]) -> list[str]:
+        """Reflectors that were expected in the picture, other than ``names``."""
+        shown = np.isfinite(self.expected[:, 0])
+        pairs = zip(self.constellation.names, shown, strict=True)
+        return [name for name, expected in pairs if expected and name not in names]
+
+    def misses(self, seen: Ints) -> bool:
+        """Whether a reflector is not visible that is expected well inside the picture."""
+        places = self.expected[:, :2].copy()
+        places[seen] = np.nan
+        margin = 3.0 * self.expected[:, 2:] + self.options.window_px
+        size = (self.camera.width - 1, self.camera.height - 1)
+        return bool(((places > margin) & (places < size - margin)).all(axis=1).any())
+
+    def nudge(self, track: Track, seen: Ints) -> None:
+        """Move the remembered pose by the least that brings it under the visible spots."""
+        if not track.covariance.any():
+            return
+        rotation, shift = np.array(track.pose.rotation), track.pose.apply(self._centre)
+        far = float(np.linalg.norm(shift))
+        # The attitude may turn by 0.1 rad and the place move by 5 % meanwhile.
+        prior = np.diag([1e2, 1e2, 1e2, *([400.0 / far**2] * 3)])
+        covariance, residuals = np.empty((6, 6)), np.empty((len(seen), 2))
+        iterations = adjust(
+            self._lens, self._arms[seen], self.constellation.normals[seen],
+            self.constellation.diameters_m[seen], np.ascontiguousarray(self.table[seen, :2]),
+            np.full(len(seen), 0.1), prior, rotation, shift, covariance, residuals,
+        )  # fmt: skip
+        if iterations >= 0:
+            track.pose = Pose(rotation, shift - rotation @ self._centre)

@@ -1,0 +1,171 @@
+"""``rendezview serve``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from rendezview.cli.compiling import compile_ahead
+from rendezview.errors import RendezviewError
+
+if TYPE_CHECKING:
+    from rendezview_service.settings import Settings
+
+
+# Ray's settings for a gateway, read when it is imported.
+_OF_RAY = {
+    "USAGE_STATS_ENABLED": "0",  # it would report to its makers
+    "timeout_ms_task_wait_for_death_info": "100",
+    # Frames go along with their call, not by the object store: the first one to a node took seconds
+    # there. Source: chosen, a raw frame of 2000 × 2000 px
+    "max_direct_call_object_size": "4000000",
+    "task_rpc_inlined_bytes_limit": "8000000",
+}
+
+
+def serve(
+    model: Annotated[
+        Path | None, typer.Argument(help="Model file (*.rvm); more can be sent by the API.")
+    ] = None,
+    camera: Annotated[
+        Path | None, typer.Option(help="Camera file, of sessions that give none.")
+    ] = None,
+    target: Annotated[
+        Path | None,
+        typer.Option(
+            help="Target file: its docking ring, found in the frames, and its reflectors."
+        ),
+    ] = None,
+    approach: Annotated[
+        Path | None,
+        typer.Option(help="Docking port, corridor, keep-out zone and limits (TOML)."),
+    ] = None,
+    plan: Annotated[
+        Path | None, typer.Option(help="Planned path (TOML), as for `rendezview track`.")
+    ] = None,
+    source: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Source for the service: scene, folder, video, log (*.mcap), /dev/video0, "
+            "rtsp://…; repeat it for more sessions."
+        ),
+    ] = None,
+    speed: Annotated[
+        float, typer.Option(min=0.0, help="Of sources that are files; 0: as fast as they track.")
+    ] = 1.0,
+    record: Annotated[
+        Path | None, typer.Option(help="Log (*.mcap) of the first session, or a folder for logs.")
+    ] = None,
+    record_images: Annotated[
+        bool | None, typer.Option("--record-images/--no-record-images", help="In the logs.")
+    ] = None,
+    sync: Annotated[
+        str | None, typer.Option(help="fsync of logs: always, interval (a second), never.")
+    ] = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen on. [127.0.0.1]")] = None,
+    port: Annotated[int | None, typer.Option(help="Port; 0 for any that is free. [8360]")] = None,
+    foxglove: Annotated[
+        int | None, typer.Option(help="Port of a live stream for Foxglove; no tokens.")
+    ] = None,
+    rerun: Annotated[
+        int | None, typer.Option(help="Port of a live stream for Rerun; no tokens.")
+    ] = None,
+    tokens: Annotated[
+        Path | None, typer.Option(help="Tokens (TOML): who may read, track, admin.")
+    ] = None,
+    open_to_all: Annotated[
+        bool | None, typer.Option("--open-to-all", help="Let others in without tokens.")
+    ] = None,
+    tls_certificate: Annotated[Path | None, typer.Option(help="PEM file.")] = None,
+    tls_key: Annotated[Path | None, typer.Option(help="PEM file.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes that track. [one a core]")] = None,
+    models: Annotated[
+        Path | None, typer.Option(help="Folder of the models that are sent or trained.")
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(help="Address of a Ray cluster that tracks: be one of its gateways."),
+    ] = None,
+    cluster_folder: Annotated[
+        Path | None, typer.Option(help="With --cluster: folder of open sessions, on all nodes.")
+    ] = None,
+    settings: Annotated[
+        Path | None, typer.Option(help="Any of these and more, in a TOML file; see the docs.")
+    ] = None,
+) -> None:
+    """Serve poses: frames in by HTTP or WebSocket, poses out, a page to watch them at /.
+
+    \b
+    Example: rendezview serve hubble.rvm --camera camera.yaml --record run.mcap
+    """
+    try:
+        from rendezview_service.hub.service import Service
+        from rendezview_service.json_logging import set_up_logging
+        from rendezview_service.server import run
+        from rendezview_service.settings import load_settings
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("rendezview"):
+            raise
+        raise RendezviewError(
+            f"`rendezview serve` needs {error.name}, which is not installed: "
+            "pip install 'rendezview[service]'"
+        ) from None
+    flags: dict[str, Any] = {
+        "camera": camera,
+        "target": target,
+        "approach": approach,
+        "plan": plan,
+        "record": record,
+        "record_images": record_images,
+        "sync": sync,
+        "host": host,
+        "port": port,
+        "foxglove_port": foxglove,
+        "rerun_port": rerun,
+        "tokens_file": tokens,
+        "open_to_all": open_to_all,
+        "tls_certificate": tls_certificate,
+        "tls_key": tls_key,
+        "workers": workers,
+        "models_folder": models,
+        "cluster": cluster,
+        "cluster_folder": cluster_folder,
+    }
+    loaded = load_settings(settings, flags)
+    console = Console(stderr=True)
+
+    def tell(address: str) -> None:
+        console.print(f"rendezview serves at {address}", highlight=False, soft_wrap=True)
+
+    if loaded.cluster is not None:
+        _be_gateway(loaded, bool(model or source), tell)
+        return
+    service = Service(loaded, model, source, speed)
+    compile_ahead("serve")
+    set_up_logging(loaded.log_level)
+    run(service, tell)
+
+
+def _be_gateway(settings: Settings, has_own: bool, tell: Callable[[str], None]) -> None:
+    from rendezview_service.json_logging import set_up_logging
+    from rendezview_service.server import run_gateway
+
+    if has_own or None in (settings.models_folder, settings.cluster_folder):
+        raise RendezviewError(
+            "a gateway has no model or source of its own: give --models and --cluster-folder, "
+            "folders that all nodes share"
+        )
+    for name, value in _OF_RAY.items():
+        os.environ.setdefault(f"RAY_{name}", value)
+    try:
+        import ray  # noqa: F401
+    except ModuleNotFoundError:
+        raise RendezviewError("--cluster needs ray: pip install 'rendezview[ray]'") from None
+    set_up_logging(settings.log_level)
+    paths = {name: value.resolve() for name, value in settings if isinstance(value, Path)}
+    run_gateway(settings.model_copy(update=paths), tell)

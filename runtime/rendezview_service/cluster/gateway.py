@@ -1,0 +1,334 @@
+"""A gateway: the service's address. It keeps nothing: any number may run, and each may end."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import secrets
+import time
+from collections.abc import Awaitable, Callable
+from functools import partial
+from typing import Any
+
+import ray
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rendezview.errors import RendezviewError
+from rendezview_service.cluster.heartbeat import Heartbeats
+from rendezview_service.cluster.orchestrator import NAMESPACE, join
+from rendezview_service.cluster.tunnel import packed
+from rendezview_service.http.answers import fault, fault_of
+from rendezview_service.http.app import page_files
+from rendezview_service.http.security import Guard, Right, Token
+from rendezview_service.hub.inputs import Full
+from rendezview_service.hub.metrics import Metrics
+from rendezview_service.hub.worker_pool import NotReady
+from rendezview_service.settings import Settings
+
+log = logging.getLogger("rendezview_service")
+
+_TRIES = 4  # slots that a request is sent to. Source: chosen
+_GRACE_S = 2.0  # s, beyond `frame_timeout_s`, for a slot's answer. Source: chosen
+_KNOW_S = 1.0  # s, between looks for new slots. Source: chosen
+_PAUSE_S = 0.05  # s, before a session that moves is looked for again. Source: chosen
+_HEALTH_S = 5.0  # s, for the orchestrator's answer to a look at the health. Source: chosen
+_NO_ORCHESTRATOR = (
+    "the cluster's orchestrator does not answer: it starts again, or Ray's head node is gone. Open "
+    "sessions go on; none is opened or moved"
+)
+_TRY_AGAIN = 1012  # WebSocket: the service restarts. Source: IANA's registry
+
+
+class Gateway:
+    """Passes requests on to the slot of their session, and to the orchestrator."""
+
+    def __init__(self, settings: Settings, metrics: Metrics) -> None:
+        self._settings, self._metrics = settings, metrics
+        self._orchestrator: Any = None
+        self._slots: dict[str, str] = {}  # of the sessions, as it knows
+        self._actors: dict[str, Any] = {}  # of the slots
+        self._heartbeats = Heartbeats()
+        self._page = page_files()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] == "lifespan":
+            await self._life(receive, send)
+        elif scope["type"] == "websocket":
+            await self._socket(scope, receive, send)
+        elif scope["path"].startswith(("/v1/", "/healthz", "/readyz", "/openapi.json", "/docs")):
+            try:
+                status, headers, body = await self._answer(scope, await _body(receive))
+            except ray.exceptions.RayActorError:
+                await fault(503, _NO_ORCHESTRATOR)(scope, receive, send)
+                return
+            except (NotReady, Full, RendezviewError, HTTPException) as error:
+                response = fault_of(error.cause if hasattr(error, "cause") else error)
+                assert response is not None
+                await response(scope, receive, send)
+                return
+            await send({"type": "http.response.start", "status": status, "headers": headers})
+            await send({"type": "http.response.body", "body": body})
+        elif scope["path"] == "/metrics":
+            text = Response(self._metrics.text(), 200, None, "text/plain; version=0.0.4")
+            await text(scope, receive, send)
+        else:
+            await self._page(scope, receive, send)
+
+    async def _life(self, receive: Receive, send: Send) -> None:
+        await receive()
+        self._orchestrator = await asyncio.to_thread(join, self._settings)
+        await self._orchestrator.start.remote()
+        knowing = asyncio.create_task(self._know_slots())
+        await send({"type": "lifespan.startup.complete"})
+        await receive()
+        knowing.cancel()
+        await asyncio.to_thread(ray.shutdown)
+        await send({"type": "lifespan.shutdown.complete"})
+
+    async def _know_slots(self) -> None:
+        """Connect to all slots before they are needed: a first call to one takes a while."""
+        while True:
+            with contextlib.suppress(ray.exceptions.RayError, OSError, ValueError):
+                found = await self._orchestrator.slots.remote()
+                self._slots = {s["session"]: s["seat"] for s in found if s["session"] is not None}
+                there = {known["seat"]: known["process"] for known in found}
+                self._heartbeats.keep(there)
+                self._actors = {slot: a for slot, a in self._actors.items() if slot in there}
+                for slot in there:
+                    with contextlib.suppress(ray.exceptions.RayError, OSError, ValueError):
+                        await self._heartbeats.end_of(slot, self._actor(slot))
+            await asyncio.sleep(_KNOW_S)
+
+    async def _answer(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
+        path, method, right = scope["path"], scope["method"], scope["state"]["right"]
+        parts = path.strip("/").split("/")
+        if path in ("/healthz", "/readyz"):
+            return await self._health(path == "/healthz")
+        if parts[:2] == ["v1", "sessions"] and len(parts) == 2:
+            if method == "POST":
+                if right < Right.TRACK:
+                    return _json({"error": "a token of scope track is needed"}, False, 403)
+                return await self._open(scope, body)
+            if method == "GET":
+                return await self._list(scope)
+        if parts[:2] == ["v1", "sessions"] and len(parts) > 2:
+            return await self._of_session(parts[2], packed(scope), body)
+        if parts[:2] == ["v1", "models"] and parts[3:] == ["roll"] and method == "POST":
+            if right < Right.ADMIN:
+                return _json({"error": "a token of scope admin is needed"}, False, 403)
+            return _json({"moved": await self._orchestrator.roll.remote(parts[2])})
+        result: tuple[int, list[Any], bytes] = await self._orchestrator.http.remote(
+            packed(scope), body
+        )
+        return result
+
+    async def _health(self, of_itself: bool) -> tuple[int, list[Any], bytes]:
+        """The gateway lives without the orchestrator; it is ready with one that has slots."""
+        slots: list[dict[str, Any]] = []
+        reasons = []
+        try:
+            slots = await asyncio.wait_for(self._orchestrator.slots.remote(), _HEALTH_S)
+        except NotReady as error:
+            reasons.append(str(getattr(error, "cause", error)))
+        except (ray.exceptions.RayError, TimeoutError):
+            reasons.append(_NO_ORCHESTRATOR)
+        if not slots and not reasons:
+            reasons.append("no slot is ready: the cluster's nodes start")
+        health = {"status": "ok" if slots else "not ready", "reasons": reasons, "seats": slots}
+        return _json(health, bool(slots) or of_itself)
+
+    async def _open(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
+        try:
+            request = json.loads(body or b"{}")
+        except ValueError:
+            raise RendezviewError("the body is not JSON") from None
+        name, slot = await self._orchestrator.open.remote(request)
+        self._slots[name] = slot
+        status, headers, info = await self._info(scope, name)
+        return 201 if status == 200 else status, headers, info
+
+    async def _info(self, scope: Scope, name: str) -> tuple[int, list[Any], bytes]:
+        path = f"/v1/sessions/{name}"
+        asked = packed(scope) | {"method": "GET", "path": path, "raw_path": path.encode()}
+        return await self._of_session(name, asked, b"")
+
+    async def _list(self, scope: Scope) -> tuple[int, list[Any], bytes]:
+        names = await self._orchestrator.sessions.remote()
+        found = await asyncio.gather(*(self._info(scope, name) for name in names))
+        return _json({"sessions": [json.loads(body) for code, _, body in found if code == 200]})
+
+    async def _of_session(
+        self, name: str, scope: dict[str, Any], body: bytes
+    ) -> tuple[int, list[Any], bytes]:
+        """A session's answer, from its next slot if its slot ends over the request."""
+        limit_s = self._settings.frame_timeout_s + _GRACE_S
+        dead = left = None
+        for _ in range(_TRIES):
+            asked_s = time.monotonic()
+            slot = await self._slot(name, dead)
+            if slot is None:
+                response = fault(404, f"session {name[:80]!r}: there is none with this id")
+                return response.status_code, response.raw_headers, bytes(response.body)
+            if dead is not None:
+                _note("another slot continues", name, asked_s)
+            asked_s = time.monotonic()
+            try:
+                actor = self._actor(slot)
+                result: tuple[int, list[Any], bytes] = await self._while_alive(
+                    slot,
+                    actor,
+                    partial(actor.http.remote, name, scope, body),
+                    limit_s,
+                )
+            except (ray.exceptions.RayActorError, OSError, ValueError):
+                dead = slot
+                _note("a slot has ended", name, asked_s)
+            except LookupError:  # it has moved, or is closed, or its slot has started again
+                dead = slot if slot == left else None
+                left = slot
+                self._slots.pop(name, None)
+                await asyncio.sleep(_PAUSE_S)
+            else:
+                return result
+        raise NotReady("the session moves: try again in a moment")
+
+    def _actor(self, slot: str) -> Any:
+        """The slot's actor.
+
+        Raises:
+            ValueError: there is none.
+        """
+        if slot not in self._actors:
+            self._actors[slot] = ray.get_actor(slot, NAMESPACE)
+        return self._actors[slot]
+
+    async def _while_alive(
+        self, slot: str, actor: Any, work: Callable[[], Awaitable[Any]], limit_s: float | None
+    ) -> Any:
+        """The result of work at a slot.
+
+        Raises:
+            OSError: the slot has ended, or the time is over (`TimeoutError`).
+        """
+        end = await self._heartbeats.end_of(slot, actor)
+        task = asyncio.ensure_future(work())
+        try:
+            done, _ = await asyncio.wait(
+                {task, end}, timeout=limit_s, return_when=asyncio.FIRST_COMPLETED
+            )
+        finally:
+            if not task.done():
+                task.cancel()
+        if task in done:
+            return task.result()
+        self._actors.pop(slot, None)
+        raise ConnectionError("the slot has ended") if end in done else TimeoutError
+
+    async def _slot(self, name: str, dead: str | None) -> str | None:
+        if dead is None and name in self._slots:
+            return self._slots[name]
+        slot: str | None = await self._orchestrator.where.remote(name, dead)
+        if slot is None:
+            self._slots.pop(name, None)
+        else:
+            self._slots[name] = slot
+            self._heartbeats.renew(slot)
+        return slot
+
+    async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a WebSocket on; if the slot ends it is closed, and clients open it again."""
+        await receive()
+        parts, key = scope["path"].strip("/").split("/"), secrets.token_hex(8)
+        name = parts[2] if len(parts) > 2 else ""
+        accepted, dead, left = False, None, None
+
+        async def passed_on(message: Message) -> None:
+            nonlocal accepted
+            accepted = True
+            await send(message)
+
+        for _ in range(_TRIES):
+            try:
+                slot = await self._slot(name, dead)
+            except (NotReady, Full, RendezviewError, ray.exceptions.RayError):
+                break
+            if slot is None:
+                await send({"type": "websocket.close", "code": 1008, "reason": "no such session"})
+                return
+            try:
+                actor = self._actor(slot)
+                work = partial(_relay, actor, name, key, packed(scope), receive, passed_on)
+                await self._while_alive(slot, actor, work, None)
+            except LookupError:  # as for requests
+                dead = slot if slot == left else None
+                left = slot
+            except (ray.exceptions.RayError, ValueError, OSError):
+                dead = slot
+            else:
+                return
+            self._slots.pop(name, None)
+            if accepted:
+                break
+            await asyncio.sleep(_PAUSE_S)
+        with contextlib.suppress(RuntimeError):
+            await send({"type": "websocket.close", "code": _TRY_AGAIN, "reason": "it moves"})
+
+
+def _note(what: str, session: str, since_s: float) -> None:
+    log.warning(what, extra={"session": session, "took_s": round(time.monotonic() - since_s, 3)})
+
+
+async def _relay(
+    actor: Any, name: str, key: str, scope: Scope, receive: Receive, send: Send
+) -> None:
+    """Pass the messages of a WebSocket on, both ways, until it ends."""
+    pump = None
+    stream = actor.socket.options(num_returns="streaming").remote(name, key, scope)
+    try:
+        async for reference in stream:
+            message: Message = await reference
+            await send(message)
+            if pump is None:
+                pump = asyncio.create_task(_pump(actor, key, receive))
+    finally:
+        if pump is not None:
+            pump.cancel()
+
+
+async def _pump(actor: Any, key: str, receive: Receive) -> None:
+    with contextlib.suppress(ray.exceptions.RayError):
+        while True:
+            message = dict(await receive())
+            if not await actor.give.remote(key, message):
+                return
+            if message["type"] == "websocket.disconnect":
+                return
+
+
+async def _body(receive: Receive) -> bytes:
+    parts, more = [], True
+    while more:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            break
+        parts.append(message.get("body", b""))
+        more = message.get("more_body", False)
+    return b"".join(parts)
+
+
+def _json(value: Any, good: bool = True, bad: int = 503) -> tuple[int, list[Any], bytes]:
+    body = json.dumps(value).encode()
+    length = str(len(body)).encode()
+    headers = [(b"content-type", b"application/json"), (b"content-length", length)]
+    return 200 if good else bad, headers, body
+
+
+def make_gateway(settings: Settings, tokens: list[Token]) -> ASGIApp:
+    """The application of a gateway."""
+    metrics = Metrics()
+    return Guard(Gateway(settings, metrics), settings, tokens, metrics)

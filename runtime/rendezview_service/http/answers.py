@@ -1,0 +1,203 @@
+"""Shared code of all routes: errors as messages, rights, bodies of limited length."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, HTTPConnection
+from starlette.responses import Response
+
+from rendezview.errors import RendezviewError
+from rendezview_service.http.security import Right
+from rendezview_service.hub.inputs import Answer, Full
+from rendezview_service.hub.lease import Taken
+from rendezview_service.hub.service import Service
+from rendezview_service.hub.sessions import Session
+from rendezview_service.hub.worker_pool import NotReady
+from rendezview_service.messages.message_parts import CAMERA, MOST_TIME_S, NAME_PATTERN
+from rendezview_service.messages.messages import Fault
+
+FAULTS: dict[int | str, dict[str, Any]] = {
+    code: {"model": Fault} for code in (400, 401, 403, 404, 409, 413, 422, 429, 503)
+}
+JSON = "application/json"
+SENDER_HEADER = "X-Sender"
+_LONGEST_SENDER = 64  # characters. Source: a chosen limit
+
+
+def service_of(connection: HTTPConnection) -> Service:
+    """The service behind the application."""
+    service: Service = connection.app.state.service
+    return service
+
+
+def needs(connection: HTTPConnection, right: Right) -> None:
+    """Refuse a caller whose token does not give this right.
+
+    Raises:
+        HTTPException: 403.
+    """
+    has = connection.scope.get("state", {}).get("right", Right.NONE)
+    if has < right:
+        raise HTTPException(403, f"this token is not enough: use one of scope {right.name.lower()}")
+
+
+def session_of(connection: HTTPConnection, name: str) -> Session:
+    """A session by its id.
+
+    Raises:
+        HTTPException: 404.
+    """
+    session = service_of(connection).sessions.get(name)
+    if session is None:
+        raise HTTPException(
+            404, f"session {name[:80]!r}: there is none with this id: see /v1/sessions"
+        )
+    return session
+
+
+async def body_of(request: Request, most: int) -> bytes:
+    """The body of a request. Errors as in `pieces_of`."""
+    return b"".join(await pieces_of(request, most))
+
+
+async def pieces_of(request: Request, most: int) -> list[bytes]:
+    """The body in the pieces that arrive, refused as soon as it is too long.
+
+    The pieces are not joined, so that a frame is copied only once, to the worker.
+
+    Raises:
+        HTTPException: 413.
+    """
+    length_header = request.headers.get("content-length", "0")
+    refusal = HTTPException(413, f"the body is too long: send at most {most} bytes")
+    if not length_header.isdecimal() or int(length_header) > most:
+        raise refusal
+    parts, length = [], 0
+    async for part in request.stream():
+        length += len(part)
+        if length > most:
+            raise refusal
+        parts.append(part)
+    return parts
+
+
+async def track(session: Session, pieces: list[bytes], time_s: float | None, sender: str) -> Answer:
+    """The answer of the session's tracker to a frame.
+
+    Raises:
+        Full: too many frames wait.
+        Taken: another sender has the session.
+    """
+    future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+
+    def answer(result: Answer) -> None:
+        if not future.done():
+            future.set_result(result)
+
+    session.queue(session.input(pieces, time_s, answer, sender=sender))
+    return await future
+
+
+async def measure(session: Session, sensor: str, content: bytes) -> Answer:
+    """The answer of the session's filter to lines of another sensor.
+
+    Raises:
+        Full: too many wait.
+    """
+    future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+
+    def answer(result: Answer) -> None:
+        if not future.done():
+            future.set_result(result)
+
+    session.measure(session.input((content,), None, answer, sensor=sensor))
+    return await future
+
+
+def sensor_name(name: object) -> str:
+    """A sensor's name, checked; ``camera`` is reserved.
+
+    Raises:
+        HTTPException: 422.
+    """
+    if not isinstance(name, str) or not re.fullmatch(NAME_PATTERN, name):
+        raise HTTPException(
+            422, f"sensor: use at most 64 letters, digits, - and _, not {name!r:.80}"
+        )
+    if name == CAMERA:
+        raise HTTPException(422, "sensor: camera is the session's own camera: choose another name")
+    return name
+
+
+def sender_of(connection: HTTPConnection) -> str:
+    """Who sends frames: the header ``X-Sender``, or else the caller's machine."""
+    named = connection.headers.get(SENDER_HEADER, "")[:_LONGEST_SENDER]
+    if named:
+        return f"named {named}"
+    return f"at {connection.client.host}" if connection.client else "unknown"
+
+
+def frame_time(time_s: float | None) -> float | None:
+    """A frame's time, checked.
+
+    Raises:
+        HTTPException: 422 for NaN, infinity or beyond ±1e10 s.
+    """
+    if time_s is not None and not (math.isfinite(time_s) and abs(time_s) <= MOST_TIME_S):
+        raise HTTPException(422, f"time_s: must be finite and within ±1e10, not {time_s}")
+    return time_s
+
+
+def fault(status: int, error: str, headers: dict[str, str] | None = None) -> Response:
+    """The answer with an error."""
+    extra = dict(headers or {})
+    if status in (429, 503):
+        extra.setdefault("Retry-After", "1")
+    text = Fault(error=error, status=status).model_dump_json()
+    return Response(text, status, extra, JSON)
+
+
+def fault_of(error: Exception) -> Response | None:
+    """An error as a `Fault`; None for an error inside the service."""
+    match error:
+        case HTTPException():
+            return fault(error.status_code, str(error.detail), dict(error.headers or {}))
+        case RequestValidationError():
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"])
+            return fault(422, f"{where}: {first['msg']}")
+        case RendezviewError():
+            return fault(422, str(error))
+        case Full():
+            return fault(
+                429, "too many requests wait, or too many sessions are open: try again later"
+            )
+        case NotReady():
+            return fault(503, str(error))
+        case Taken():
+            return fault(409, str(error))
+        case ClientDisconnect():
+            return fault(400, "the request was cut off")
+    return None
+
+
+def answer_errors(app: FastAPI) -> None:
+    """Have the application answer every error with a `Fault`."""
+
+    async def handler(_: Request, error: Exception) -> Response:
+        answer = fault_of(error)
+        assert answer is not None
+        return answer
+
+    for kind in (
+        HTTPException, RequestValidationError, RendezviewError, Full, NotReady, Taken,
+        ClientDisconnect,
+    ):  # fmt: skip
+        app.add_exception_handler(kind, handler)

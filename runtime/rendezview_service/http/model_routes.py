@@ -1,0 +1,159 @@
+"""Routes of models and trainings."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Request
+from fastapi.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+
+from rendezview_service.http.answers import FAULTS, JSON, body_of, needs, service_of
+from rendezview_service.http.security import Right
+from rendezview_service.hub.model_store import StoredModel
+from rendezview_service.messages.message_parts import Name
+from rendezview_service.messages.model_messages import (
+    Geometry,
+    JobInfo,
+    JobList,
+    ModelInfo,
+    ModelList,
+)
+
+router = APIRouter(prefix="/v1", tags=["models"], responses=FAULTS)
+
+_BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+    }
+}
+
+
+@router.get("/models")
+async def list_models(request: Request) -> ModelList:
+    """All models."""
+    needs(request, Right.READ)
+    store = service_of(request).models
+    found = [stored for name in store.names() if (stored := store.get(name)) is not None]
+    return ModelList(models=[await run_in_threadpool(_info, stored) for stored in found])
+
+
+@router.get("/models/{name}")
+async def get_model(request: Request, name: str) -> ModelInfo:
+    """A model."""
+    needs(request, Right.READ)
+    return await run_in_threadpool(_info, _stored(request, name))
+
+
+@router.get("/models/{name}/geometry", responses={200: {"model": Geometry}})
+async def get_geometry(request: Request, name: str) -> Response:
+    """Data for a 3-D view: contour points and the view sphere."""
+    needs(request, Right.READ)
+    stored = _stored(request, name)
+    text = await run_in_threadpool(lambda: stored.geometry_json)
+    return Response(text, 200, {"Cache-Control": "private, max-age=600"}, JSON)
+
+
+@router.put("/models/{name}", status_code=201, openapi_extra=_BODY)
+async def put_model(request: Request, name: Name, replace: bool = False) -> ModelInfo:
+    """Upload a model file (*.rvm). It is read and checked; nothing in it is executed.
+
+    With ``replace`` it takes the place of an uploaded or trained model of this name. Sessions that
+    are open keep theirs.
+    """
+    needs(request, Right.ADMIN)
+    service = service_of(request)
+    present = service.models.get(name)
+    if present is not None and not (replace and present.own):
+        raise HTTPException(
+            409, f"model {name}: there is one already: choose another name, or ?replace=true"
+        )
+    content = await body_of(request, service.settings.model_bytes)
+    stored = await run_in_threadpool(service.models.add, name, content, replace)
+    if present is not None:
+        service.release(present)
+    return await run_in_threadpool(_info, stored)
+
+
+@router.delete("/models/{name}", status_code=204)
+async def delete_model(request: Request, name: str) -> None:
+    """Delete a model that was uploaded or trained."""
+    needs(request, Right.ADMIN)
+    stored = _stored(request, name)
+    service = service_of(request)
+    if service.uses(stored):
+        raise HTTPException(409, f"model {stored.name}: a session uses it: close the session first")
+    service.models.remove(stored.name)
+    service.release(stored)
+
+
+@router.get("/jobs")
+async def list_jobs(request: Request) -> JobList:
+    """All training jobs, newest first."""
+    needs(request, Right.READ)
+    return JobList(jobs=[job.info() for job in service_of(request).jobs.list()])
+
+
+@router.post("/jobs", status_code=201, openapi_extra=_BODY)
+async def add_job(
+    request: Request,
+    model: Annotated[Name, Query(description="name of the model to make")],
+    file: Annotated[
+        str, Query(max_length=200, description="name of the mesh file; its suffix gives the format")
+    ],
+    unit: Annotated[Literal["m", "cm", "mm", "in", "ft"], Query()] = "m",
+    order: Annotated[int | None, Query(ge=0, le=4)] = None,
+    views: Annotated[int | None, Query(ge=100, le=1_000_000)] = None,
+    held_out: Annotated[int | None, Query(ge=10, le=100_000)] = None,
+    seed: Annotated[int | None, Query(ge=0, le=2**31)] = None,
+) -> JobInfo:
+    """Upload a mesh and train a model of it, in a separate process."""
+    needs(request, Right.ADMIN)
+    service = service_of(request)
+    mesh = await body_of(request, service.settings.mesh_bytes)
+    if not mesh:
+        raise HTTPException(422, "the mesh is empty: send the file as the body")
+    numbers = {"order": order, "views": views, "held-out": held_out, "seed": seed}
+    options = {"unit": str(unit)} | {k: str(v) for k, v in numbers.items() if v is not None}
+    return service.jobs.add(model, file, mesh, options).info()
+
+
+@router.get("/jobs/{job_id}")
+async def get_job(request: Request, job_id: str) -> JobInfo:
+    """A training job and its progress."""
+    needs(request, Right.READ)
+    job = service_of(request).jobs.get(job_id)
+    if job is None:
+        raise HTTPException(
+            404, f"training {job_id[:80]!r}: there is none with this id: see /v1/jobs"
+        )
+    return job.info()
+
+
+@router.delete("/jobs/{job_id}")
+async def cancel_job(request: Request, job_id: str) -> JobInfo:
+    """Cancel a training job; a finished one does not change."""
+    needs(request, Right.ADMIN)
+    jobs = service_of(request).jobs
+    job = jobs.get(job_id)
+    if job is None:
+        raise HTTPException(
+            404, f"training {job_id[:80]!r}: there is none with this id: see /v1/jobs"
+        )
+    await jobs.cancel(job)
+    return job.info()
+
+
+def _stored(request: Request, name: str) -> StoredModel:
+    stored = service_of(request).models.get(name)
+    if stored is None:
+        raise HTTPException(
+            404, f"model {name[:80]!r}: there is none with this name: see /v1/models"
+        )
+    return stored
+
+
+def _info(stored: StoredModel) -> ModelInfo:
+    return stored.info

@@ -1,0 +1,286 @@
+"""The guard in front of the service: tokens with scopes, host names, request rates, headers."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import ipaddress
+import logging
+import re
+import socket
+import time
+import tomllib
+from collections import OrderedDict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import Annotated, Any
+from urllib.parse import urlsplit
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from rendezview.errors import RendezviewError
+from rendezview.io.files import checked, read_text
+from rendezview_service.http.bodies import Bodies
+from rendezview_service.hub.metrics import Metrics
+from rendezview_service.hub.rate_limit import TokenBucket
+from rendezview_service.messages.messages import Fault
+from rendezview_service.settings import LOOPBACK, Settings
+
+log = logging.getLogger("rendezview_service")
+
+SUBPROTOCOL, TOKEN_SUBPROTOCOL = "rendezview", "token."
+_FITS_SOCKET = re.compile(r"[\w!#$%&'*+\-.^`|~]+", re.ASCII)  # RFC 9110, 5.6.2
+_MOST_CALLERS = 10_000  # whose request rates are remembered. Source: a chosen limit
+_PAGE_POLICY = (
+    "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; "
+    "connect-src 'self'; worker-src 'self' blob:; frame-ancestors 'none'; base-uri 'none'; "
+    "form-action 'none'; object-src 'none'"
+)
+HEADERS = (
+    (b"content-security-policy", _PAGE_POLICY.encode()),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"x-frame-options", b"DENY"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+)
+
+
+class Right(IntEnum):
+    """The rights of a token; each includes those before it."""
+
+    NONE = 0
+    READ = 1  # read states, pictures and logs
+    TRACK = 2  # open sessions, send frames
+    ADMIN = 3  # models and training
+
+
+class _TokenEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    scope: Annotated[str, Field(pattern="^(read|track|admin)$")]
+    token: Annotated[str, Field(min_length=16, max_length=512)] | None = None
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None
+
+
+_TOKENS = TypeAdapter(dict[str, _TokenEntry])
+
+
+@dataclass(frozen=True)
+class Token:
+    """A token's name and right, and its hash; the token itself is not kept."""
+
+    name: str
+    right: Right
+    sha256: bytes
+
+
+def read_tokens(path: Path) -> list[Token]:
+    """The tokens of a TOML file, one table each: ``[operator] scope = "track" token = "…"``.
+
+    A token has at least 16 characters; ``sha256`` may replace ``token``.
+
+    Raises:
+        RendezviewError: the file is missing or wrong.
+    """
+    try:
+        content = tomllib.loads(read_text(path, "tokens (TOML)"))
+    except tomllib.TOMLDecodeError as error:
+        raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from None
+    tokens = []
+    for name, entry in checked(_TOKENS, content, str(path)).items():
+        if (entry.token is None) == (entry.sha256 is None):
+            raise RendezviewError(f"{path}: {name}: give either token or sha256")
+        if entry.token is not None and not _FITS_SOCKET.fullmatch(entry.token):
+            raise RendezviewError(
+                f"{path}: {name}: token: use only letters, digits and !#$%&'*+-.^_`|~ (a browser "
+                "cannot send other characters to a WebSocket)"
+            )
+        if entry.token is not None:
+            digest = hashlib.sha256(entry.token.encode()).digest()
+        else:
+            digest = bytes.fromhex(entry.sha256 or "")
+        tokens.append(Token(name, Right[entry.scope.upper()], digest))
+    if not tokens:
+        raise RendezviewError(f"{path}: has no token: add one")
+    return tokens
+
+
+class Guard:
+    """Refuses wrong hosts and origins, missing tokens and too many requests; adds headers.
+
+    Starlette's TrustedHostMiddleware is not used: it answers 400 in plain text, and this service
+    answers every error with its status (here 421) and a `Fault`.
+    """
+
+    def __init__(
+        self, app: ASGIApp, settings: Settings, tokens: Iterable[Token], metrics: Metrics
+    ) -> None:
+        self._app = app
+        self._tokens = list(tokens)
+        self._metrics = metrics
+        self._rate = settings.requests_per_s
+        self._hosts = {settings.host.lower(), *LOOPBACK, *map(str.lower, settings.allowed_hosts)}
+        # Names of the machine only: another name may belong to a page of somebody else (DNS
+        # rebinding), while an address cannot.
+        self._hosts.add(socket.gethostname().lower())
+        self._any_address = settings.host in ("0.0.0.0", "::")
+        self._bodies = Bodies(settings)
+        self._callers: OrderedDict[str, TokenBucket] = OrderedDict()  # least recent first
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        refusal = self._refusal(scope, headers)
+        if refusal is not None:
+            await _refuse(scope, receive, send, *refusal)
+            self._metrics.requests.labels(str(refusal[0])).inc()
+            return
+        if scope["type"] == "websocket":
+            _audit(scope, "opened")
+            await self._app(scope, receive, send)
+            return
+
+        async def with_headers(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                self._metrics.requests.labels(str(message["status"])).inc()
+                _audit(scope, message["status"])
+                message["headers"] = [*message["headers"], *HEADERS]
+            await send(message)
+
+        body = self._bodies.received(scope, receive)
+        try:
+            await self._app(scope, body, with_headers)
+        finally:
+            body.close()
+
+    def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
+        host = _host(headers.get("host", ""))
+        if host not in self._hosts and not (self._any_address and _is_address(host)):
+            return 421, "the service does not have this host name: see the setting allowed_hosts"
+        origin = headers.get("origin")
+        changes = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD", "OPTIONS")
+        if origin is not None and changes and _netloc(origin) != headers.get("host"):
+            return 403, "pages of other origins may not use the service"
+        name, right = self._caller(scope, headers)
+        if not self._within_rate(name):
+            return 429, "too many requests: wait a moment"
+        scope.setdefault("state", {})["right"] = right
+        scope["state"]["caller"] = name
+        if right is Right.NONE and not _is_open(scope):
+            return 401, "a token is needed: send it as `Authorization: Bearer TOKEN`"
+        return None
+
+    def _caller(self, scope: Scope, headers: Headers) -> tuple[str, Right]:
+        client = scope.get("client")
+        address = client[0] if client else "?"
+        if not self._tokens:
+            return address, Right.ADMIN
+        given = _token(headers)
+        if given is not None:
+            digest = hashlib.sha256(given.encode()).digest()
+            for token in self._tokens:
+                if hmac.compare_digest(digest, token.sha256):
+                    return token.name, token.right
+        return address, Right.NONE
+
+    def _within_rate(self, name: str) -> bool:
+        """Whether the caller has a request left in its bucket."""
+        now_s = time.monotonic()
+        bucket = self._callers.pop(name, None) or TokenBucket.full(self._rate, now_s)
+        self._callers[name] = bucket
+        while len(self._callers) > _MOST_CALLERS:
+            self._callers.popitem(last=False)
+        allowed = bucket.refill(now_s) >= 1.0
+        if allowed:
+            bucket.spend(1.0)
+        return allowed
+
+
+def _audit(scope: Scope, outcome: int | str) -> None:
+    """A line of the service's log for what changes something, or takes a log away."""
+    path = scope["path"]
+    often = path.endswith(("/frames", "/measurements", "/watch"))
+    reads = scope["type"] == "http" and scope["method"] in ("GET", "HEAD", "OPTIONS")
+    if often or (reads and not path.endswith("/log")):
+        return
+    client = scope.get("client")
+    log.info(
+        "audit",
+        extra={
+            "who": scope["state"]["caller"],
+            "address": client[0] if client else None,
+            "what": f"{scope.get('method', 'WS')} {path[:200]}",
+            "outcome": outcome,
+        },
+    )
+
+
+def _token(headers: Headers) -> str | None:
+    kind, _, value = headers.get("authorization", "").partition(" ")
+    if kind.lower() == "bearer" and value:
+        return value.strip()
+    for offered in headers.get("sec-websocket-protocol", "").split(","):
+        if offered.strip().startswith(TOKEN_SUBPROTOCOL):
+            return offered.strip().removeprefix(TOKEN_SUBPROTOCOL)
+    return None
+
+
+def _is_open(scope: Scope) -> bool:
+    """The page's files and the health checks need no token."""
+    path = scope["path"]
+    if path in ("/healthz", "/readyz"):
+        return True
+    closed = path.startswith("/v1/") or path in ("/metrics", "/openapi.json", "/v1")
+    return not closed and scope["type"] == "http"
+
+
+def _netloc(origin: str) -> str:
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
+        return ""
+
+
+def _is_address(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
+def _host(value: str) -> str:
+    try:
+        return (urlsplit(f"//{value}").hostname or "").lower()
+    except ValueError:
+        return ""
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, error: str) -> None:
+    if scope["type"] == "websocket":
+        await receive()
+        await send({"type": "websocket.close", "code": 1008, "reason": error})
+        return
+    body = Fault(error=error, status=status).model_dump_json().encode()
+    extra = [(b"retry-after", b"1")] if status == 429 else []
+    if status == 401:
+        extra = [(b"www-authenticate", b"Bearer")]
+    start = {
+        "type": "http.response.start",
+        "status": status,
+        "headers": [
+            (b"content-type", b"application/json"),
+            (b"content-length", str(len(body)).encode()),
+            *extra,
+            *HEADERS,
+        ],
+    }
+    await send(start)
+    await send({"type": "http.response.body", "body": body})

@@ -1,0 +1,218 @@
+"""WebSockets: one takes frames and sends states, one sends states and pictures to watchers."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import struct
+from collections import deque
+from collections.abc import Callable
+from typing import Annotated
+
+from fastapi import APIRouter, Query, WebSocket
+from starlette.exceptions import HTTPException
+from starlette.websockets import WebSocketDisconnect
+
+from rendezview.errors import RendezviewError
+from rendezview.io.files import parse_json
+from rendezview_service.http.answers import (
+    SENDER_HEADER,
+    needs,
+    sender_of,
+    sensor_name,
+    service_of,
+    session_of,
+)
+from rendezview_service.http.security import SUBPROTOCOL, Right
+from rendezview_service.hub.inputs import Answer, Full
+from rendezview_service.hub.lease import Taken
+from rendezview_service.hub.sessions import Session
+from rendezview_service.hub.watching import Watcher
+from rendezview_service.messages.message_parts import MOST_TIME_S
+from rendezview_service.messages.messages import Fault, WatchEnd
+from rendezview_service.settings import Settings
+
+router = APIRouter(prefix="/v1/sessions")
+
+_TIME = struct.Struct("<d")
+_OUTBOX = 64  # unread answers; with more, no frames are received. Source: a chosen limit
+_REFUSED, _GONE = 1008, 1001
+
+
+@router.websocket("/{name}/stream")
+async def stream(socket: WebSocket, name: str) -> None:
+    """Receives frames and sensor lines, sends states.
+
+    While a frame is tracked, the newest frame waits; older ones are dropped.
+    """
+    session = await _accepted(socket, name, Right.TRACK)
+    if session is None:
+        return
+    sender_name = sender_of(socket) if SENDER_HEADER in socket.headers else f"stream {id(socket)}"
+    outbox: deque[Answer] = deque()
+    news, room = asyncio.Event(), asyncio.Event()
+    room.set()
+
+    def answer(result: Answer) -> None:
+        if result.status == 0:  # dropped
+            return
+        outbox.append(result)
+        if len(outbox) >= _OUTBOX:
+            room.clear()
+        news.set()
+
+    async def send() -> None:
+        while True:
+            await news.wait()
+            news.clear()
+            while outbox:
+                result = outbox.popleft()
+                if result.status == 200:
+                    await socket.send({"type": "websocket.send", "text": result.body.decode()})
+                else:
+                    text = Fault(error=result.error, status=result.status).model_dump_json()
+                    await socket.send({"type": "websocket.send", "text": text})
+                    if result.status == 410:
+                        await socket.close(_GONE, result.error[:100])
+                        return
+            room.set()
+
+    sender = asyncio.create_task(send())
+    try:
+        while not sender.done():
+            message = await socket.receive()
+            if message["type"] != "websocket.receive":
+                break
+            content = message.get("bytes")
+            if content is None:
+                _take_lines(session, service_of(socket).settings, message["text"], answer)
+            elif len(content) <= _TIME.size:
+                answer(Answer(422, b"", "a frame must be 8 bytes of time and a picture"))
+            else:
+                _take(session, content, answer, sender_name)
+            await room.wait()
+    except (WebSocketDisconnect, RuntimeError):
+        pass
+    finally:
+        session.lease.release(sender_name)
+        sender.cancel()
+        with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+            await sender
+
+
+Answering = Callable[[Answer], None]
+
+
+def _take(session: Session, content: bytes, answer: Answering, sender: str) -> None:
+    (sent_s,) = _TIME.unpack_from(content)
+    time_s = None if math.isnan(sent_s) else sent_s
+    if time_s is not None and not abs(time_s) <= MOST_TIME_S:
+        answer(Answer(422, b"", f"time_s: must be within ±1e10, not {time_s}"))
+        return
+    picture = memoryview(content)[_TIME.size :]  # copied once, to the worker
+    try:
+        session.replace(session.input((picture,), time_s, answer, sender=sender))
+    except Taken as taken:
+        answer(Answer(409, b"", str(taken)))
+
+
+def _take_lines(session: Session, settings: Settings, text: str, answer: Answering) -> None:
+    """A text message ``{"sensor": name, "record": {…}}``."""
+    most = min(settings.measurement_bytes, settings.frame_bytes)
+    if len(text) > most:
+        answer(Answer(413, b"", f"the message is too long: send at most {most} bytes"))
+        return
+    try:
+        message = parse_json(text, "the message")
+        if not isinstance(message, dict) or set(message) != {"sensor", "record"}:
+            raise RendezviewError(
+                'a text message must be {"sensor": name, "record": a line of its log}'
+            )
+        sensor = sensor_name(message["sensor"])
+        content = json.dumps(message["record"]).encode()
+        if len(content) > most:
+            raise HTTPException(413, f"the message is too long: send at most {most} bytes")
+    except RendezviewError as error:
+        answer(Answer(422, b"", str(error)))
+        return
+    except HTTPException as error:
+        answer(Answer(error.status_code, b"", str(error.detail)))
+        return
+    try:
+        session.measure(session.input((content,), None, answer, sensor=sensor))
+    except Full:
+        answer(Answer(429, b"", "too many lines wait or arrive per second: try again later"))
+
+
+@router.websocket("/{name}/watch")
+async def watch(
+    socket: WebSocket,
+    name: str,
+    rate_hz: Annotated[float, Query(gt=0.0, le=120.0)] = 30.0,
+    image: bool = True,
+    width: Annotated[int, Query(ge=16, le=4096)] = 640,
+    contour: bool = True,
+    silhouette: bool = False,
+) -> None:
+    """Sends the newest state, at most ``rate_hz`` times a second, with contours and pictures."""
+    session = await _accepted(socket, name, Right.READ)
+    if session is None:
+        return
+    service = service_of(socket)
+    if service.watchers >= service.settings.watchers:
+        await socket.close(_REFUSED, "there are too many watchers already")
+        return
+    watcher = Watcher(rate_hz, width if image else 0, contour, silhouette)
+    session.watchers.add(watcher)
+    service.watchers += 1
+    service.metrics.watchers.set(service.watchers)
+    listener = asyncio.create_task(_until_gone(socket))
+    shower = asyncio.create_task(_show(socket, watcher))
+    try:
+        await asyncio.wait({listener, shower}, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        session.watchers.discard(watcher)
+        service.watchers -= 1
+        service.metrics.watchers.set(service.watchers)
+        for task in (listener, shower):
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                await task
+
+
+async def _show(socket: WebSocket, watcher: Watcher) -> None:
+    while True:
+        await watcher.news.wait()
+        watcher.news.clear()
+        if watcher.message is not None:
+            (text, picture), watcher.message = watcher.message, None
+            await socket.send({"type": "websocket.send", "text": text.decode()})
+            if picture:
+                await socket.send({"type": "websocket.send", "bytes": picture})
+        if watcher.ended is not None:
+            end = WatchEnd(reason=watcher.ended).model_dump_json()
+            await socket.send({"type": "websocket.send", "text": end})
+            await socket.close(_GONE, watcher.ended[:100])
+            return
+
+
+async def _until_gone(socket: WebSocket) -> None:
+    """Ignore messages of a watcher until it disconnects."""
+    while (await socket.receive())["type"] != "websocket.disconnect":
+        pass
+
+
+async def _accepted(socket: WebSocket, name: str, right: Right) -> Session | None:
+    offered = socket.scope.get("subprotocols", [])
+    try:
+        needs(socket, right)
+        session = session_of(socket, name)
+    except HTTPException as error:
+        # Accept first: a browser gives its page no reason for a refused handshake.
+        await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
+        await socket.close(_REFUSED, str(error.detail)[:100])
+        return None
+    await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
+    return session

@@ -1,0 +1,90 @@
+"""Queues of a session's worker: frames, and lines of other sensors."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from rendezview_service.messages.frames import Bytes
+
+
+class Full(Exception):
+    """No room: too many frames wait, or there are too many sessions."""
+
+
+@dataclass(slots=True, eq=False)
+class Answer:
+    """The answer to a frame or to sensor lines, or the reason why there is none."""
+
+    status: int  # HTTP status; 0: the frame was dropped
+    body: bytes  # a `State` or a `Measured`, JSON
+    error: str = ""
+
+
+@dataclass(slots=True, eq=False)
+class SessionInput:
+    """A frame to track, lines of another sensor to fuse, or the last frame to show again."""
+
+    pieces: Sequence[Bytes]  # its bytes, as they arrived
+    time_s: float
+    received_unix_s: float
+    received_s: float  # monotonic
+    answer: Callable[[Answer], None]
+    sensor: str | None = None  # the sensor of these lines; None: a frame
+    sender: str = ""  # of a frame
+    waited_s: float = 0.0  # between the session's previous input and this one
+    shows_last: bool = False  # it has no bytes: the last frame goes to watchers who missed it
+
+    @property
+    def length(self) -> int:
+        """Number of bytes."""
+        return sum(map(len, self.pieces))
+
+
+@dataclass(slots=True, eq=False)
+class InputQueue:
+    """Inputs in order of arrival; of the frames of streams only the newest waits."""
+
+    _inputs: deque[SessionInput] = field(default_factory=deque)
+    _newest: SessionInput | None = None  # frame of a stream or a source
+    shows_last: SessionInput | None = None  # is taken when nothing else waits
+
+    def __bool__(self) -> bool:
+        return bool(self._inputs) or self._newest is not None or self.shows_last is not None
+
+    def __iter__(self) -> Iterator[SessionInput]:
+        yield from self._inputs
+        if self._newest is not None:
+            yield self._newest
+
+    def append(self, waiting: SessionInput) -> None:
+        """An input that waits for those before it."""
+        self._inputs.append(waiting)
+
+    def replace(self, frame: SessionInput) -> SessionInput | None:
+        """A frame of a stream; returns the frame that it drops."""
+        dropped, self._newest = self._newest, frame
+        return dropped
+
+    def take(self) -> SessionInput | None:
+        """Remove and return the input that arrived first."""
+        newest = self._newest
+        if newest is not None and (
+            not self._inputs or newest.received_s <= self._inputs[0].received_s
+        ):
+            self._newest = None
+            return newest
+        if self._inputs:
+            return self._inputs.popleft()
+        shows_last, self.shows_last = self.shows_last, None
+        return shows_last
+
+    def count(self, *, frames: bool) -> int:
+        """Number of appended frames, or of messages with sensor lines."""
+        return sum((waiting.sensor is None) is frames for waiting in self._inputs)
+
+    def clear(self) -> None:
+        """Remove all inputs."""
+        self._inputs.clear()
+        self._newest = self.shows_last = None

@@ -1,0 +1,233 @@
+"""Training jobs, each in its own process: the service never imports the ground side."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import resource
+import secrets
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rendezview.errors import RendezviewError
+from rendezview_service.hub.model_store import ModelStore
+from rendezview_service.messages.model_messages import JobInfo, JobState
+
+log = logging.getLogger("rendezview_service")
+
+MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".3mf", ".dae")
+UNITS = ("m", "cm", "mm", "in", "ft")
+_KEPT = 100  # finished jobs in the list. Source: a chosen limit
+_QUEUED = 16  # jobs that may wait. Source: a chosen limit
+
+
+@dataclass(slots=True, eq=False)
+class Job:
+    """One training job."""
+
+    id: str
+    model: str
+    folder: Path
+    arguments: list[str]
+    state: JobState = JobState.QUEUED
+    stage: str | None = None
+    progress: float | None = None
+    reason: str | None = None
+    created_unix_s: float = field(default_factory=time.time)
+    started_s: float | None = None
+    ended_s: float | None = None
+    process: asyncio.subprocess.Process | None = None
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has finished, failed or been cancelled."""
+        return self.state in (JobState.DONE, JobState.FAILED, JobState.CANCELLED)
+
+    def info(self) -> JobInfo:
+        """The job as a message."""
+        elapsed_s = None
+        if self.started_s is not None:
+            elapsed_s = (self.ended_s or time.monotonic()) - self.started_s
+        return JobInfo(
+            id=self.id,
+            model=self.model,
+            state=self.state,
+            stage=self.stage,
+            progress=self.progress,
+            reason=self.reason,
+            created_unix_s=self.created_unix_s,
+            elapsed_s=elapsed_s,
+        )
+
+
+class Jobs:
+    """All training jobs: waiting, running and finished."""
+
+    def __init__(self, store: ModelStore, at_once: int, most_s: float, most_bytes: int) -> None:
+        """No jobs yet.
+
+        Args:
+            at_once: that run at the same time; 0: none may.
+            most_s: of one training; it is ended then.
+            most_bytes: of addresses of each of its processes.
+        """
+        self._most_s, self._most_bytes = most_s, most_bytes
+        self._store = store
+        self._at_once = at_once
+        self._jobs: dict[str, Job] = {}
+        self._waiting: deque[Job] = deque()
+        self._running: dict[Job, asyncio.Task[None]] = {}
+
+    def list(self) -> list[Job]:
+        """All jobs, newest first."""
+        return list(self._jobs.values())[::-1]
+
+    def get(self, job_id: str) -> Job | None:
+        """A job by its id."""
+        return self._jobs.get(job_id)
+
+    def add(self, model: str, file_name: str, mesh: bytes, options: dict[str, str]) -> Job:
+        """Queue a training of an uploaded mesh.
+
+        Args:
+            file_name: only its suffix is used.
+            options: of ``rendezview train``: unit, order, views, held-out, seed.
+
+        Raises:
+            RendezviewError: a name is invalid or taken, or too many jobs wait.
+        """
+        if self._at_once == 0:
+            raise RendezviewError("training is switched off: see the setting `jobs`")
+        suffix = Path(file_name).suffix.lower()
+        if suffix not in MESH_SUFFIXES:
+            raise RendezviewError(
+                f"file {file_name[:80]!r}: no mesh: its name must end in {' '.join(MESH_SUFFIXES)}"
+            )
+        if len(self._waiting) >= _QUEUED:
+            raise RendezviewError(f"{_QUEUED} training jobs wait already: try again later")
+        path = self._store.path_for(model)
+        if any(job.model == model and not job.is_over for job in self._jobs.values()):
+            raise RendezviewError(f"model {model}: is being trained: choose another name")
+        folder = Path(tempfile.mkdtemp(prefix="rendezview-job-"))
+        target = folder / f"{model}{suffix}"
+        target.write_bytes(mesh)
+        arguments = [str(target), "-o", str(folder / path.name)]
+        for name, value in options.items():
+            arguments += [f"--{name}", value]
+        job = Job(secrets.token_hex(6), model, folder, arguments)
+        self._jobs[job.id] = job
+        self._waiting.append(job)
+        self._next()
+        return job
+
+    async def cancel(self, job: Job) -> None:
+        """Cancel a job; a finished one does not change."""
+        if job in self._waiting:
+            self._waiting.remove(job)
+            self._over(job, JobState.CANCELLED)
+        task = self._running.get(job)
+        if task is not None:
+            job.state = JobState.CANCELLED
+            _kill(job)
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+    async def stop(self) -> None:
+        """Cancel all jobs."""
+        for job in list(self._jobs.values()):
+            await self.cancel(job)
+
+    def _next(self) -> None:
+        while self._waiting and len(self._running) < self._at_once:
+            job = self._waiting.popleft()
+            self._running[job] = asyncio.create_task(self._run(job))
+
+    async def _run(self, job: Job) -> None:
+        job.state, job.started_s = JobState.RUNNING, time.monotonic()
+        last = ""
+        try:
+            # Its own process group: the processes that it starts end with it.
+            job.process = await asyncio.create_subprocess_exec(
+                sys.executable,
+                "-c",
+                "from rendezview.cli.main import main; main()",
+                "train",
+                *job.arguments,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.DEVNULL,
+                stderr=asyncio.subprocess.PIPE,
+                cwd=job.folder,
+                env=os.environ | {"RENDEZVIEW_PROGRESS": "json"},
+                start_new_session=True,
+                preexec_fn=self._limited,
+            )
+            if job.state is JobState.CANCELLED:  # while the process started
+                _kill(job)
+            assert job.process.stderr is not None
+            async with asyncio.timeout(self._most_s):
+                async for line in job.process.stderr:
+                    last = _progress(job, line.decode(errors="replace").strip()) or last
+                code = await job.process.wait()
+            if job.state is JobState.CANCELLED:
+                self._over(job, JobState.CANCELLED)
+            elif code != 0:
+                job.reason = last or f"the training ended with code {code}"
+                self._over(job, JobState.FAILED)
+            else:
+                made = job.folder / f"{job.model}.rvm"
+                await asyncio.to_thread(shutil.copyfile, made, self._store.path_for(job.model))
+                await asyncio.to_thread(self._store.found, job.model)
+                self._over(job, JobState.DONE)
+        except TimeoutError:
+            _kill(job)
+            job.reason = f"the training took longer than {self._most_s:g} s: see `job_s`"
+            self._over(job, JobState.FAILED)
+        except (OSError, RendezviewError, ValueError) as error:
+            job.reason = str(error)
+            self._over(job, JobState.FAILED)
+        finally:
+            if not job.is_over:
+                _kill(job)
+                self._over(job, JobState.CANCELLED)
+            self._running.pop(job, None)
+            self._next()
+
+    def _limited(self) -> None:
+        """In the training's process before it starts: little priority and bounded memory."""
+        os.nice(10)
+        resource.setrlimit(resource.RLIMIT_AS, (self._most_bytes, self._most_bytes))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+    def _over(self, job: Job, state: JobState) -> None:
+        job.state, job.ended_s = state, time.monotonic()
+        log.info("training", extra={"job": job.id, "state": str(state), "reason": job.reason})
+        shutil.rmtree(job.folder, ignore_errors=True)
+        over = [j for j in self._jobs.values() if j.is_over]
+        for old in over[:-_KEPT]:
+            del self._jobs[old.id]
+
+
+def _progress(job: Job, line: str) -> str:
+    """Take a line of progress. Any other line is returned: it may be the reason of a failure."""
+    try:
+        progress = json.loads(line)
+        job.stage = str(progress["stage"])
+        job.progress = float(progress["done"]) / max(float(progress["total"]), 1.0)
+    except (ValueError, KeyError, TypeError):
+        return line.removeprefix("rendezview: ").replace(str(job.folder) + os.sep, "")
+    return ""
+
+
+def _kill(job: Job) -> None:
+    if job.process is not None and job.process.returncode is None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(job.process.pid, signal.SIGKILL)

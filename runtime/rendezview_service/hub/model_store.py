@@ -1,0 +1,267 @@
+"""The models of the service: files in one folder, and one from the command line.
+
+A model is what its content is: it is copied to a file named by its hash when it is first used, and
+workers read that copy. A file that changes afterwards, or another model under the same name, does
+not change the model of a session.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import re
+import shutil
+import tempfile
+import threading
+import weakref
+from functools import cached_property
+from pathlib import Path
+
+from rendezview.errors import RendezviewError
+from rendezview.io.files import atomic_write, make_folder
+from rendezview.sensors.appearance import ViewModel
+from rendezview_service.messages.model_messages import ModelInfo
+from rendezview_service.tracker.model_geometry import geometry
+
+log = logging.getLogger("rendezview_service")
+
+SUFFIX = ".rvm"
+BY_HASH = "by-hash"  # folder of copies that several services share
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+
+
+class StoredModel:
+    """One model file, read on first use, by whichever thread is first."""
+
+    def __init__(self, name: str, path: Path, own: bool, copies: Path) -> None:
+        """A model that is not read yet.
+
+        Args:
+            own: the file is in the store's folder, and may be deleted.
+            copies: folder of the files named by their hash.
+        """
+        self.name = name
+        self.path = path
+        self.own = own
+        self._copies = copies
+        self._read: tuple[ViewModel, Path] | None = None
+        self._lock = threading.Lock()
+
+    @property
+    def is_read(self) -> bool:
+        """Whether it has been used."""
+        return self._read is not None
+
+    @property
+    def model(self) -> ViewModel:
+        """The model. Errors as in `copy`."""
+        return self._loaded()[0]
+
+    @property
+    def copy(self) -> Path:
+        """The copy of its file that is named by its hash.
+
+        Raises:
+            RendezviewError: the file is not a model, or is gone.
+        """
+        return self._loaded()[1]
+
+    @property
+    def sha256(self) -> str:
+        """The hash of its content, hexadecimal. Errors as in `copy`."""
+        return self.copy.stem
+
+    def _loaded(self) -> tuple[ViewModel, Path]:
+        with self._lock:
+            if self._read is None:
+                try:
+                    content = self.path.read_bytes()
+                except OSError:
+                    ViewModel.load(self.path)  # says what is wrong
+                    raise
+                copy = self._copies / f"{hashlib.sha256(content).hexdigest()}{SUFFIX}"
+                if not copy.exists():
+                    with atomic_write(copy, durable=False) as file:
+                        file.write(content)
+                try:
+                    self._read = ViewModel.load(copy), copy
+                except RendezviewError as error:
+                    copy.unlink()
+                    said = str(error).replace(str(copy), str(self.path))
+                    raise RendezviewError(said) from None
+            return self._read
+
+    @cached_property
+    def info(self) -> ModelInfo:
+        """The model as a message."""
+        return ModelInfo(
+            name=self.name,
+            target=self.model.name,
+            sha256=self.sha256,
+            size_bytes=self.copy.stat().st_size,
+            order=self.model.order,
+            nodes=len(self.model.geodesic.nodes),
+            target_radius_m=self.model.target_radius_m,
+            sphere_radius_m=self.model.sphere_radius_m,
+            refines=self.model.contours is not None,
+            loaded=True,
+        )
+
+    @cached_property
+    def geometry_json(self) -> bytes:
+        """The `Geometry` message, JSON."""
+        return geometry(self.name, self.model).model_dump_json().encode()
+
+
+class ModelStore:
+    """Models by name. Uploads may come from several threads."""
+
+    def __init__(self, folder: Path, copies: Path | None = None) -> None:
+        """The models in a folder.
+
+        Args:
+            copies: folder of the files named by their hash, which several services share and
+                nobody empties; None: a temporary one.
+
+        Raises:
+            RendezviewError: the folder cannot be made.
+        """
+        make_folder(folder)
+        self.folder = folder
+        self._keeps_copies = copies is not None
+        if copies is None:
+            self._copies = Path(tempfile.mkdtemp(prefix="rendezview-by-hash-"))
+            self._remove_copies = weakref.finalize(self, shutil.rmtree, self._copies, True)
+        else:
+            make_folder(copies)
+            self._copies = copies
+        self._models: dict[str, StoredModel] = {}
+        self._lock = threading.Lock()  # of a name's check and its insertion
+        for path in sorted(folder.glob(f"*{SUFFIX}")):
+            if _NAME.fullmatch(path.stem) and path.is_file():
+                self._models[path.stem] = self._stored(path.stem, path, own=True)
+
+    def _stored(self, name: str, path: Path, own: bool) -> StoredModel:
+        return StoredModel(name, path.resolve(), own, self._copies)
+
+    def close(self) -> None:
+        """Remove the copies, unless others share them."""
+        if not self._keeps_copies:
+            self._remove_copies()
+
+    def know(self, name: str, copy: Path) -> StoredModel:
+        """A model that another service has stored, by its file named by its hash."""
+        stored = self._models.get(name)
+        if stored is None or not stored.is_read or stored.copy != copy:
+            stored = self._models[name] = StoredModel(name, copy, False, copy.parent)
+        return stored
+
+    def give(self, path: Path) -> StoredModel:
+        """Add a model file from elsewhere under its file name; it is read at once.
+
+        Raises:
+            RendezviewError: it is not a model.
+        """
+        name = re.sub(r"[^A-Za-z0-9_-]+", "-", path.stem).strip("-_")[:64] or "model"
+        stored = self._stored(name, path, own=False)
+        _ = stored.model
+        self._models[name] = stored
+        return stored
+
+    def __len__(self) -> int:
+        return len(self._models)
+
+    def names(self) -> list[str]:
+        """Names, sorted."""
+        return sorted(self._models)
+
+    def get(self, name: str) -> StoredModel | None:
+        """A model by name."""
+        return self._models.get(name)
+
+    def only(self) -> StoredModel | None:
+        """The model, if there is exactly one."""
+        return next(iter(self._models.values())) if len(self._models) == 1 else None
+
+    def first_readable(self) -> StoredModel | None:
+        """The first model whose file can be read; the log has the errors of the others."""
+        for name in self.names():
+            try:
+                _ = self._models[name].model
+            except RendezviewError as error:
+                log.warning("model not read", extra={"model": name, "reason": str(error)})
+            else:
+                return self._models[name]
+        return None
+
+    def path_for(self, name: str, replace: bool = False) -> Path:
+        """The file of a new model, or of one that may be replaced.
+
+        Raises:
+            RendezviewError: the name is invalid or taken.
+        """
+        if not _NAME.fullmatch(name):
+            raise RendezviewError(f"model name {name[:80]!r}: use letters, digits, - and _")
+        taken = self._models.get(name)
+        if taken is not None and not (replace and taken.own):
+            raise RendezviewError(
+                f"model {name}: there is one already: choose another name, or ?replace=true"
+            )
+        return self.folder / f"{name}{SUFFIX}"
+
+    def add(self, name: str, content: bytes, replace: bool = False) -> StoredModel:
+        """Store an uploaded model after it is read and checked.
+
+        Args:
+            replace: a model of this name may be there; sessions that use it keep it.
+
+        Raises:
+            RendezviewError: the name is invalid or taken, or the content is not a model.
+        """
+        with self._lock:  # no other upload takes the name meanwhile
+            path = self.path_for(name, replace)
+            with atomic_write(path) as file:
+                file.write(content)
+                file.flush()
+                stored = self._stored(name, Path(file.name), own=True)
+                try:
+                    _ = stored.model
+                except RendezviewError as error:
+                    said = str(error).replace(file.name, "the model sent")
+                    raise RendezviewError(said) from None
+            stored.path = path.resolve()
+            self._models[name] = stored
+        return stored
+
+    def found(self, name: str) -> StoredModel:
+        """Add a file that a training job has put into the folder."""
+        stored = self._stored(name, self.folder / f"{name}{SUFFIX}", own=True)
+        _ = stored.model
+        self._models[name] = stored
+        return stored
+
+    def remove(self, name: str) -> None:
+        """Remove a model and delete its file.
+
+        Raises:
+            RendezviewError: it was given on the command line.
+        """
+        stored = self._models[name]
+        if not stored.own:
+            raise RendezviewError(f"model {name}: was given on the command line and stays")
+        with contextlib.suppress(FileNotFoundError):
+            stored.path.unlink()
+        del self._models[name]
+
+    def forget(self, stored: StoredModel, used: set[str]) -> None:
+        """Delete the copy of a model that has no name any more and that nobody uses.
+
+        Args:
+            used: hashes of the models of the sessions.
+        """
+        if self._keeps_copies:
+            return
+        named = {other.sha256 for other in list(self._models.values()) if other.is_read}
+        if stored.is_read and stored.sha256 not in named | used:
+            stored.copy.unlink(missing_ok=True)

@@ -1,0 +1,395 @@
+"""The service without HTTP: models, sessions, sources and training jobs."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import secrets
+import tempfile
+import time
+from collections.abc import Callable, Coroutine
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from rendezview.errors import RendezviewError
+from rendezview.io.files import make_folder
+from rendezview_service.hub.checkpoint import Checkpoint
+from rendezview_service.hub.feeder import Feeder
+from rendezview_service.hub.inputs import Full
+from rendezview_service.hub.jobs import Jobs
+from rendezview_service.hub.metrics import Metrics
+from rendezview_service.hub.model_store import BY_HASH, ModelStore, StoredModel
+from rendezview_service.hub.session_defaults import SessionDefaults
+from rendezview_service.hub.sessions import Session
+from rendezview_service.hub.source_process import open_apart
+from rendezview_service.hub.sources import Source
+from rendezview_service.hub.viewers import Viewers
+from rendezview_service.hub.worker_handle import WorkerGone
+from rendezview_service.hub.worker_pool import COMPILING, NotReady, Worker, WorkerPool
+from rendezview_service.hub.worker_requests import open_request
+from rendezview_service.logs.log_folder import keep_logs
+from rendezview_service.logs.recordings import Recordings
+from rendezview_service.messages.messages import Health, Recording, RecordingState, SessionRequest
+from rendezview_service.settings import Settings
+from rendezview_service.tracker.tracking import camera_message
+
+log = logging.getLogger("rendezview_service")
+
+_CLOSE_S = 30.0  # s, for a worker to complete a log. Source: chosen
+_MOST_ENDED_PROCESSES = 3  # by frames of one session within `ENDED_S`. Source: a chosen limit
+_START_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
+_IDLE_CHECK_S = 5.0  # s, between checks for idle sessions. Source: chosen
+
+
+class Service:
+    """Models, sessions, sources and jobs: the state that the routes act on."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        model: Path | None = None,
+        sources: list[str] | None = None,
+        speed: float = 1.0,
+        *,
+        shares_models: bool = False,
+    ) -> None:
+        """A service that is not started yet.
+
+        Args:
+            model: a model file; clients can upload others.
+            sources: each has its own session.
+            shares_models: other services use the folder of the models too.
+            speed: of sources that are files, as a multiple of their own rate; 0: no pauses.
+
+        Raises:
+            RendezviewError: a model, camera or source is missing or wrong.
+        """
+        self.settings = settings
+        self.metrics = Metrics()
+        self.sessions: dict[str, Session] = {}
+        self.watchers = 0
+        self.started_s = time.monotonic()
+        self.stopping = False
+        self.version = metadata.version("rendezview")
+        self._sources: list[Source] = []
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        folder = settings.models_folder
+        if folder is None:
+            self._temporary = tempfile.TemporaryDirectory(prefix="rendezview-models-")
+            folder = Path(self._temporary.name)
+        try:
+            self.models = ModelStore(folder, folder / BY_HASH if shares_models else None)
+            self.given: StoredModel | None = None if model is None else self.models.give(model)
+            self.defaults = SessionDefaults(settings)
+            camera = self.defaults.camera
+            for name in sources or []:
+                self._sources.append(open_apart(name, camera))
+            if self._sources and self.given is None:
+                raise RendezviewError("a source needs a model to track with: name one")
+        except RendezviewError:
+            for source in self._sources:
+                source.close()
+            if self._temporary is not None:
+                self._temporary.cleanup()
+            raise
+        self.recordings = Recordings(settings.record_folder)
+        self._viewers = Viewers(settings)
+        self._speed = speed
+        self.jobs = Jobs(self.models, settings.jobs, settings.job_s, settings.job_bytes)
+        self._workers = WorkerPool(settings, self.metrics, self._reopen)
+        self._feeders: dict[str, Feeder] = {}
+        self._opening: set[str] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._first_log_taken = False
+        self._begun: asyncio.Task[None] | None = None
+        self.failure: BaseException | None = None  # why the start failed
+        self.on_failure: Callable[[], None] = lambda: None
+
+    # Start and stop
+
+    async def start(self) -> None:
+        """Begin to start workers and sources, and to repair logs of an earlier run.
+
+        It returns at once; `health` has the progress. If the start fails, `failure` says why.
+
+        Raises:
+            RendezviewError: logs cannot be written to their folder.
+        """
+        folder = self.settings.record_folder
+        if folder is not None:
+            if folder == self.settings.record:
+                make_folder(folder)
+            elif not folder.is_dir():
+                raise RendezviewError(
+                    f"{self.settings.record}: its folder does not exist: create it first"
+                )
+            limits = self.settings.logs_bytes, self.settings.logs_s
+            self._spawn(keep_logs(folder, *limits))
+        self._begun = asyncio.create_task(self._begin())
+        self._begun.add_done_callback(self._begin_done)
+        self._spawn(self._housekeeping())
+
+    async def _begin(self) -> None:
+        start_s = time.monotonic()
+        model = self.given or await asyncio.to_thread(self.models.first_readable)
+        viewers = asyncio.to_thread(self._viewers.start)
+        workers = self._workers.start(self.settings.workers or os.cpu_count() or 1, model)
+        await asyncio.gather(viewers, workers)
+        for number, source in enumerate(self._sources):
+            name = "main" if number == 0 else f"source-{number + 1}"
+            if source.camera is None:
+                raise RendezviewError(f"{source.name}: no camera: give --camera")
+            assert self.given is not None
+            request = SessionRequest(
+                id=name, model=self.given.name, camera=camera_message(source.camera)
+            )
+            session = await self._open(request, source)
+            feeder = Feeder(source, session, asyncio.get_running_loop(), self._speed)
+            self._feeders[session.id] = feeder
+            feeder.start()
+        log.info("ready", extra={"after_s": round(time.monotonic() - start_s, 1)})
+
+    def _begin_done(self, begun: asyncio.Task[None]) -> None:
+        if begun.cancelled() or begun.exception() is None:
+            return
+        error = begun.exception()
+        log.error("the service does not start", extra={"reason": str(error)})
+        self.failure = error
+        self.on_failure()
+
+    async def stop(self) -> None:
+        """Complete the logs, notify the watchers, end the processes."""
+        self.stopping = True
+        self._workers.stay_down()
+        for task in (*self._tasks, *([] if self._begun is None else [self._begun])):
+            task.cancel()
+        for session in list(self.sessions.values()):
+            await self.close(session, "the service ends")
+        for source in self._sources:
+            await asyncio.to_thread(source.close)
+        await self.jobs.stop()
+        await self._workers.stop()
+        await asyncio.to_thread(self._viewers.close)
+        self.models.close()
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+    def health(self) -> Health:
+        """Whether frames can be tracked, and the reasons if not."""
+        reasons = []
+        if self._begun is not None and not self._begun.done():
+            reasons.append(f"starting: {self._workers.progress}")
+        elif self._workers.none_ready:
+            reasons.append("no worker process is ready")
+        if self._workers.compiling:
+            reasons.append(COMPILING)
+        blind = [said for session in self.sessions.values() if (said := session.blind_reason)]
+        logs = {name: session.log.recording for name, session in self.sessions.items()}
+        failed = {name: r for name, r in logs.items() if r.state is RecordingState.FAILED}
+        blind += [f"session {name} is not recorded: {r.reason}" for name, r in failed.items()]
+        status = "stopping" if self.stopping else "not ready" if reasons else "ok"
+        if status == "ok" and blind:
+            status = "degraded"
+        return Health(
+            status=status,  # type: ignore[arg-type]
+            reasons=reasons + blind,
+            version=self.version,
+            uptime_s=time.monotonic() - self.started_s,
+            sessions=len(self.sessions),
+            recording_failures=len(failed),
+        )
+
+    # Sessions
+
+    async def open(
+        self,
+        request: SessionRequest,
+        resumed: Checkpoint | None = None,
+        keep: Callable[[Session], None] = lambda session: None,
+    ) -> Session:
+        """Open a session; while the service starts, wait a moment for that.
+
+        Args:
+            resumed: of a session that another service had.
+            keep: receives the session at its begin, and before each state is acknowledged.
+
+        Raises:
+            RendezviewError: the request is wrong.
+            Full: too many sessions are open.
+            NotReady: no worker is ready, or loops are being compiled.
+        """
+        if self._begun is not None and not self._begun.done():
+            try:
+                await asyncio.wait_for(asyncio.shield(self._begun), _START_WAIT_S)
+            except TimeoutError:
+                raise NotReady(f"starting: {self._workers.progress}") from None
+        return await self._open(request, resumed=resumed, keep=keep)
+
+    async def _open(
+        self,
+        request: SessionRequest,
+        source: Source | None = None,
+        resumed: Checkpoint | None = None,
+        keep: Callable[[Session], None] = lambda session: None,
+    ) -> Session:
+        if len(self.sessions) + len(self._opening) >= self.settings.sessions or self.stopping:
+            raise Full
+        name = request.id or f"s-{secrets.token_hex(4)}"
+        if name in self.sessions or name in self._opening:
+            raise RendezviewError(f"session {name}: there is one already: choose another id")
+        stored = self.model_named(request.model)
+        self._opening.add(name)
+        try:
+            await self._workers.warmed(stored)
+            request = await asyncio.to_thread(self.defaults.filled, request, name, stored)
+            of = None if source is None else source.name
+            session = Session(name, stored, request, self.settings, self.metrics, of)
+            if resumed is not None:
+                session.resume(resumed)
+            try:
+                await self._place(session)
+                keep(session)
+                session.keep = lambda: keep(session)
+            except BaseException as error:
+                session.end("it could not be opened")
+                if isinstance(error, WorkerGone):
+                    raise NotReady from None
+                raise
+        finally:
+            self._opening.discard(name)
+        self.sessions[name] = session
+        self.metrics.sessions.set(len(self.sessions))
+        self._spawn(self._workers.prepare(list(self.sessions.values())))
+        if self._viewers.any:
+            self._spawn(self._viewers.follow(session))
+        log.info("session", extra={"session": name, "model": stored.name, "state": "opened"})
+        return session
+
+    def has(self, name: str) -> bool:
+        """Whether a session is open, or being opened."""
+        return name in self.sessions or name in self._opening
+
+    async def close(self, session: Session, reason: str) -> None:
+        """End a session and complete its log."""
+        if self.sessions.pop(session.id, None) is None:
+            return
+        feeder = self._feeders.pop(session.id, None)
+        if feeder is not None:
+            feeder.stop()
+        worker = session.worker
+        session.worker = None
+        session.end(reason)
+        self.metrics.sessions.set(len(self.sessions))
+        if worker is not None:
+            worker.forget(session)
+            with contextlib.suppress(WorkerGone, TimeoutError):
+                asked = worker.ask({"kind": "close", "session": session.id})
+                await asyncio.wait_for(asked, _CLOSE_S)
+        self.release(session.stored)
+        log.info("session", extra={"session": session.id, "state": "closed", "reason": reason})
+
+    async def warm(self, stored: StoredModel) -> None:
+        """Have the workers read a model before a session uses it."""
+        await self._workers.read(stored)
+
+    async def expect(self, sights: list[dict[str, Any]]) -> None:
+        """Have the workers ready for sessions of other services; see `sight_of`."""
+        await self._workers.expect(sights)
+
+    def release(self, stored: StoredModel) -> None:
+        """A session, or a name, does not need a model any more."""
+        used = {session.stored.sha256 for session in self.sessions.values()}
+        self.models.forget(stored, used)
+        if not self.stopping:
+            self._spawn(self._workers.prepare(list(self.sessions.values())))
+
+    def uses(self, stored: StoredModel) -> bool:
+        """Whether a session uses a model."""
+        return any(session.stored is stored for session in self.sessions.values())
+
+    def model_named(self, name: str | None) -> StoredModel:
+        """A model; None: the only one.
+
+        Raises:
+            RendezviewError: there is none, or several.
+        """
+        stored = self.given or self.models.only() if name is None else self.models.get(name)
+        if stored is None:
+            known = ", ".join(self.models.names()) or "none"
+            said = "model: name one" if name is None else f"model {name}: not here"
+            raise RendezviewError(f"{said} (there are: {known})")
+        return stored
+
+    async def _place(self, session: Session, worker: Worker | None = None) -> None:
+        """Give a session to a worker; None: the one with the fewest sessions."""
+        if worker is None or not worker.ready:
+            worker = self._workers.least_busy()
+        worker.sessions.add(session)
+        if session.request_now.record and session.log.base is None:
+            session.log.base = self._log_path(session)
+        try:
+            answer = await worker.ask(open_request(session, self.settings))
+        except WorkerGone:
+            worker.sessions.discard(session)
+            raise
+        if answer["kind"] == "fault":
+            worker.sessions.discard(session)
+            raise RendezviewError(answer["error"])
+        session.worker = worker
+        if answer["recording"] is not None:
+            session.log.update(answer["log_path"], Recording.model_validate(answer["recording"]))
+        if session.has_waiting:
+            worker.wake(session)
+
+    def _log_path(self, session: Session) -> Path:
+        place = self.settings.record
+        assert place is not None
+        if place.suffix == ".mcap":
+            if not self._first_log_taken:
+                self._first_log_taken = True
+                return place
+            return place.with_name(f"{place.stem}-{session.id}{place.suffix}")
+        return place / f"{session.id}-{datetime.now(UTC):%Y%m%dT%H%M%S}.mcap"
+
+    async def _reopen(self, orphans: list[Session], worker: Worker | None) -> list[Session]:
+        """Continue the sessions of a worker that ended with another one, or end them.
+
+        Returns:
+            those that have to wait, because no worker is ready.
+        """
+        start_s, left = time.monotonic(), []
+        for session in orphans:
+            if session.id not in self.sessions:
+                continue
+            if len(session.ended_at_s) >= _MOST_ENDED_PROCESSES:
+                await self.close(session, "its frames ended the tracker's process repeatedly")
+                continue
+            session.reopened()
+            try:
+                await self._place(session, worker)
+                took_s = round(time.monotonic() - start_s, 3)
+                log.warning("session moved", extra={"session": session.id, "took_s": took_s})
+            except NotReady:
+                left.append(session)
+            except WorkerGone:
+                pass  # its sessions, this one too, come here again
+            except RendezviewError as error:
+                await self.close(session, f"its tracker cannot be restarted: {error}")
+        return left
+
+    async def _housekeeping(self) -> None:
+        while True:
+            await asyncio.sleep(_IDLE_CHECK_S)
+            now_s = time.monotonic()
+            for session in list(self.sessions.values()):
+                if now_s - session.used_s > session.idle_s and session.id not in self._feeders:
+                    await self.close(session, f"no frame for {session.idle_s:g} s")
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)

@@ -1,0 +1,90 @@
+"""What happened in a session, for the operator: phases, alarms, recording, processes, sources."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from rendezview_service.messages.approach_messages import Level
+from rendezview_service.messages.messages import Event, Phase, Recording, RecordingState
+
+log = logging.getLogger("rendezview_service")
+
+_KEPT = 500  # events. Source: a chosen limit
+_CLEAR_S = 2.0  # s, for which a limit must hold before its alarm ends. Source: chosen
+
+
+class SessionEvents:
+    """The newest events of a session, and the alarms that stand."""
+
+    def __init__(self, session: str, unix_s: Callable[[], float]) -> None:
+        """No events yet.
+
+        Args:
+            unix_s: the session's clock, s.
+        """
+        self._session = session
+        self._unix_s = unix_s
+        self._kept: deque[Event] = deque(maxlen=_KEPT)
+        self._count = 0
+        self._phase = Phase.WAITING
+        self._recording: RecordingState | None = None
+        self._alarms: dict[tuple[str, str], tuple[str, float]] = {}  # text, last seen
+        self._fault: str | None = None
+
+    @property
+    def alarms(self) -> list[str]:
+        """Texts of the alarms that stand."""
+        return [text for text, _ in self._alarms.values()]
+
+    def since(self, number: int) -> list[Event]:
+        """Events from a number on."""
+        return [event for event in self._kept if event.number >= number]
+
+    def add(self, kind: str, level: Level, text: str) -> None:
+        """Something happened."""
+        event = Event(
+            number=self._count, unix_s=self._unix_s(), level=level, kind=kind, text=text[:400]
+        )
+        self._count += 1
+        self._kept.append(event)
+        log.info("event", extra={"session": self._session, "kind": kind, "text": event.text})
+
+    def phase(self, phase: Phase, frame: int, status: str) -> None:
+        """The phase of a frame."""
+        if phase is self._phase:
+            return
+        self._phase = phase
+        level = Level.INFO if phase is Phase.TRACKING else Level.WARNING
+        level = Level.ALARM if phase is Phase.SEARCHING else level
+        self.add("phase", level, f"{phase} ({status}, frame {frame})")
+
+    def limits(self, found: list[dict[str, Any]], now_s: float) -> None:
+        """The limits that a frame exceeds."""
+        for alarm in found:
+            key = alarm["level"], alarm["quantity"]
+            if key not in self._alarms:
+                self.add("alarm", Level(alarm["level"]), alarm["text"])
+            self._alarms[key] = alarm["text"], now_s
+        for key, (text, seen_s) in list(self._alarms.items()):
+            if now_s - seen_s > _CLEAR_S:
+                del self._alarms[key]
+                self.add("alarm", Level.INFO, f"no longer: {text}")
+
+    def recording(self, recording: Recording) -> None:
+        """The state of the log."""
+        if recording.state is self._recording:
+            return
+        began, self._recording = self._recording is None, recording.state
+        if recording.state is RecordingState.FAILED:
+            self.add("recording", Level.ALARM, f"failed: {recording.reason}")
+        elif not began or recording.state is RecordingState.ON:
+            self.add("recording", Level.INFO, f"{recording.state}: {recording.name or ''}")
+
+    def fault(self, error: str | None) -> None:
+        """A frame was refused, or the source fails; None: a frame was tracked."""
+        if error is not None and error != self._fault:
+            self.add("source", Level.WARNING, error)
+        self._fault = error

@@ -1,0 +1,57 @@
+"""The log of a session as the service sees it: its parts, and how recording goes."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+from pathlib import Path
+
+from rendezview_service.logs.log_repair import LogPart
+from rendezview_service.messages.messages import Recording, RecordingState
+
+log = logging.getLogger("rendezview_service")
+
+
+class SessionLog:
+    """Files that the workers of one session have written."""
+
+    def __init__(self, session: str) -> None:
+        """A log that has no part yet."""
+        self.id = secrets.token_hex(8)  # common to its parts
+        self.base: Path | None = None  # path of its first part
+        self.recording = Recording(state=RecordingState.OFF)
+        self._session = session
+        self._paths: list[Path] = []
+
+    def resume(self, log_id: str, base: Path | None, paths: list[Path]) -> None:
+        """Continue a log whose parts another service has written."""
+        self.id, self.base, self._paths = log_id, base, list(paths)
+
+    def update(self, path: str | None, recording: Recording) -> None:
+        """The file that a worker writes, and how that goes."""
+        changed = recording.state is not self.recording.state
+        if changed and self._paths:
+            failed = recording.state is RecordingState.FAILED
+            log.log(
+                logging.ERROR if failed else logging.INFO,
+                "recording",
+                extra={
+                    "session": self._session,
+                    "state": str(recording.state),
+                    "reason": recording.reason,
+                },
+            )
+        self.recording = recording
+        if path is not None and (not self._paths or self._paths[-1] != Path(path)):
+            self._paths.append(Path(path))
+
+    @property
+    def parts(self) -> list[LogPart]:
+        """Its files in order, the last one up to its last frame."""
+        if not self._paths:
+            return []
+        *before, last = self._paths
+        return [
+            *map(LogPart, before),
+            LogPart(last, self.recording.size_bytes, trusted=True),
+        ]

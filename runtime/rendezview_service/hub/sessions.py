@@ -1,0 +1,399 @@
+"""A session as the service sees it: its queue, the answers of its worker, its watchers."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Sequence
+
+from pydantic_core import to_json
+
+from rendezview_service.hub.checkpoint import Checkpoint
+from rendezview_service.hub.clock import SessionClock
+from rendezview_service.hub.history import Past
+from rendezview_service.hub.inputs import Answer, Full, InputQueue, SessionInput
+from rendezview_service.hub.lease import SOURCE, Lease
+from rendezview_service.hub.metrics import Metrics
+from rendezview_service.hub.model_store import StoredModel
+from rendezview_service.hub.progress import Progress
+from rendezview_service.hub.rate_limit import TokenBucket
+from rendezview_service.hub.session_events import SessionEvents
+from rendezview_service.hub.session_log import SessionLog
+from rendezview_service.hub.watching import Watchers
+from rendezview_service.hub.worker_handle import WorkerHandle
+from rendezview_service.messages.approach_messages import Level
+from rendezview_service.messages.frame_sensor_messages import FrameSensorsRequest
+from rendezview_service.messages.frames import Bytes
+from rendezview_service.messages.messages import (
+    Recording,
+    SensorHealth,
+    SessionInfo,
+    SessionRequest,
+)
+from rendezview_service.messages.wire import Header
+from rendezview_service.settings import Settings
+from rendezview_service.tracker.sensor_health import STALE_S, Arrivals, OtherSensors
+
+log = logging.getLogger("rendezview_service")
+
+ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
+
+
+class Session:
+    """One camera and one target."""
+
+    def __init__(
+        self,
+        name: str,
+        stored: StoredModel,
+        request: SessionRequest,
+        settings: Settings,
+        metrics: Metrics,
+        source: str | None = None,
+    ) -> None:
+        """A session without a worker; frames wait until it has one.
+
+        Args:
+            stored: the model; it stays the same, whatever happens to its name.
+            source: a source that the service itself reads; None: clients send the frames.
+        """
+        self.id = name
+        self.stored = stored
+        self.model = stored.name
+        self.request = request
+        self.request_now = request  # of the present worker: its prior is the last pose
+        self.handover: Header | None = None  # the `Fused` state that its filter goes on from
+        self.ended_at_s: list[float] = []  # worker processes that its frames ended, monotonic
+        self.settings = settings
+        self.source = source
+        self.worker: WorkerHandle[Session] | None = None
+        self.created_unix_s = time.time()
+        self.log = SessionLog(name)
+        self.past = Past(settings.history_s, settings.history_rate_hz, settings.history_image_hz)
+        self.progress = Progress()
+        self.watchers = Watchers(self._show_last)
+        self.finished = False
+        self.reason: str | None = None
+        self.used_s = time.monotonic()
+        self.clock = SessionClock.started_now()
+        self.lease = Lease(settings.sender_hold_s if source is None else math.inf)
+        if source is not None:
+            self.lease.take(SOURCE, self.used_s)
+        self._metrics = metrics.of_session(name)
+        self._queue = InputQueue()
+        self.frame_base = 0  # number of frames before the present worker
+        self._drops = 0
+        self.events = SessionEvents(name, lambda: self.clock.unix_s(time.monotonic()))
+        self._arrivals = Arrivals()
+        self._others = OtherSensors()
+        self._lines = TokenBucket.full(settings.measurements_per_s, time.monotonic())
+        self._last_fault: str | None = None
+        self._refused_since_s: float | None = None  # no frame has been usable since
+        self.was_fused = False  # at another service
+        self.keep: Callable[[], None] = lambda: None  # before a state is acknowledged
+
+    # Inputs
+
+    def input(
+        self,
+        pieces: Sequence[Bytes],
+        time_s: float | None,
+        answer: Callable[[Answer], None],
+        *,
+        sender: str = "",
+        sensor: str | None = None,
+    ) -> SessionInput:
+        """An input that arrives now, by the session's clock.
+
+        Args:
+            time_s: of a frame; None: its arrival.
+        """
+        now_s = time.monotonic()
+        unix_s = self.clock.unix_s(now_s)
+        at_s = unix_s if time_s is None else time_s
+        return SessionInput(pieces, at_s, unix_s, now_s, answer, sensor, sender)
+
+    def queue(self, waiting: SessionInput) -> None:
+        """A frame that is tracked after those before it.
+
+        Raises:
+            Full: too many wait.
+            Taken: another sender has the session.
+        """
+        self.lease.take(waiting.sender, waiting.received_s)
+        if self._queue.count(frames=True) >= self.settings.waiting:
+            raise Full
+        self._arrived(waiting)
+        self._queue.append(waiting)
+        self._wake()
+
+    def measure(self, waiting: SessionInput) -> None:
+        """Lines of another sensor; none is dropped.
+
+        Raises:
+            Full: too many wait, or too many come a second.
+        """
+        too_fast = self._lines.refill(waiting.received_s) < 0.0
+        waiting_now = self._queue.count(frames=False)
+        if too_fast or waiting_now >= self.settings.measurements_waiting:
+            raise Full
+        waiting.waited_s = max(0.0, waiting.received_s - self.used_s)
+        self.used_s = waiting.received_s
+        self._queue.append(waiting)
+        self._wake()
+
+    def replace(self, waiting: SessionInput) -> None:
+        """A frame of a stream; it replaces the one that waits.
+
+        Raises:
+            Taken: another sender has the session.
+        """
+        self.lease.take(waiting.sender, waiting.received_s)
+        self._arrived(waiting)
+        dropped = self._queue.replace(waiting)
+        if dropped is not None:
+            self._drops += 1
+            self._metrics.drops.inc()
+            dropped.answer(Answer(0, b""))
+        self._wake()
+
+    @property
+    def idle_s(self) -> float:
+        """Time without an input after which it ends."""
+        asked = self.request.idle_s
+        return self.settings.idle_s if asked is None else asked
+
+    @property
+    def is_fused(self) -> bool:
+        """Whether another sensor has sent lines."""
+        return self._others.is_fused
+
+    @property
+    def has_waiting(self) -> bool:
+        """Whether an input waits."""
+        return bool(self._queue)
+
+    def take(self) -> SessionInput | None:
+        """Remove and return the input that arrived first."""
+        return self._queue.take()
+
+    def header_of(self, waiting: SessionInput) -> Header:
+        """The request to the worker for a frame or sensor lines."""
+        about: Header = {
+            "session": self.id,
+            "length": waiting.length,
+            "received_unix_s": waiting.received_unix_s,
+            "first_frame": self.frame_base,
+        }
+        if waiting.sensor is not None:
+            return about | {
+                "kind": "measure",
+                "sensor": waiting.sensor,
+                "waited_s": waiting.waited_s,
+                "most_lines": self.settings.measurement_lines,
+            }
+        now_s = time.monotonic()
+        if waiting.shows_last:
+            return about | {"kind": "show", "extras": self.watchers.missed_extras(now_s)}
+        self._queue.shows_last = None
+        history_px = self.settings.history_image_px if self.past.wants_image(now_s) else 0
+        return about | {
+            "kind": "frame",
+            "time_s": waiting.time_s,
+            "received_s": waiting.received_s,
+            "drops": self._drops,
+            "extras": self.watchers.extras(now_s, history_px),
+        }
+
+    def most_lines_of(self, waiting: SessionInput) -> int:
+        """How many lines a sensor's message can hold."""
+        breaks = sum(bytes(piece).count(b"\n") for piece in waiting.pieces)
+        return min(1 + breaks, self.settings.measurement_lines)
+
+    def _arrived(self, waiting: SessionInput) -> None:
+        self.used_s = waiting.received_s
+        self._arrivals.add(waiting.received_s, waiting.received_unix_s)
+
+    def _show_last(self) -> None:
+        """Ask the worker for the last frame once more: watchers missed it."""
+        self._queue.shows_last = SessionInput((), 0.0, 0.0, 0.0, lambda _: None, shows_last=True)
+        self._wake()
+
+    def _wake(self) -> None:
+        if self.worker is not None:
+            self.worker.wake(self)
+
+    # Answers of the worker
+
+    def tracked(self, waiting: SessionInput, header: Header, state: bytes) -> None:
+        """The state of a frame."""
+        self.progress.add(header, state)
+        self._last_fault = None
+        self._refused_since_s = None
+        now_s = time.monotonic()
+        self.events.phase(self.progress.phase, header["frame"], header["status"])
+        self.events.limits(header.get("alarms", []), now_s)
+        self.events.fault(None)
+        if "recording" in header:
+            self._recorded(header)
+        self._others.tracked(waiting.received_s, waiting.received_unix_s, header)
+        self._metrics.tracked(header["status"], header["track_ms"], now_s - waiting.received_s)
+        self.keep()
+        waiting.answer(Answer(200, state))
+        self.past.add(now_s, header["frame"], state)
+        self.watchers.tracked()
+
+    def measured(self, waiting: SessionInput, header: Header, answer: bytes) -> None:
+        """The answer to sensor lines."""
+        assert waiting.sensor is not None
+        self._lines.spend(header["lines"])
+        self._others.received(waiting.sensor, waiting.received_s, waiting.received_unix_s, header)
+        if "recording" in header:
+            self._recorded(header)
+        self._metrics.measured(waiting.sensor, header["lines"], header["accepted"])
+        waiting.answer(Answer(200, answer))
+
+    def add_extras(self, header: Header, picture: bytes) -> None:
+        """The picture and contours of the last state, for the history and the watchers."""
+        if self.progress.last is None:
+            return
+        now_s = time.monotonic()
+        marks = self._others.marks(now_s)
+        if picture and self.past.wants_image(now_s):
+            self.past.add_image(now_s, header["frame"], picture, marks)
+        sensors, recording = to_json(self.sensors()), to_json(self.log.recording)
+        rest = b'"sensors":%b,"recording":%b,"marks":%b' % (sensors, recording, marks)
+        self.watchers.show(now_s, self.progress.last, header, picture, rest)
+
+    def refused(self, waiting: SessionInput, error: str, internal: bool = False) -> None:
+        """The worker could not use a frame or sensor lines."""
+        if waiting.shows_last:  # the worker has logged why
+            return
+        if waiting.sensor is None:
+            self.watchers.wait()
+            self._last_fault = error
+            self._metrics.refused.inc()
+            self._refused_since_s = self._refused_since_s or time.monotonic()
+            self.events.fault(error)
+        else:
+            self._lines.spend(1)
+        waiting.answer(Answer(500 if internal else 422, b"", error))
+
+    def lost(self, waiting: SessionInput) -> None:
+        """The worker ended over a frame or sensor lines."""
+        error = "the tracker's process ended over it: another one continues with the next frame"
+        now_s = time.monotonic()
+        self.ended_at_s = [*(at_s for at_s in self.ended_at_s if now_s - at_s < ENDED_S), now_s]
+        self.events.add("worker", Level.ALARM, error)
+        if waiting.sensor is None:
+            self._last_fault = error
+        waiting.answer(Answer(503, b"", error))
+
+    def reopened(self) -> None:
+        """Another worker continues the session, with a new tracker and filter.
+
+        They start with the last pose and the last fused one, if these are not old.
+        """
+        self.handover = self.progress.handover
+        if self.progress.last_found is not None or self.handover is not None:
+            self.request_now = self.request.model_copy(update={"prior": self.progress.prior})
+        self._others.forget("its filter ended with the worker process; a new one starts")
+        self.frame_base = self.progress.frames
+        self._queue.shows_last = None
+        self.watchers.restart()
+
+    def checkpoint(self) -> Checkpoint:
+        """What another service needs to continue it."""
+        return Checkpoint(
+            request=self.request,
+            model_sha256=self.stored.sha256,
+            tracked=self.progress.tracked(),
+            log=self.log.id,
+            log_base=self.log.base,
+            log_paths=[part.path for part in self.log.parts],
+            fused=self.is_fused or self.was_fused,
+        )
+
+    def resume(self, kept: Checkpoint) -> None:
+        """Continue a session of another service; the tracker starts at its last pose."""
+        self.was_fused = kept.fused
+        self.progress.resume(kept.tracked)
+        self.log.resume(kept.log, kept.log_base, kept.log_paths)
+        self.events.add("node", Level.WARNING, "another node continues the session")
+        self.reopened()
+
+    # The source, and the end
+
+    def note_fault(self, error: str) -> None:
+        """A frame of the source could not be read."""
+        self._last_fault = error
+        self.events.fault(error)
+        self._metrics.refused.inc()
+
+    def source_ended(self, reason: str | None) -> None:
+        """The source has ended, or failed for a reason."""
+        self.finished, self.reason = True, reason
+        self.events.add("source", Level.WARNING if reason else Level.INFO, f"ended: {reason or ''}")
+
+    def end(self, reason: str) -> None:
+        """Answer everything that waits; nothing follows."""
+        for waiting in self._queue:
+            waiting.answer(Answer(410, b"", reason))
+        self._queue.clear()
+        self.watchers.end(reason)
+        self._metrics.remove()
+
+    def _recorded(self, header: Header) -> None:
+        self.log.update(header["log_path"], Recording.model_validate(header["recording"]))
+        self.events.recording(self.log.recording)
+        self._metrics.recording(self.log.recording)
+
+    # Information
+
+    @property
+    def blind_reason(self) -> str | None:
+        """Why all frames of the last seconds were refused; None if they were not."""
+        since_s, now_s = self._refused_since_s, time.monotonic()
+        sent = self._arrivals.times_s and now_s - self._arrivals.times_s[-1] < STALE_S
+        if since_s is None or now_s - since_s < STALE_S or not sent:
+            return None
+        return f"session {self.id}: every frame is refused for {now_s - since_s:.0f} s: " + (
+            self._last_fault or "unknown"
+        )
+
+    def sensors(self) -> list[SensorHealth]:
+        """Health of the camera and of the other sensors."""
+        now_s = time.monotonic()
+        ended = (self.reason or "the source has ended") if self.finished else None
+        reason = self._arrivals.silence(now_s, self._last_fault) if ended is None else ended
+        counts = self.progress.frames, self._drops
+        return self._others.health(now_s, self._arrivals, reason, *counts)
+
+    def info(self) -> SessionInfo:
+        """The session as a message."""
+        assert self.request.camera is not None
+        progress = self.progress
+        return SessionInfo(
+            id=self.id,
+            model=self.model,
+            model_sha256=self.stored.sha256,
+            camera=self.request.camera,
+            source=self.source,
+            phase=progress.phase,
+            created_unix_s=self.created_unix_s,
+            frames=progress.frames,
+            drops=self._drops,
+            found_fraction=progress.found / progress.frames if progress.frames else None,
+            watchers=len(self.watchers),
+            last_frame=progress.header.get("frame"),
+            last_time_s=progress.header.get("time_s"),
+            since_pose_s=progress.since_pose_s,
+            age_s=progress.age_s,
+            alarms=self.events.alarms,
+            sensors=self.sensors(),
+            on_frames=self.request.sensors or FrameSensorsRequest(),
+            recording=self.log.recording,
+            finished=self.finished,
+            reason=self.reason,
+        )

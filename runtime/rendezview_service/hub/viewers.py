@@ -1,0 +1,341 @@
+"""Live streams for Foxglove and Rerun, beside the page: each session's poses, pictures and numbers.
+
+Both packages have servers of their own, without tokens: they listen on this machine only, unless a
+setting says otherwise.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import socket
+import subprocess
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any, Protocol
+
+from rendezview.errors import RendezviewError
+from rendezview_service.hub.rerun_readings import ReadingsRecorder
+from rendezview_service.hub.sessions import Session
+from rendezview_service.hub.watching import Watcher
+from rendezview_service.messages.messages import SessionInfo
+from rendezview_service.settings import Settings
+from rendezview_service.tracker.tracking import camera_of
+
+log = logging.getLogger("rendezview_service")
+
+_SERVER_START_S = 30.0  # s; a program that is read from the disk. Source: a chosen limit
+_RATE_HZ, _WIDTH_PX = 15.0, 640  # of what is sent. Source: chosen
+_AXES_M = 1.0  # of the fused pose. Source: chosen
+_CONTOUR_RGBA = (0.35, 0.88, 1.0, 1.0)  # as on the page. Source: chosen
+# In its package. Source: `rerun_cli/__main__.py` of rerun-sdk 0.41
+_RERUN_PLACES = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
+_NUMBERS = ("confidence", "score", "range_m", "track_ms", "latency_ms")
+
+Json = dict[str, Any]
+
+
+class Viewer(Protocol):
+    """A server of another program's data."""
+
+    def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
+        """A `WatchState` and its JPEG, or nothing."""
+
+    def close(self) -> None:
+        """End the server."""
+
+
+class Viewers:
+    """The servers that the settings ask for."""
+
+    def __init__(self, settings: Settings) -> None:
+        """None runs yet: see `start`."""
+        self._settings = settings
+        self._viewers: list[Viewer] = []
+        self._lock = threading.Lock()  # a close waits for the start
+
+    def start(self) -> None:
+        """Start them, which takes seconds.
+
+        Raises:
+            RendezviewError: a package is missing, or a port is taken.
+        """
+        host, settings = self._settings.viewer_host, self._settings
+        try:
+            with self._lock:
+                if settings.foxglove_port is not None:
+                    self._viewers.append(FoxgloveViewer(host, settings.foxglove_port))
+                if settings.rerun_port is not None:
+                    self._viewers.append(RerunViewer(host, settings.rerun_port))
+        except ModuleNotFoundError as error:
+            raise RendezviewError(
+                f"a live stream needs {error.name}: pip install 'rendezview[viewers]'"
+            ) from None
+        except (OSError, RuntimeError, subprocess.SubprocessError) as error:
+            raise RendezviewError(f"a live stream does not start: {error}") from None
+
+    @property
+    def any(self) -> bool:
+        """Whether there is one."""
+        return bool(self._viewers)
+
+    async def follow(self, session: Session) -> None:
+        """Show a session until it ends."""
+        watcher = Watcher(_RATE_HZ, _WIDTH_PX, contour=True, silhouette=False)
+        session.watchers.add(watcher)
+        try:
+            while watcher.ended is None:
+                await watcher.news.wait()
+                watcher.news.clear()
+                if watcher.message is None:
+                    continue
+                (text, stamped), watcher.message = watcher.message, None
+                await asyncio.to_thread(self._show, session.info(), text, stamped[8:])
+        finally:
+            session.watchers.discard(watcher)
+
+    def _show(self, info: SessionInfo, text: bytes, picture: bytes) -> None:
+        message = json.loads(text)
+        for viewer in self._viewers:
+            try:
+                viewer.show(info, message, picture)
+            except Exception:  # of a package that must not end the service
+                log.exception("a live stream failed")
+
+    def close(self) -> None:
+        """End the servers."""
+        with self._lock:
+            while self._viewers:
+                self._viewers.pop().close()
+
+
+class FoxgloveViewer:
+    """A WebSocket for Foxglove: the topics of a log, after the session's name."""
+
+    def __init__(self, host: str, port: int) -> None:
+        import foxglove
+        from foxglove import channels, messages
+
+        self._foxglove, self._messages, self._kinds = foxglove, messages, channels
+        self._context = foxglove.Context()
+        self._server = foxglove.start_server(
+            name="rendezview", host=host, port=port, context=self._context
+        )
+        self._channels: dict[str, Any] = {}
+        self.port = self._server.port
+
+    def _channel(self, topic: str, kind: Any) -> Any:
+        if topic not in self._channels:
+            self._channels[topic] = kind(topic, context=self._context)
+        return self._channels[topic]
+
+    def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
+        """A `WatchState` and its JPEG, or nothing."""
+        parts, kinds, state, at = self._messages, self._kinds, message["state"], f"/{info.id}"
+        stamp = _stamp(parts, state["received_unix_s"])
+        frame = f"{info.id}/camera"
+        schema = {"type": "object"}
+        states = self._channels.get(f"{at}/state") or self._foxglove.Channel(
+            f"{at}/state", message_encoding="json", schema=schema, context=self._context
+        )
+        self._channels[f"{at}/state"] = states
+        states.log(state)
+        if state["pose"] is not None:
+            pose = _foxglove_pose(parts, state["pose"])
+            pose_message = parts.PoseInFrame(timestamp=stamp, frame_id=frame, pose=pose)
+            self._channel(f"{at}/target/pose", kinds.PoseInFrameChannel).log(pose_message)
+            transform = parts.FrameTransform(
+                timestamp=stamp,
+                parent_frame_id=frame,
+                child_frame_id=f"{info.id}/target",
+                translation=parts.Vector3(**_xyz(state["pose"]["translation_m"])),
+                rotation=_foxglove_turn(parts, state["pose"]),
+            )
+            self._channel(f"{at}/tf", kinds.FrameTransformChannel).log(transform)
+        fused = (state.get("fused") or {}).get("pose")
+        if fused is not None:
+            pose_message = parts.PoseInFrame(
+                timestamp=stamp, frame_id=frame, pose=_foxglove_pose(parts, fused)
+            )
+            self._channel(f"{at}/target/fused", kinds.PoseInFrameChannel).log(pose_message)
+        if picture:
+            image = parts.CompressedImage(
+                timestamp=stamp, frame_id=frame, data=picture, format="jpeg"
+            )
+            self._channel(f"{at}/camera/image", kinds.CompressedImageChannel).log(image)
+            scale = _WIDTH_PX / max(info.camera.width, _WIDTH_PX)
+            marks = parts.ImageAnnotations(points=_foxglove_points(parts, stamp, message, scale))
+            self._channel(f"{at}/camera/contour", kinds.ImageAnnotationsChannel).log(marks)
+
+    def close(self) -> None:
+        """End the server."""
+        self._server.stop()
+
+
+def _stamp(parts: Any, unix_s: float) -> Any:
+    whole = int(unix_s)
+    return parts.Timestamp(sec=whole, nsec=int(1e9 * (unix_s - whole)))
+
+
+def _xyz(values: list[float]) -> dict[str, float]:
+    return dict(zip("xyz", values, strict=True))
+
+
+def _foxglove_turn(parts: Any, pose: Json) -> Any:
+    w, *vector = pose["quat_wxyz"]
+    return parts.Quaternion(w=w, **_xyz(vector))
+
+
+def _foxglove_pose(parts: Any, pose: Json) -> Any:
+    return parts.Pose(
+        position=parts.Vector3(**_xyz(pose["translation_m"])),
+        orientation=_foxglove_turn(parts, pose),
+    )
+
+
+def _foxglove_points(parts: Any, stamp: Any, message: Json, scale: float) -> list[Any]:
+    contour = message["contour"]
+    if contour is None:
+        return []
+    red, green, blue, alpha = _CONTOUR_RGBA
+    colour = parts.Color(r=red, g=green, b=blue, a=alpha)
+    points = [parts.Point2(x=scale * u, y=scale * v) for u, v in contour["points_px"]]
+    kind = parts.PointsAnnotationType.Points
+    return [
+        parts.PointsAnnotation(
+            timestamp=stamp, type=kind, points=points, outline_color=colour, thickness=2.0
+        )
+    ]
+
+
+class RerunViewer:
+    """A gRPC server for the Rerun viewer; each session is an entity at the root.
+
+    The server is the package's program: its function for a server in this process listens on all
+    addresses, the program on the one that it is given.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self._open = contextlib.ExitStack()
+        with self._open:  # ends it all, unless it starts
+            self._start(host, port)
+            self._open = self._open.pop_all()
+
+    def _start(self, host: str, port: int) -> None:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        with socket.socket(family) as trial:  # another program's listener would pass for it
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            trial.bind((host, port))
+        program = [str(_rerun_program())]
+        # The program reports its use to its makers, unless its own settings forbid it.
+        home = self._open.enter_context(tempfile.TemporaryDirectory(prefix="rendezview-rerun-"))
+        quiet: Any = {
+            "env": os.environ | {"XDG_CONFIG_HOME": home},
+            "stdin": subprocess.DEVNULL,
+            "stdout": subprocess.DEVNULL,
+            "stderr": subprocess.DEVNULL,
+        }
+        forbid = subprocess.Popen([*program, "analytics", "disable"], **quiet)
+        self._open.callback(_end, forbid)
+        import rerun as rr  # takes as long as the program does
+
+        self._rr = rr
+        if forbid.wait(_SERVER_START_S):
+            raise OSError("Rerun's program fails: is its package whole?")
+        at = "127.0.0.1" if host == "0.0.0.0" else "[::1]" if host == "::" else host
+        self.address = f"rerun+http://{at}:{port}/proxy"
+        server = subprocess.Popen(
+            [*program, "--serve-grpc", "--bind", host, "--port", str(port)], **quiet
+        )
+        self._open.callback(_end, server)
+        self._stream = rr.RecordingStream("rendezview")
+        _await_listener(server, at.strip("[]"), port)
+        self._stream.connect_grpc(self.address)
+        self._open.callback(self._stream.disconnect)
+        self._begun: dict[str, ReadingsRecorder] = {}
+
+    def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
+        """A `WatchState` and its JPEG, or nothing."""
+        rr, state, at = self._rr, message["state"], info.id
+        record = self._stream.log
+        self._stream.set_time("frame", sequence=state["frame"])
+        self._stream.set_time("time", timestamp=state["received_unix_s"])
+        if at not in self._begun:
+            self._begun[at] = ReadingsRecorder(rr, record, f"{at}/", _AXES_M)
+            record(at, rr.ViewCoordinates.RDF, static=True)
+            camera = info.camera
+            scale = min(1.0, _WIDTH_PX / camera.width)
+            pinhole = rr.Pinhole(
+                focal_length=[scale * camera.fx, scale * camera.fy],
+                principal_point=[scale * camera.cx, scale * camera.cy],
+                resolution=[scale * camera.width, scale * camera.height],
+            )
+            record(f"{at}/camera/image", pinhole, static=True)
+        pose = state["pose"]
+        transform = rr.Transform3D(scale=0.0)  # hides the last one
+        if pose is not None:
+            w, x, y, z = pose["quat_wxyz"]
+            turn = rr.Quaternion(xyzw=[x, y, z, w])
+            transform = rr.Transform3D(translation=pose["translation_m"], quaternion=turn)
+        record(f"{at}/target", transform)
+        scale = min(1.0, _WIDTH_PX / info.camera.width)
+        self._begun[at].show(state, camera_of(info.camera), scale)
+        if picture:
+            image = rr.EncodedImage(contents=picture, media_type="image/jpeg")
+            record(f"{at}/camera/image", image)
+            contour = message["contour"] or {"points_px": []}
+            points = [(scale * u, scale * v) for u, v in contour["points_px"]]
+            record(f"{at}/camera/image/contour", rr.Points2D(points, radii=1.0))
+        numbers = {name: state[name] for name in _NUMBERS} | (state.get("approach") or {})
+        for name, value in numbers.items():
+            if isinstance(value, int | float):
+                record(f"{at}/plots/{name}", rr.Scalars(float(value)))
+
+    def close(self) -> None:
+        """End the server."""
+        self._open.close()
+
+
+def _rerun_program() -> Path:
+    """Rerun's own program: ``python -m rerun`` starts it as a child, which outlives its parent.
+
+    Raises:
+        OSError: it is not there.
+        ModuleNotFoundError: the package is not installed.
+    """
+    import rerun_cli
+
+    folder = Path(rerun_cli.__file__).parent
+    given = os.environ.get("RERUN_CLI_PATH")  # as the package has it
+    places = [Path(given)] if given else [folder / place for place in _RERUN_PLACES]
+    for path in places:
+        if path.is_file():
+            return path
+    raise OSError(f"there is no {places[0]}: set RERUN_CLI_PATH to Rerun's program")
+
+
+def _end(program: subprocess.Popen[bytes]) -> None:
+    program.terminate()
+    program.wait()
+
+
+def _await_listener(server: subprocess.Popen[bytes], host: str, port: int) -> None:
+    """Wait until the server listens.
+
+    Raises:
+        OSError: it ended, or does not listen in time.
+    """
+    until_s = time.monotonic() + _SERVER_START_S
+    while server.poll() is None and time.monotonic() < until_s:
+        try:
+            socket.create_connection((host, port), 1.0).close()
+        except OSError:
+            time.sleep(0.05)
+        else:
+            return
+    raise OSError(f"Rerun's server does not listen on {host}:{port}: is the port taken?")

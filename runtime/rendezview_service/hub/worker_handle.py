@@ -1,0 +1,282 @@
+"""One worker process as the service sees it: its sessions take turns, one input at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
+
+from rendezview_service.hub.inputs import SessionInput
+from rendezview_service.messages.wire import Header, Unpacker, mapped, pack, shared_memory
+
+log = logging.getLogger("rendezview_service")
+
+_PATIENCE = 6.0  # × the limit of an input: for a process that waits for a processor. Source: chosen
+_START_S = 120.0  # s; the first start on a machine compiles. Source: a chosen limit
+
+
+class WorkerGone(Exception):
+    """The worker's process ended before it answered."""
+
+
+class WorkerClient(Protocol):
+    """The data of a session that a worker needs."""
+
+    @property
+    def has_waiting(self) -> bool:
+        """Whether an input waits."""
+
+    def take(self) -> SessionInput | None:
+        """The next input."""
+
+    def header_of(self, waiting: SessionInput) -> Header:
+        """The request that goes to the process with an input."""
+
+    def most_lines_of(self, waiting: SessionInput) -> int:
+        """How many sensor lines an input can hold."""
+
+    def tracked(self, waiting: SessionInput, header: Header, state: bytes) -> None:
+        """A frame's state has come."""
+
+    def add_extras(self, header: Header, picture: bytes) -> None:
+        """The contours and pictures of the last state have come."""
+
+    def measured(self, waiting: SessionInput, header: Header, answer: bytes) -> None:
+        """The answer to sensor lines has come."""
+
+    def refused(self, waiting: SessionInput, error: str, internal: bool) -> None:
+        """The process could not use an input."""
+
+    def lost(self, waiting: SessionInput) -> None:
+        """The process ended over an input."""
+
+
+ClientT = TypeVar("ClientT", bound=WorkerClient)
+
+
+class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
+    """Starts one worker process, sends it inputs, and gives its answers to the sessions."""
+
+    def __init__(self, memory_bytes: int, frame_timeout_s: float) -> None:
+        self._memory_bytes = memory_bytes
+        self._frame_timeout_s = frame_timeout_s
+        self.sessions: set[ClientT] = set()
+        self.on_gone: Callable[[WorkerHandle[ClientT]], None] = lambda worker: None
+        self.on_progress: Callable[[int], None] = lambda loops: None  # compiled so far
+        self.ready = False
+        self._turns: deque[ClientT] = deque()  # sessions with an input waiting
+        self._current: tuple[ClientT, SessionInput] | None = None
+        self._answers: deque[tuple[str, asyncio.Future[Header]]] = deque()
+        self._timer: asyncio.TimerHandle | None = None
+        self._sent_at_s = self._spent_before_s = 0.0  # of the input, its own processor's clock
+        self._process: subprocess.Popen[bytes] | None = None
+        self._transport: asyncio.Transport | None = None
+        self._started: asyncio.Future[None] | None = None
+
+    async def start(self) -> None:
+        """Start the process and wait until it is ready.
+
+        Raises:
+            WorkerGone: it ended at once.
+            TimeoutError: it is not ready in time.
+        """
+        loop = asyncio.get_running_loop()
+        ours, theirs = socket.socketpair()
+        memory = shared_memory(self._memory_bytes)
+        self._memory = mapped(memory, self._memory_bytes)
+        self._unpacker = Unpacker()
+        self._started = loop.create_future()
+        environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        command = [sys.executable, "-m", "rendezview_service.worker.worker"]
+        self._process = subprocess.Popen(
+            [*command, str(theirs.fileno()), str(memory), str(self._memory_bytes)],
+            pass_fds=(theirs.fileno(), memory),
+            stdin=subprocess.DEVNULL,
+            env=environment,
+        )
+        theirs.close()
+        os.close(memory)
+        ours.setblocking(False)
+        transport, _ = await loop.create_connection(lambda: self, sock=ours)
+        self._transport = transport
+        await asyncio.wait_for(self._started, _START_S)
+
+    async def ask(self, header: Header) -> Header:
+        """A request other than an input, and its answer.
+
+        Raises:
+            WorkerGone: the process ended first.
+        """
+        if self._transport is None:
+            raise WorkerGone
+        future: asyncio.Future[Header] = asyncio.get_running_loop().create_future()
+        self._answers.append((header["session"], future))
+        self._transport.write(pack(header))
+        return await future
+
+    def wake(self, session: ClientT) -> None:
+        """A session has an input waiting."""
+        if session not in self._turns:
+            self._turns.append(session)
+        self._next()
+
+    def forget(self, session: ClientT) -> None:
+        """A session has ended."""
+        self.sessions.discard(session)
+        if session in self._turns:
+            self._turns.remove(session)
+
+    def stop(self) -> None:
+        """Ask the process to end; it completes its logs first."""
+        self.on_gone = lambda worker: None
+        if self._transport is not None:
+            self._transport.write(pack({"kind": "quit"}))
+
+    async def restart(self) -> None:
+        """Replace the process, which has no sessions yet."""
+        gone, self.on_gone = self.on_gone, lambda worker: None
+        if self._transport is not None:
+            self._transport.write(pack({"kind": "quit"}))
+        await self.join(_START_S)
+        while self._transport is not None:
+            await asyncio.sleep(0.01)
+        self.on_gone = gone
+        await self.start()
+
+    async def join(self, timeout_s: float) -> None:
+        """Wait until the process ends; kill it after the timeout."""
+        if self._process is None:
+            return
+        process = self._process
+        try:
+            await asyncio.wait_for(asyncio.to_thread(process.wait), timeout_s)
+        except TimeoutError:
+            process.kill()
+
+    def _next(self) -> None:
+        while self._current is None and self._turns and self._transport is not None:
+            session = self._turns.popleft()
+            waiting = session.take()
+            if waiting is None:
+                continue
+            if session.has_waiting:
+                self._turns.append(session)
+            self._current = session, waiting
+            place = 0
+            for piece in waiting.pieces:
+                self._memory[place : place + len(piece)] = piece
+                place += len(piece)
+            self._transport.write(pack(session.header_of(waiting)))
+            # Every late line makes the filter repeat what came after it.
+            count = 1 if waiting.sensor is None else session.most_lines_of(waiting)
+            limit_s = count * self._frame_timeout_s
+            self._sent_at_s, self._spent_before_s = time.monotonic(), self._processor_s()
+            loop = asyncio.get_running_loop()
+            self._timer = loop.call_later(limit_s, self._late, limit_s)
+
+    def _done(self) -> None:
+        self._current = None
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._next()
+
+    def _late(self, limit_s: float) -> None:
+        """An input takes long: kill the process, unless it only waits for a processor."""
+        left_s = limit_s - (self._processor_s() - self._spent_before_s)
+        waited_s = time.monotonic() - self._sent_at_s
+        if left_s > 0.01 and waited_s < _PATIENCE * limit_s and self._wants_processor:
+            self._timer = asyncio.get_running_loop().call_later(left_s, self._late, limit_s)
+            return
+        log.error("a worker does not answer and is killed", extra={"waited_s": round(waited_s, 1)})
+        if self._process is not None:
+            self._process.kill()
+
+    def _processor_s(self) -> float:
+        """Processor time of the process so far; 0 where the system does not tell."""
+        if self._process is None or sys.platform != "linux":
+            return 0.0
+        try:  # the clock of a process. Source: MAKE_PROCESS_CPUCLOCK of the kernel, kind 2
+            return time.clock_gettime((~self._process.pid << 3) | 2)
+        except OSError:
+            return 0.0
+
+    @property
+    def _wants_processor(self) -> bool:
+        """Whether the process could run, if it had a processor."""
+        try:
+            stat = Path(f"/proc/{0 if self._process is None else self._process.pid}/stat")
+            return stat.read_text().rpartition(")")[2].split()[0] == "R"
+        except OSError:
+            return False
+
+    # asyncio.Protocol
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes of the process."""
+        for header, content in self._unpacker.feed(data):
+            self._received(header, content)
+
+    def _received(self, header: Header, content: bytes) -> None:
+        kind = header["kind"]
+        if kind == "ready":
+            self.ready = True
+            if self._started is not None and not self._started.done():
+                self._started.set_result(None)
+        elif kind == "progress":
+            self.on_progress(header["loops"])
+        elif kind in ("opened", "closed") or (
+            kind == "fault" and header["of"] not in ("frame", "measure", "show")
+        ):
+            self._answered(header)
+        elif self._current is not None:
+            session, waiting = self._current
+            try:
+                if kind == "state":
+                    session.tracked(waiting, header, content)
+                elif kind == "extras":
+                    session.add_extras(header, content)
+                elif kind == "measured":
+                    session.measured(waiting, header, content)
+                else:
+                    session.refused(waiting, header["error"], header.get("internal", False))
+            finally:  # after an error too, the next input must not wait for ever
+                if header.get("done", True):
+                    self._done()
+
+    def _answered(self, header: Header) -> None:
+        for k, (session, future) in enumerate(self._answers):
+            if session == header["session"]:
+                del self._answers[k]
+                if not future.done():
+                    future.set_result(header)
+                return
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """The process has ended."""
+        self.ready = False
+        self._transport = None
+        if self._started is not None and not self._started.done():
+            self._started.set_exception(WorkerGone())
+        for _, future in self._answers:
+            if not future.done():
+                future.set_exception(WorkerGone())
+        self._answers.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._current is not None:
+            session, waiting = self._current
+            self._current = None
+            session.lost(waiting)
+        self._turns.clear()
+        if self._process is not None:
+            self._process.poll()
+        self.on_gone(self)

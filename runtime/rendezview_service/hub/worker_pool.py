@@ -1,0 +1,266 @@
+"""All worker processes: they are started, warmed up and replaced here."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Awaitable, Callable, Coroutine, Iterable
+from typing import Any
+
+from rendezview.errors import RendezviewError
+from rendezview_service.hub.metrics import Metrics
+from rendezview_service.hub.model_store import StoredModel
+from rendezview_service.hub.sessions import Session
+from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle
+from rendezview_service.hub.worker_requests import prepare_request, sight_of, warm_request
+from rendezview_service.messages.wire import Header
+from rendezview_service.settings import Settings
+
+log = logging.getLogger("rendezview_service")
+
+Worker = WorkerHandle[Session]
+
+COMPILING = "loops are being compiled, which takes minutes, once: /readyz reports when it is done"
+_MOST_PREPARED = 4  # recognizers, 90 MB each, that the spare worker has ready. Source: chosen
+_SPARE_PAUSE_S = 1.0  # s, in which moved sessions have the processor alone. Source: chosen
+_RESTART_PAUSE_S = 1.0  # s, between attempts to replace a worker. Source: chosen
+_WARM_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
+_STOP_S = 10.0  # s, to complete the logs. Source: chosen
+
+
+class NotReady(Exception):
+    """No worker is ready at the moment."""
+
+    def __init__(self, reason: str = "no worker process is ready: try again in a moment") -> None:
+        super().__init__(reason)
+
+
+class WorkerPool:
+    """A fixed number of workers, and a spare one that takes the place of one that ends.
+
+    Sessions of a worker that ended continue at once, with the spare one or with another.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        metrics: Metrics,
+        orphaned: Callable[[list[Session], Worker | None], Awaitable[list[Session]]],
+    ) -> None:
+        """A pool whose workers are not started yet.
+
+        Args:
+            orphaned: receives the sessions of a worker that ended, once another is ready, and
+                the spare one if it takes its place; returns those that have to wait.
+        """
+        self._settings = settings
+        self._metrics = metrics
+        self._orphaned = orphaned
+        self._workers: list[Worker] = []
+        self._spare: Worker | None = None
+        self._sights: list[Header] = []  # what the spare worker has ready
+        self._warm_with: StoredModel | None = None  # model for the warm-up
+        self._warming: asyncio.Task[None] | None = None
+        self._replacing: set[asyncio.Task[None]] = set()
+        self._stopping = False
+        self.progress = "the worker processes start"
+
+    async def start(self, count: int, model: StoredModel | None) -> None:
+        """Start ``count`` workers and warm them up with a model.
+
+        Raises:
+            RendezviewError: a worker does not start.
+        """
+        self._warm_with = model
+        self._workers = [self._new() for _ in range(count)]
+        try:
+            # One first: the others then read its compiled code.
+            await self._start_one(self._workers[0])
+            if len(self._workers) > 1:
+                self.progress = f"1 of {len(self._workers)} worker processes is ready"
+            await asyncio.gather(*map(self._start_one, self._workers[1:]))
+            if self._settings.spare_worker:
+                self._spawn(self._replace(None, []))
+        except (WorkerGone, TimeoutError, OSError) as error:
+            raise RendezviewError(
+                f"the worker processes do not start ({error or type(error).__name__}): see the log"
+            ) from None
+
+    async def stop(self) -> None:
+        """Stop all workers."""
+        workers = [*self._workers, *([] if self._spare is None else [self._spare])]
+        for worker in workers:
+            worker.stop()
+        await asyncio.gather(*(worker.join(_STOP_S) for worker in workers))
+
+    def stay_down(self) -> None:
+        """Replace no worker from now on."""
+        self._stopping = True
+        for task in self._replacing:
+            task.cancel()
+
+    @property
+    def none_ready(self) -> bool:
+        """Whether no worker is ready."""
+        return not any(worker.ready for worker in self._workers)
+
+    @property
+    def compiling(self) -> bool:
+        """Whether loops are being compiled for the first model."""
+        return self._warming is not None and not self._warming.done()
+
+    def least_busy(self) -> Worker:
+        """The worker with the fewest sessions.
+
+        Raises:
+            NotReady: there is none.
+        """
+        ready = [worker for worker in self._workers if worker.ready]
+        if not ready:
+            raise NotReady
+        return min(ready, key=lambda worker: len(worker.sessions))
+
+    async def prepare(self, sessions: Iterable[Session]) -> None:
+        """Have the spare worker ready for these sessions, so that it can take over at once."""
+        found: list[Header] = []
+        for session in sessions:
+            sight = sight_of(session.request, session.stored.copy)
+            if sight not in found:
+                found.append(sight)
+        self._sights = found[-_MOST_PREPARED:]
+        if self._spare is not None and self._spare.ready:
+            with contextlib.suppress(WorkerGone):
+                await self._spare.ask(prepare_request(self._sights))
+
+    async def expect(self, sights: list[Header]) -> None:
+        """Have all workers ready for sessions that may come."""
+        for worker in self._workers:
+            if worker.ready:
+                with contextlib.suppress(WorkerGone):
+                    await worker.ask(prepare_request(sights[-_MOST_PREPARED:]))
+
+    async def read(self, model: StoredModel) -> None:
+        """Have all workers read a model."""
+        await self.warmed(model)
+        for worker in self._workers:
+            if worker.ready:
+                with contextlib.suppress(WorkerGone):
+                    await worker.ask(warm_request(model))
+
+    async def warmed(self, model: StoredModel) -> None:
+        """Warm the workers up with a model, if there was none at the start.
+
+        Raises:
+            RendezviewError: the file is not a model.
+            NotReady: it takes longer, because loops have to be compiled.
+        """
+        if self._warm_with is None:
+            self._warm_with = model
+            self._warming = asyncio.create_task(self._warm_all(model))
+        if self._warming is None:
+            return
+        try:
+            await asyncio.wait_for(asyncio.shield(self._warming), _WARM_WAIT_S)
+        except TimeoutError:
+            raise NotReady(COMPILING) from None
+
+    def _new(self) -> Worker:
+        worker = Worker(self._settings.frame_bytes, self._settings.frame_timeout_s)
+        worker.on_gone = self._gone
+        worker.on_progress = self._compiled
+        return worker
+
+    def _compiled(self, loops: int) -> None:
+        """A worker has compiled so many loops."""
+        self.progress = f"{loops} loops compiled so far; this takes minutes, once a machine"
+        log.info("compiling", extra={"loops": loops})
+
+    async def _start_one(self, worker: Worker) -> None:
+        """Start a worker and warm it up."""
+        await worker.start()
+        if self._warm_with is not None:
+            await self._warm(worker, self._warm_with)
+
+    async def _warm(self, worker: Worker, model: StoredModel) -> None:
+        """Have a worker compile its loops; if it did, restart it to read them from the cache."""
+        request = warm_request(model)
+        answer = await worker.ask(request)
+        if answer["kind"] == "fault":
+            raise RendezviewError(answer["error"])
+        if answer["compiled"]:
+            log.info("compiled", extra={"loops": answer["compiled"]})
+            await worker.restart()
+            await worker.ask(request)
+
+    async def _warm_all(self, model: StoredModel) -> None:
+        first, *others = self._workers
+        try:
+            await self._warm(first, model)
+            await asyncio.gather(*(self._warm(worker, model) for worker in others))
+        except RendezviewError:
+            self._warm_with = self._warming = None
+            raise
+        except (WorkerGone, TimeoutError, OSError):
+            pass  # its replacement warms up
+
+    def _gone(self, worker: Worker) -> None:
+        known = worker is self._spare or worker in self._workers
+        if self._stopping or not known:  # who starts another one sees its end
+            return
+        log.error("a worker process has ended and is being replaced")
+        self._metrics.restarts.inc()
+        orphans = list(worker.sessions)
+        for session in orphans:
+            session.worker = None
+        if worker is self._spare:
+            self._spare = None
+            self._spawn(self._replace(None, []))
+            return
+        if self._spare is not None and self._spare.ready:
+            takes_over, self._spare = self._spare, None
+            self._workers[self._workers.index(worker)] = takes_over
+            self._spawn(self._replace(None, orphans, takes_over))
+        else:
+            self._spawn(self._replace(worker, orphans))
+
+    async def _replace(
+        self, gone: Worker | None, orphans: list[Session], takes_over: Worker | None = None
+    ) -> None:
+        """Start a worker in place of one that ended, or as the spare one.
+
+        Its sessions continue with new trackers, as soon as any worker is ready.
+        """
+        if orphans and not self.none_ready:
+            orphans = await self._orphaned(orphans, takes_over)
+            if takes_over is not None:
+                with contextlib.suppress(WorkerGone):
+                    await takes_over.ask(prepare_request([]))
+                await asyncio.sleep(_SPARE_PAUSE_S)
+        fresh = self._new()
+        while True:
+            try:
+                await self._start_one(fresh)
+                break
+            except RendezviewError as error:
+                # It runs, but its model for the warm-up is gone; the next model warms it up.
+                log.warning("not warmed up", extra={"reason": str(error)})
+                self._warm_with = self._warming = None
+                break
+            except (WorkerGone, TimeoutError, OSError):
+                await asyncio.sleep(_RESTART_PAUSE_S)
+                fresh = self._new()
+        if gone is not None:
+            self._workers[self._workers.index(gone)] = fresh
+        else:
+            self._spare = fresh
+            with contextlib.suppress(WorkerGone):
+                await fresh.ask(prepare_request(self._sights))
+                log.info("a spare worker is ready")
+        while orphans := await self._orphaned(orphans, None):
+            await asyncio.sleep(_RESTART_PAUSE_S)
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
+        self._replacing.add(task)
+        task.add_done_callback(self._replacing.discard)

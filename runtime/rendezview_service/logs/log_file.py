@@ -1,0 +1,221 @@
+"""Reading MCAP logs, whole, cut off or damaged.
+
+A log has one chunk per frame, written before the frame is acknowledged. After a kill the file has
+no index, and its last record may be incomplete. A damaged record is passed over: reading goes on
+with the next chunk.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from typing import Any, BinaryIO
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    DataEnd,
+    Header,
+    McapRecord,
+    Message,
+    MessageIndex,
+    Metadata,
+    Schema,
+)
+from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
+
+from rendezview.errors import RendezviewError
+from rendezview.io.files import StrPath
+from rendezview_service.logs.log_index import MAGIC
+
+WRITER = "rendezview"  # in the header of the service's own logs
+_HEAD = struct.Struct("<BQ")  # opcode, length
+_PARSED: dict[int, Any] = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.MESSAGE: None,
+    Opcode.CHUNK: Chunk,
+    Opcode.MESSAGE_INDEX: MessageIndex,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.METADATA: Metadata,
+}
+# Codes of other records, of this or a later version of MCAP. Source: mcap.dev/spec, "Opcodes".
+_OTHER = (*range(0x0B, 0x0F), *range(0x80, 0x100))
+_LEAST_MESSAGE = 22  # bytes of an empty message. Source: mcap.dev/spec, "Message"
+_MOST_RECORD = 4_000_000_000  # bytes; a longer record is damage. Source: a chosen limit
+_WINDOW = 1 << 20  # bytes that are searched at once for the next chunk. Source: chosen
+# The start of a chunk: opcode, a length below 4 GiB, times, size and checksum, a compression.
+# Source: mcap.dev/spec, "Chunk".
+_CHUNK = re.compile(
+    rb"\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd)", re.DOTALL
+)  # fmt: skip
+_CHUNK_START = 49  # bytes that the pattern may need. Source: its own length
+
+
+class ChannelKinds:
+    """The name of each channel's schema, from the records before the messages."""
+
+    def __init__(self) -> None:
+        self.kinds: dict[int, str] = {}  # by channel
+        self._schemas: dict[int, str] = {}
+
+    def note(self, record: McapRecord) -> None:
+        """Take a schema or a channel over; other records change nothing."""
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            self.kinds[record.id] = self._schemas.get(record.schema_id, "")
+
+
+def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord, int, int]]:
+    """Complete records of data with offset and length, up to the end or the index.
+
+    Damaged records are left out, so that the offsets have gaps.
+
+    Args:
+        most: number of bytes to read; None: all.
+
+    Raises:
+        RendezviewError: the file cannot be read, or is not an MCAP file.
+    """
+    try:
+        with open(path, "rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            size = size if most is None else min(size, most)
+            if file.read(len(MAGIC)) != MAGIC:
+                raise RendezviewError(f"{path}: not an MCAP log: name another file")
+            place = len(MAGIC)
+            while place + _HEAD.size <= size:
+                found = _record_at(file, place, size)
+                if found is None:
+                    following = _next_chunk(file, place + 1, size)
+                    if following is None:
+                        return
+                    place = following
+                    continue
+                record, length = found
+                yield record, place, length
+                if isinstance(record, DataEnd):
+                    return
+                place += length
+    except FileNotFoundError:
+        raise RendezviewError(f"{path}: no such log: check the path") from None
+    except OSError as error:
+        raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def record_at(path: StrPath, place: int) -> McapRecord | None:
+    """The record at an offset; None for damage.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with open(path, "rb") as file:
+        found = _record_at(file, place, os.fstat(file.fileno()).st_size)
+    return None if found is None else found[0]
+
+
+def _record_at(file: BinaryIO, place: int, size: int) -> tuple[McapRecord, int] | None:
+    """The record at an offset and its length; None for damage."""
+    file.seek(place)
+    head = file.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        return None
+    opcode, length = _HEAD.unpack(head)
+    end = place + _HEAD.size + length
+    if length > _MOST_RECORD or end > size:
+        return None
+    record = _parsed(opcode, file.read(length))
+    return None if record is None else (record, end - place)
+
+
+def _next_chunk(file: BinaryIO, place: int, size: int) -> int | None:
+    """The offset of the next chunk whose lengths fit together."""
+    while place < size:
+        file.seek(place)
+        window = file.read(min(_WINDOW + _CHUNK_START, size - place))
+        for match in _CHUNK.finditer(window):
+            found = _record_at(file, place + match.start(), size)
+            if found is not None and isinstance(found[0], Chunk):
+                return place + match.start()
+        place += _WINDOW
+    return None
+
+
+def _parsed(opcode: int, body: bytes) -> McapRecord | None:
+    """A record of data; None for damage. Records that are not needed stay empty."""
+    if opcode == Opcode.DATA_END:
+        return DataEnd(0) if len(body) == 4 else None
+    if opcode == Opcode.MESSAGE:
+        fits = len(body) >= _LEAST_MESSAGE
+        return Message.read(ReadDataStream(io.BytesIO(body)), len(body)) if fits else None
+    kind = _PARSED.get(opcode)
+    if kind is None:
+        return McapRecord() if opcode in _OTHER else None
+    content = io.BytesIO(body)
+    try:
+        record: McapRecord = kind.read(ReadDataStream(content))
+    except (McapError, ValueError, struct.error, MemoryError, OverflowError):
+        return None
+    if isinstance(record, Chunk | MessageIndex) and content.tell() != len(body):
+        return None  # its length was damaged
+    if isinstance(record, Attachment):
+        stored = struct.unpack("<I", body[-4:])[0]
+        if stored and stored != zlib.crc32(memoryview(body)[:-4]):
+            return None
+    return record
+
+
+_DAMAGE = (McapError, ValueError, struct.error, RuntimeError, EOFError, MemoryError)
+
+
+def content_of(chunk: Chunk) -> bytes | None:
+    """The unpacked content of a chunk; None if it is damaged."""
+    try:
+        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        return stream.read(length) if length == chunk.uncompressed_size else None
+    except _DAMAGE:
+        return None
+
+
+def messages(chunk: Chunk) -> list[Message] | None:
+    """The messages of a chunk; None if it is damaged."""
+    try:
+        parts = breakup_chunk(chunk, validate_crc=True)
+    except _DAMAGE:
+        return None
+    return [part for part in parts if isinstance(part, Message)]
+
+
+def is_own(path: StrPath) -> bool:
+    """Whether the service wrote this file; False for logs of other programs, and no logs."""
+    try:
+        with open(path, "rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                return False
+            found = _record_at(file, len(MAGIC), os.fstat(file.fileno()).st_size)
+    except OSError:
+        return False
+    return found is not None and isinstance(found[0], Header) and found[0].library == WRITER
+
+
+def is_finished(path: StrPath) -> bool:
+    """Whether a log has its end.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with open(path, "rb") as file:
+        if file.seek(0, os.SEEK_END) < 2 * len(MAGIC):
+            return False
+        file.seek(-len(MAGIC), os.SEEK_END)
+        return file.read() == MAGIC

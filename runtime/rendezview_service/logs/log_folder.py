@@ -1,0 +1,187 @@
+"""The folder of the logs: names of parts, unfinished logs repaired, old logs removed.
+
+``python -m rendezview_service.logs.log_folder FOLDER`` repairs the service's own unfinished logs;
+the service starts it once it listens. Logs that are being written are locked, and so is the folder
+while it is looked through: several services can share one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from mcap.records import Chunk, Metadata
+
+from rendezview.errors import RendezviewError
+from rendezview_service.logs.log_file import is_finished, is_own, records
+from rendezview_service.logs.log_lock import folder_lock
+from rendezview_service.logs.log_repair import RECOVERED, locked, mend
+
+log = logging.getLogger("rendezview_service")
+
+SESSION_METADATA = "rendezview.session"
+_SUFFIX = ".mcap"
+_UNFINISHED = re.compile(r"\..+\.[0-9a-f]{8,12}\.tmp")  # a file that is being written
+_UNFINISHED_S = 3600.0  # s, since its last write: then who wrote it has ended. Source: chosen
+_REMOVE_EVERY_S = 60.0  # s, between looks for old logs. Source: chosen
+
+
+def part_path(base: Path, number: int) -> Path:
+    """The file of a part, counted from 1, of the log whose first part is ``base``."""
+    return base if number == 1 else base.with_name(f"{base.stem}-{number}{base.suffix}")
+
+
+def free_number(base: Path, least: int = 1) -> int:
+    """The number of a new part: after all that are there, and at least ``least``."""
+    names = re.compile(
+        rf"{re.escape(base.stem)}(?:-(\d+))?(?:{RECOVERED})?{re.escape(base.suffix)}"
+    )
+    taken = [
+        int(match[1] or 1)
+        for entry in base.parent.glob(f"*{base.suffix}")
+        if (match := names.fullmatch(entry.name))
+    ]
+    return max([least, *(number + 1 for number in taken)])
+
+
+def notes_of(path: Path) -> dict[str, str]:
+    """The metadata of the session at the start of a log; empty in files of other programs.
+
+    Raises:
+        RendezviewError: it is missing or not an MCAP file.
+    """
+    for record, _, _ in records(path):
+        if isinstance(record, Metadata) and record.name == SESSION_METADATA:
+            return dict(record.metadata)
+        if isinstance(record, Chunk):
+            break
+    return {}
+
+
+def parts_from(path: Path) -> list[Path]:
+    """A log and the parts that follow it in its folder; a later part stands alone.
+
+    Raises:
+        RendezviewError: it is missing or not an MCAP file.
+    """
+    notes = notes_of(path)
+    log, number = notes.get("log"), int(notes.get("part", 1))
+    if log is None:
+        return [path]
+    found: dict[int, Path] = {}
+    for other in sorted(path.parent.glob(f"*{_SUFFIX}")):
+        if other == path or not is_own(other):
+            continue
+        with contextlib.suppress(RendezviewError, ValueError):
+            noted = notes_of(other)
+            if noted.get("log") == log:
+                found.setdefault(int(noted.get("part", 1)), other)
+    if any(other < number for other in found):
+        return [path]
+    return [path, *(found[other] for other in sorted(found) if other != number)]
+
+
+def mend_folder(folder: Path) -> Iterator[dict[str, object]]:
+    """Repair the service's own unfinished logs that nobody writes; what was done, log by log.
+
+    Copies that a repair left when it was killed are removed.
+    """
+    for path in folder.iterdir():
+        with contextlib.suppress(OSError):
+            old = time.time() - path.stat().st_mtime > _UNFINISHED_S
+            if old and _UNFINISHED.fullmatch(path.name):
+                path.unlink()
+    for path in sorted(folder.glob(f"*{_SUFFIX}")):
+        try:
+            if is_finished(path) or not is_own(path):
+                continue
+            mended = mend(path)
+        except (RendezviewError, OSError) as error:
+            yield {"log": path.name, "reason": str(error)}
+            continue
+        if mended is not None:
+            yield {
+                "log": path.name,
+                "into": mended.path.name,
+                "cut_bytes": mended.cut_bytes,
+                "damaged_bytes": mended.damaged_bytes,
+            }
+
+
+def remove_old(folder: Path, most_bytes: int, most_s: float) -> list[Path]:
+    """Remove the service's oldest logs, until what is left is small and recent enough.
+
+    Logs that are being written, and files of other programs, stay.
+
+    Args:
+        most_bytes: of all own logs together; 0: any size.
+        most_s: since the last write; 0: any age.
+    """
+    with folder_lock(folder) as ours:
+        if not ours:
+            return []
+        logs = []
+        for path in folder.glob(f"*{_SUFFIX}"):
+            with contextlib.suppress(OSError):
+                status = path.stat()
+                if is_own(path):
+                    logs.append((status.st_mtime, status.st_size, path))
+        total = sum(size for _, size, _ in logs)
+        removed = []
+        for written_s, size, path in sorted(logs):
+            too_much = most_bytes > 0 and total > most_bytes
+            too_old = most_s > 0.0 and time.time() - written_s > most_s
+            if not too_much and not too_old:
+                continue
+            with contextlib.suppress(OSError, RendezviewError), locked(path):
+                path.unlink()
+                removed.append(path)
+                total -= size
+        return removed
+
+
+async def keep_logs(folder: Path, most_bytes: int, most_s: float) -> None:
+    """Repair logs that an earlier run left cut off, in another process; then remove old ones."""
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "rendezview_service.logs.log_folder", str(folder)),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+    )
+    try:
+        assert process.stdout is not None
+        async for line in process.stdout:
+            done = json.loads(line)
+            log.warning("log not mended" if "reason" in done else "log mended", extra=done)
+        await process.wait()
+    finally:
+        if process.returncode is None:
+            process.kill()
+    while most_bytes or most_s:
+        try:
+            for path in await asyncio.to_thread(remove_old, folder, most_bytes, most_s):
+                log.warning("log removed", extra={"log": path.name})
+        except OSError as error:
+            log.error("old logs cannot be removed", extra={"reason": str(error)})
+        await asyncio.sleep(_REMOVE_EVERY_S)
+
+
+def main() -> None:
+    """Repair a folder's logs and print what was done, one JSON object a line."""
+    os.nice(10)  # tracking has priority
+    with folder_lock(Path(sys.argv[1])) as ours:
+        if ours:
+            for done in mend_folder(Path(sys.argv[1])):
+                print(json.dumps(done), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""Messages of a log: Foxglove's types, and the service's own states as JSON."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from rendezview.geometry.camera import Camera, LensModel
+from rendezview_service.messages.frames import Bytes, FrameKind
+from rendezview_service.messages.fusion_messages import LoggedMeasurement
+from rendezview_service.messages.messages import State
+from rendezview_service.messages.ros import CAMERA_FRAME, TARGET_FRAME
+
+# Channels
+STATE, POSE, TRANSFORM, CALIBRATION, RAW, COMPRESSED, MEASUREMENT, FUSED = range(1, 9)
+TOPICS: dict[int, tuple[str, str, Any]] = {
+    STATE: ("/rendezview/state", "rendezview.State", None),
+    POSE: ("/target/pose", "foxglove.PoseInFrame", PoseInFrame),
+    TRANSFORM: ("/tf", "foxglove.FrameTransform", FrameTransform),
+    CALIBRATION: ("/camera/calibration", "foxglove.CameraCalibration", CameraCalibration),
+    RAW: ("/camera/image", "foxglove.RawImage", RawImage),
+    COMPRESSED: ("/camera/image/compressed", "foxglove.CompressedImage", CompressedImage),
+    MEASUREMENT: ("/rendezview/measurement", "rendezview.Measurement", None),
+    FUSED: ("/target/fused", "foxglove.PoseInFrame", PoseInFrame),
+}
+
+
+def descriptors(message: Any) -> bytes:
+    """The serialized ``FileDescriptorSet`` of a protobuf class, dependencies first."""
+    files = FileDescriptorSet()
+    seen: set[str] = set()
+
+    def add(file: Any) -> None:
+        if file.name in seen:
+            return
+        seen.add(file.name)
+        for dependency in file.dependencies:
+            add(dependency)
+        file.CopyToProto(files.file.add())
+
+    add(message.DESCRIPTOR.file)
+    return bytes(files.SerializeToString())
+
+
+def json_schema(channel: int) -> dict[str, Any]:
+    """JSON schema of the service's messages without references and alternatives, for viewers."""
+    schema = (State if channel == STATE else LoggedMeasurement).model_json_schema()
+    return _plain(schema, schema.get("$defs", {}))
+
+
+def _plain(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    if "$ref" in schema:
+        return _plain(definitions[schema["$ref"].rpartition("/")[2]], definitions)
+    if "anyOf" in schema:  # X or null
+        some = next(s for s in schema["anyOf"] if s.get("type") != "null")
+        return _plain(some, definitions)
+    named = ("type", "title", "description")
+    plain: dict[str, Any] = {str(k): schema[k] for k in named if k in schema}
+    if "properties" in schema:
+        parts = schema["properties"].items()
+        plain["properties"] = {name: _plain(part, definitions) for name, part in parts}
+    if "items" in schema:
+        plain["items"] = _plain(schema["items"], definitions)
+    return plain
+
+
+def stamp(time_s: float) -> Timestamp:
+    """Seconds as a protobuf timestamp."""
+    whole = math.floor(time_s)
+    return Timestamp(seconds=whole, nanos=min(int((time_s - whole) * 1e9), 999_999_999))
+
+
+def pose_bytes(time_s: float, pose: dict[str, list[float]]) -> bytes:
+    """foxglove.PoseInFrame: the target in the camera frame."""
+    message = PoseInFrame(timestamp=stamp(time_s), frame_id=CAMERA_FRAME)
+    _set(message.pose.position, message.pose.orientation, pose)
+    return bytes(message.SerializeToString())
+
+
+def transform_bytes(time_s: float, pose: dict[str, list[float]]) -> bytes:
+    """foxglove.FrameTransform: the target in the camera frame."""
+    message = FrameTransform(
+        timestamp=stamp(time_s), parent_frame_id=CAMERA_FRAME, child_frame_id=TARGET_FRAME
+    )
+    _set(message.translation, message.rotation, pose)
+    return bytes(message.SerializeToString())
+
+
+def calibration_bytes(time_s: float, camera: Camera) -> bytes:
+    """foxglove.CameraCalibration."""
+    matrix = camera.matrix
+    fisheye = camera.lens_model is LensModel.FISHEYE
+    distortion = list(camera.distortion) or [0.0] * 5
+    if len(distortion) == 4 and not fisheye:
+        distortion.append(0.0)
+    polynomial = "plumb_bob" if len(distortion) == 5 else "rational_polynomial"
+    projection = [*matrix[0], 0.0, *matrix[1], 0.0, *matrix[2], 0.0]
+    message = CameraCalibration(
+        timestamp=stamp(time_s),
+        frame_id=CAMERA_FRAME,
+        width=camera.width,
+        height=camera.height,
+        distortion_model="kannala_brandt" if fisheye else polynomial,
+        D=distortion,
+        K=matrix.ravel().tolist(),
+        R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        P=projection,
+    )
+    return bytes(message.SerializeToString())
+
+
+def image_bytes(
+    time_s: float, content: Bytes, kind: FrameKind, camera: Camera
+) -> tuple[int, bytes]:
+    """Channel and message of a frame, with its bytes as they arrived."""
+    if kind is FrameKind.RAW:
+        raw = RawImage(
+            timestamp=stamp(time_s),
+            frame_id=CAMERA_FRAME,
+            width=camera.width,
+            height=camera.height,
+            encoding="mono8",
+            step=camera.width,
+            data=bytes(content),
+        )
+        return RAW, bytes(raw.SerializeToString())
+    compressed = CompressedImage(
+        timestamp=stamp(time_s), frame_id=CAMERA_FRAME, data=bytes(content), format=str(kind)
+    )
+    return COMPRESSED, bytes(compressed.SerializeToString())
+
+
+def _set(place: Any, turn: Any, pose: dict[str, list[float]]) -> None:
+    place.x, place.y, place.z = pose["translation_m"]
+    turn.w, turn.x, turn.y, turn.z = pose["quat_wxyz"]

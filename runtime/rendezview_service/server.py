@@ -1,0 +1,164 @@
+"""Runs the application with uvicorn."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import resource
+import socket
+import sys
+from collections.abc import Callable
+from types import FrameType
+
+import uvicorn
+
+from rendezview.errors import RendezviewError
+from rendezview_service.http.app import make_app
+from rendezview_service.http.connections import bounded
+from rendezview_service.http.security import Token, read_tokens
+from rendezview_service.hub.service import Service
+from rendezview_service.settings import Settings
+
+_OTHER_FILES = 200  # files that are open beside connections. Source: a chosen limit
+_SHUTDOWN_S = 10  # s, for open requests. Source: chosen
+
+
+class _Server(uvicorn.Server):
+    """Reports its address once it listens."""
+
+    on_ready: Callable[[str], None] = staticmethod(lambda address: None)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        gc.collect()
+        gc.freeze()  # what exists now stays: the collector need not scan it again
+        if self.started and sockets:
+            host, port = sockets[0].getsockname()[:2]
+            scheme = "https" if self.config.is_ssl else "http"
+            self.on_ready(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/")
+
+    def stop(self) -> None:
+        """End the service in order."""
+        self.should_exit = True
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """The first signal ends the service in order, with code 0; the second ends it at once."""
+        self.force_exit = self.should_exit
+        self.should_exit = True
+
+
+def run(service: Service, on_ready: Callable[[str], None]) -> None:
+    """Serve until SIGINT or SIGTERM; the logs are complete afterwards.
+
+    Args:
+        on_ready: receives the address once the service listens, before it can track.
+
+    Raises:
+        RendezviewError: the address is taken, or the service cannot start.
+    """
+    settings = service.settings
+    app = _Watched(make_app(service, tokens_of(settings)))
+    server = _Server(_config(app, settings))
+    service.on_failure = server.stop
+    _serve(server, settings, on_ready)
+    failure = app.failure or service.failure
+    if isinstance(failure, RendezviewError):
+        raise failure
+    if failure is not None:
+        raise RendezviewError(f"the service cannot start: {failure}") from failure
+
+
+def run_gateway(settings: Settings, on_ready: Callable[[str], None]) -> None:
+    """Serve as a gateway of a Ray cluster. Errors as in `run`."""
+    from rendezview_service.cluster.gateway import make_gateway
+
+    app = _Watched(make_gateway(settings, tokens_of(settings)))
+    _serve(_Server(_config(app, settings)), settings, on_ready)
+    if app.failure is not None:
+        raise app.failure
+
+
+def tokens_of(settings: Settings) -> list[Token]:
+    """The tokens of the settings' file. Errors as in `read_tokens`."""
+    return [] if settings.tokens_file is None else read_tokens(settings.tokens_file)
+
+
+def _config(app: _Watched, settings: Settings) -> uvicorn.Config:
+    return uvicorn.Config(
+        app,
+        http=bounded(_connections(settings.connections)),
+        ws="websockets-sansio",
+        loop="uvloop" if sys.platform != "win32" else "asyncio",
+        lifespan="on",
+        access_log=False,
+        log_config=None,
+        server_header=False,
+        ws_max_size=settings.frame_bytes + 8,
+        ws_per_message_deflate=False,  # frames hardly compress
+        ws_ping_interval=20.0,
+        ws_ping_timeout=20.0,
+        timeout_graceful_shutdown=_SHUTDOWN_S,
+        timeout_keep_alive=75,
+        limit_concurrency=None,
+        ssl_certfile=settings.tls_certificate,
+        ssl_keyfile=settings.tls_key,
+    )
+
+
+def _serve(server: _Server, settings: Settings, on_ready: Callable[[str], None]) -> None:
+    server.on_ready = on_ready
+    listener = _listen(settings.host, settings.port)
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run(sockets=[listener])
+    except SystemExit:
+        pass
+    except OSError as error:
+        raise RendezviewError(f"the service cannot start: {error}") from None
+    finally:
+        listener.close()
+
+
+def _connections(wanted: int) -> int:
+    """As many as wanted, or as the limit of open files allows."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = wanted + _OTHER_FILES
+    if soft != resource.RLIM_INFINITY and soft < needed:
+        allowed = needed if hard == resource.RLIM_INFINITY else min(needed, hard)
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
+            soft = allowed
+    return wanted if soft == resource.RLIM_INFINITY else max(1, min(wanted, soft - _OTHER_FILES))
+
+
+class _Watched:
+    """Keeps the error of a failed start: uvicorn only logs it."""
+
+    def __init__(self, app: object) -> None:
+        self._app = app
+        self.failure: RendezviewError | None = None
+
+    async def __call__(self, scope, receive, send) -> None:  # type: ignore[no-untyped-def]
+        """ASGI."""
+        try:
+            await self._app(scope, receive, send)  # type: ignore[operator]
+        except RendezviewError as error:
+            self.failure = error
+            raise
+        except asyncio.CancelledError:
+            raise
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+    except OSError as error:
+        listener.close()
+        raise RendezviewError(
+            f"{host}:{port}: cannot listen there ({error.strerror}): choose another --port"
+        ) from None
+    return listener

@@ -1,0 +1,185 @@
+"""The ring and the reflector sensor of one session, on the frames that the tracker sees too.
+
+The order of a frame is that of the commands: the camera's pose is fused, the fused state is the
+ring's prior (as ``rendezview ring --track`` takes it from a log of ``fuse``), then the readings are
+fused. What a sensor measures goes to the filter as from the command's log.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from rendezview.geometry.camera import Camera
+from rendezview.io.results import json_value
+from rendezview.io.sequences.frame import GreyImage
+from rendezview.io.target import DockingRing, Reflector, Target
+from rendezview.sensors.beacons import LitDark, ReflectorSensor, patterns_of
+from rendezview.sensors.ring import RingPrior, RingSensor
+from rendezview.sensors.ring.observation import RingObservation
+from rendezview.sensors.ring.prior_log import prior_of_pose
+from rendezview_service.messages.fusion_messages import FusionRequest
+from rendezview_service.messages.messages import SessionRequest
+from rendezview_service.tracker.sensor_lines import Json, context_of, pose_of_fused
+from rendezview_service.tracker.session_filter import SessionFilter
+
+RING, REFLECTORS = "ring", "reflectors"  # names of the session's own sensors
+_ELLIPSE = ("centre_px", "semi_axes_px", "angle_rad")
+
+
+class FrameSensors:
+    """The sensors beside the tracker that read each frame of a session."""
+
+    def __init__(self, request: SessionRequest, camera: Camera) -> None:
+        """The sensors that a request asks for.
+
+        Raises:
+            RendezviewError: the reflectors make no pattern.
+        """
+        asked, known = request.sensors, request.fusion or FusionRequest()
+        self._ring: DockingRing | None = None
+        self._reflectors: ReflectorSensor | None = None
+        self._pairs = False
+        self._lit: tuple[int, float, GreyImage] | None = None  # waits for its dark frame
+        if asked is not None and asked.ring:
+            self._ring = context_of(known).ring
+            assert self._ring is not None
+            circles = self._ring.circles
+            self._ring_sensor = RingSensor(camera, self._ring.radius_m, circles=circles)
+        if asked is not None and asked.reflectors != "off":
+            self._reflectors = ReflectorSensor(camera, patterns_of(_target(known)))
+            self._pairs = asked.reflectors == "pairs"
+
+    @property
+    def names(self) -> list[str]:
+        """Of the sensors that run."""
+        running = (RING, self._ring), (REFLECTORS, self._reflectors)
+        return [name for name, sensor in running if sensor is not None]
+
+    def look(
+        self, image: GreyImage, time_s: float, number: int, known: Json, fusing: SessionFilter
+    ) -> Json:
+        """The readings of a frame, by sensor; they go to the filter if it runs.
+
+        Args:
+            image: (H, W) of the frame.
+            time_s: of the frame.
+            number: of the frame among all that were sent: which of a pair it is.
+            known: the `Fused` state at the frame, by what came before.
+            fusing: the session's filter.
+        """
+        readings: Json = {}
+        if self._reflectors is not None:
+            readings[REFLECTORS] = self._reflect(image, time_s, number, fusing)
+        if self._ring is not None:
+            readings[RING] = self._find_ring(image, time_s, known, fusing)
+        return readings
+
+    def _find_ring(
+        self, image: GreyImage, time_s: float, known: Json, fusing: SessionFilter
+    ) -> Json:
+        assert self._ring is not None
+        prior = _prior(known, self._ring)
+        observation = self._ring_sensor.update(time_s, image, prior)
+        measurement = observation.measurement(RING, ring=self._ring)
+        verdict = fusing.add(RING, "ring", measurement)
+        return ring_record(observation) | {"verdict": verdict}
+
+    def _reflect(
+        self, image: GreyImage, time_s: float, number: int, fusing: SessionFilter
+    ) -> Json | None:
+        """None for a lit frame that waits for its dark one."""
+        assert self._reflectors is not None
+        frames = LitDark(image)
+        if self._pairs:
+            lit, self._lit = self._lit, None
+            if number % 2 == 0:
+                self._lit = number, time_s, image.copy()  # the frame's own memory is used again
+                return None
+            if lit is None or lit[0] != number - 1:
+                return None  # the lit one was dropped
+            _, time_s, bright = lit
+            frames = LitDark(bright, image)
+        observation = self._reflectors.update(time_s, frames)
+        verdict = fusing.add(REFLECTORS, "pose", observation.measurement(REFLECTORS))
+        record: Json = json_value(observation.record())
+        del record["stage_ms"]
+        record["spots"] = [spot for spot in record["spots"] if spot["reflector"] is not None]
+        return record | {"verdict": verdict}
+
+
+def ring_record(observation: RingObservation) -> Json:
+    """The line of ``rendezview ring`` without the ellipses that are not the ring's."""
+    line: Json = json_value(observation.record())
+
+    def ellipse(index: int | None) -> Json | None:
+        if index is None:
+            return None
+        return {name: line["ellipses"][index][name] for name in _ELLIPSE}
+
+    return {
+        "status": line["status"],
+        "reason": line["reason"],
+        "ellipse": ellipse(line["ellipse"]),
+        "poses": line["poses"],
+        "candidates": [
+            {"ellipse": ellipse(each["ellipse"]), "poses": each["poses"]}
+            for each in line["candidates"]
+        ],
+    }
+
+
+def _prior(known: Json, ring: DockingRing) -> RingPrior | None:
+    """What a `Fused` state tells of the ring; None without a pose."""
+    found = pose_of_fused(known)
+    if found is None:
+        return None
+    try:
+        return prior_of_pose(*found, ring)
+    except ValueError:  # no variance along the line of sight: the state is of no use
+        return None
+
+
+def _target(known: FusionRequest) -> Target:
+    reflectors = []
+    for one in known.reflectors:
+        normal = np.array(one.normal)
+        place = np.array(one.position_m)
+        normal /= np.linalg.norm(normal)
+        reflectors.append(Reflector(one.name, one.group, place, normal, one.diameter_m))
+    return Target("session", "", None, None, reflectors=tuple(reflectors))
+
+
+def warm_up(camera: Camera, rng: np.random.Generator) -> None:
+    """Compile the loops of both sensors, or read them from their cache: see `tracking.warm_up`."""
+    rings = RingSensor(camera, 0.5, circles=((0.0, 0.4), (-0.1, 0.7)))
+    lights = [ReflectorSensor(camera, patterns_of(_target(_LIGHTS))) for _ in range(2)]
+    radius_px = camera.fx / 4.0  # of a ring of 0.5 m at 2 m
+    for k in range(6):
+        dark = rng.integers(0, 12, size=(camera.height, camera.width), dtype=np.uint8)
+        ring = dark.copy()
+        for share, grey in ((1.3, 90), (1.0, 200), (0.8, 60)):
+            size = tuple(16 * round(share * radius_px * squeeze) for squeeze in (1.0, 0.9))
+            middle = 16 * (camera.width // 2 + k), 16 * (camera.height // 2)
+            cv2.ellipse(ring, middle, size, 20.0, 0.0, 360.0, grey, -1, cv2.LINE_AA, 4)
+        place = np.array([0.0, 0.0, 2.0])
+        prior = RingPrior(place, np.array([0.0, 0.0, -1.0]), range_sigma_m=0.02) if k % 2 else None
+        rings.update(float(k), ring + dark, prior).record()
+        lit = dark.copy()
+        for spot in np.array([one.position_m for one in _LIGHTS.reflectors]):
+            u, v = camera.fx * spot[:2] / 2.0 + (camera.cx + k, camera.cy)
+            cv2.circle(lit, (round(16 * u), round(16 * v)), 40, 230, -1, cv2.LINE_AA, 4)
+        lit = np.asarray(cv2.GaussianBlur(lit, (0, 0), 0.8), dtype=np.uint8)
+        for sensor, frames in zip(lights, (LitDark(lit), LitDark(lit, dark)), strict=True):
+            sensor.update(float(k), frames).record()
+
+
+_LIGHTS = FusionRequest.model_validate(
+    {
+        "reflectors": [
+            {"name": str(k), "group": "g", "position_m": place, "normal": [0.0, 0.0, -1.0],
+             "diameter_m": 0.02}
+            for k, place in enumerate(([-0.2, 0.0, 0.0], [0.0, 0.05, -0.15], [0.2, 0.0, 0.0]))
+        ]
+    }
+)  # fmt: skip

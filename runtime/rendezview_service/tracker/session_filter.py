@@ -1,0 +1,395 @@
+"""The filter of one session: fuses its camera's poses and other sensors' lines into one state.
+
+The worker and replay run it beside the tracker; it does not influence the tracker. The filter
+starts at the first measurement of another sensor, with the camera's pose just before it. Before
+that, a session has no fused state.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rendezview.errors import RendezviewError
+from rendezview.fusion import Fusion, FusionOptions, Measurement, Verdict
+from rendezview.fusion.fusion import Estimate
+from rendezview.fusion.logs import kind_of
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.observation import Observation, Status
+from rendezview_service.messages.fusion_messages import MOST_REMEMBERED, FusionRequest
+from rendezview_service.messages.message_parts import CAMERA, MOST_TIME_S
+from rendezview_service.tracker.sensor_lines import (
+    Json,
+    SensorLine,
+    check_size,
+    context_of,
+    pose_of_fused,
+    read_line,
+    split_records,
+)
+
+# s; a time farther from the session's own is of another clock. Source: a chosen limit.
+MOST_CLOCK_GAP_S = 60.0
+
+
+@dataclass(slots=True)
+class SensorCounts:
+    """Counts of what one sensor has sent."""
+
+    kind: str
+    lines: int = 0
+    silent: int = 0  # lines without a measurement
+    measurements: int = 0
+    accepted: int = 0
+    reason: str | None = None  # if its last measurement was rejected
+
+
+class SessionFilter:
+    """Fuses the sensors of one session."""
+
+    def __init__(
+        self,
+        request: FusionRequest | None = None,
+        most_sensors: int | None = None,
+        forgotten: bool = False,
+        own: Sequence[str] = (),
+        at_once: bool = False,
+    ) -> None:
+        """A filter that has not started.
+
+        Args:
+            request: data on the sensors.
+            most_sensors: beside the camera and its own; None: any number.
+            forgotten: the session had a filter whose process ended; this one starts at once.
+            own: names of the sensors that the session reads itself.
+            at_once: it starts with the first frame, not with another sensor's first line.
+        """
+        asked = request or FusionRequest()
+        self._context = context_of(asked)
+        options = asked.options or FusionOptions()
+        most = min(options.history_most, MOST_REMEMBERED)
+        self._options = replace(options, history_most=most)
+        self._most_sensors = most_sensors
+        self._counts: dict[str, SensorCounts] = {}
+        self._note: str | None = None
+        self._newest_s = -math.inf  # newest time that the filter has
+        self._lines = 0
+        self._measured_s = -math.inf  # of the newest measurement
+        self._own = (CAMERA, *own)
+        self._fusion: Fusion | None = None
+        self._before: Observation | None = None  # of the camera, before the filter runs
+        if forgotten or at_once:
+            self._start("its process ended" if forgotten else None)
+
+    @property
+    def running(self) -> bool:
+        """Whether it has started."""
+        return self._fusion is not None
+
+    def resume(self, kept: Json) -> None:
+        """Go on from the last `Fused` state of a process that ended."""
+        self._start("its process ended")
+        assert self._fusion is not None
+        pose = Pose.from_quat_wxyz(kept["pose"]["quat_wxyz"], kept["pose"]["translation_m"])
+        rates = np.array([*kept["rates"]["angular_rad_s"], *kept["rates"]["linear_m_s"]])
+        status, covariance = Status(kept["status"]), np.array(kept["covariance"])
+        self._fusion.resume(Estimate(kept["time_s"], status, None, pose, rates, covariance))
+        self._newest_s = kept["time_s"]
+
+    @property
+    def measured_s(self) -> float:
+        """Time of the newest measurement; -inf: none yet."""
+        return self._measured_s
+
+    @property
+    def lines(self) -> int:
+        """Number of lines so far, of all sensors."""
+        return self._lines
+
+    # Lines of other sensors
+
+    def check(
+        self,
+        sensor: str,
+        text: bytes,
+        frame_s: float,
+        waited_s: float = 0.0,
+        most_lines: int | None = None,
+    ) -> list[SensorLine]:
+        """Read the lines of a message without taking them.
+
+        Args:
+            text: JSON, one object or one per line.
+            frame_s: time of the session's last frame; -inf: none yet.
+            waited_s: since the session's previous input, by the service's own clock.
+
+        Raises:
+            RendezviewError: a line (named) is wrong or of another clock, or there are too many
+                lines or sensors.
+        """
+        if sensor in self._own:
+            raise RendezviewError(
+                f"{sensor}: this session reads it in its frames: choose another name, or open the "
+                f'session with "sensors": {{"{sensor}": …}} off'
+            )
+        records = split_records(text)
+        if most_lines is not None and len(records) > most_lines:
+            raise RendezviewError(
+                f"{sensor}: {len(records)} lines: send at most {most_lines} at once"
+            )
+        known = self._counts.get(sensor)
+        if known is None and self._most_sensors is not None:
+            others = [name for name in self._counts if name not in self._own]
+            if len(others) >= self._most_sensors:
+                raise RendezviewError(
+                    f"{sensor}: a session has at most {self._most_sensors} sensors beside its "
+                    f"camera ({', '.join(others)}): use one of these names"
+                )
+        lines: list[SensorLine] = []
+        for number, record in enumerate(records, start=1):
+            where = f"{sensor}: line {number}"
+            kind = kind_of(record, where)
+            before = lines[0].kind if lines else known.kind if known else kind
+            if kind != before:
+                raise RendezviewError(
+                    f"{where}: a line of a {kind} log, earlier ones were of a {before} log: give "
+                    "each sensor a name of its own"
+                )
+            line = read_line(record, kind, sensor, self._context, where)
+            if line.measurement is not None:
+                self._check_clock(line.measurement, frame_s, waited_s, where)
+            lines.append(line)
+        return lines
+
+    def take(self, sensor: str, line: SensorLine) -> tuple[Json | None, Json | None]:
+        """Give a checked line to the filter: the `Verdict`, and the `Fused` state afterwards."""
+        counts = self._counts.setdefault(sensor, SensorCounts(line.kind))
+        counts.lines += 1
+        self._lines += 1
+        verdict = None
+        if line.measurement is None:
+            counts.silent += 1
+        else:
+            if self._fusion is None:
+                self._start(None)
+                self._recall(line.measurement.time_s)
+            verdict = self._add(line.measurement, counts)
+        return verdict, None if self._fusion is None else self._state(self._newest_s)
+
+    # The camera
+
+    def remember(self, observation: Observation) -> None:
+        """Keep a frame's pose for the start. The filter must not be running."""
+        self._before = observation
+
+    def track(self, observation: Observation) -> Json:
+        """The `Fused` state at a frame, with the frame's pose. The filter must be running."""
+        time_s = observation.time_s
+        assert time_s is not None
+        apart_s = time_s - self._newest_s
+        if math.isfinite(apart_s) and abs(apart_s) > MOST_CLOCK_GAP_S:
+            jumped = f"the camera's time jumped by {apart_s:.0f} s"
+            self._start(jumped if self._note is None else f"{self._note}; {jumped}")
+        self._see(observation, time_s)
+        return self._state(time_s)
+
+    def state_at(self, time_s: float) -> Json:
+        """The `Fused` state at a time. The filter must be running."""
+        return self._state(time_s)
+
+    def expected(self, time_s: float) -> tuple[Pose, Array] | None:
+        """camera_from_target at a time and its covariance (6, 6); None where it is not known."""
+        return None if self._fusion is None else pose_of_fused(self._state(time_s))
+
+    def add(self, sensor: str, kind: str, measurement: Measurement | None) -> Json | None:
+        """Give a reading of the session's own sensor to the filter: the `Verdict`.
+
+        None: nothing was measured, or the filter does not run.
+        """
+        counts = self._counts.setdefault(sensor, SensorCounts(kind))
+        counts.lines += 1
+        if measurement is None or self._fusion is None:
+            counts.silent += 1
+            return None
+        try:
+            check_size(measurement, sensor)
+        except RendezviewError as error:
+            counts.silent += 1
+            counts.reason = str(error)
+            return None
+        return self._add(measurement, counts)
+
+    def health(self) -> dict[str, Json]:
+        """Counts and trust of each sensor, by name: a `SensorTrust` and more."""
+        trusts = {} if self._fusion is None else self._fusion.trusts
+        found = {}
+        for name, counts in self._counts.items():
+            trust = trusts.get(name)
+            found[name] = {
+                "kind": counts.kind,
+                "lines": counts.lines,
+                "silent": counts.silent,
+                "heard": counts.measurements,
+                "accepted": counts.accepted,
+                "locked_out": trust is not None and trust.locked,
+                "lockouts": 0 if trust is None else trust.lockouts,
+                "mean_nis": None if trust is None else _finite(trust.mean_nis),
+                "reason": counts.reason,
+            }
+        return found
+
+    def _start(self, note: str | None) -> None:
+        self._fusion = Fusion(self._options)
+        self._newest_s = self._measured_s = -math.inf
+        self._note = note
+
+    def _recall(self, time_s: float) -> None:
+        """Begin with the camera's last pose, if its time is near."""
+        before, self._before = self._before, None
+        if before is None or before.time_s is None:
+            return
+        if abs(time_s - before.time_s) <= self._options.history_s:
+            self._see(before, before.time_s)
+
+    def _see(self, observation: Observation, time_s: float) -> None:
+        """Give a frame's pose to the filter."""
+        if observation.pose is None or observation.covariance is None:
+            self._newest_s = max(self._newest_s, time_s)
+            return
+        counts = self._counts.setdefault(CAMERA, SensorCounts("pose"))
+        counts.lines += 1
+        try:
+            measurement = observation.measurement(CAMERA)
+            if measurement is None:
+                raise ValueError("the pose has an alarm of its integrity")
+            check_size(measurement, CAMERA)
+        except (ValueError, RendezviewError) as error:
+            counts.silent += 1
+            counts.reason = str(error)
+            self._newest_s = max(self._newest_s, time_s)
+        else:
+            self._add(measurement, counts)
+
+    def _add(self, measurement: Measurement, counts: SensorCounts) -> Json:
+        assert self._fusion is not None
+        counts.measurements += 1
+        self._measured_s = max(self._measured_s, measurement.time_s)
+        newest_s = max(self._newest_s, measurement.time_s)
+        try:
+            with np.errstate(all="ignore"):
+                verdict = self._fusion.add(measurement)
+                self._fusion.state_at(max(newest_s, self._fusion.time_s or newest_s))
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            # A filter cannot recover from a number that is not finite.
+            note = f"the filter failed ({str(error)[:200]})"
+            self._start(note)
+            reason = f"{note} and was restarted"
+            verdict = Verdict(measurement.sensor, measurement.time_s, False, reason)
+        else:
+            self._newest_s = newest_s
+        counts.accepted += verdict.accepted
+        counts.reason = None if verdict.accepted else verdict.reason
+        return {
+            "time_s": measurement.time_s,
+            "accepted": verdict.accepted,
+            "reason": verdict.reason,
+            "nis": None if verdict.nis is None else _finite(verdict.nis),
+            "degrees_of_freedom": verdict.size,
+            "began": verdict.began,
+        }
+
+    def _state(self, time_s: float) -> Json:
+        """The `Fused` state at a time."""
+        assert self._fusion is not None
+        at_s = time_s if math.isfinite(time_s) else 0.0
+        estimate: Estimate | None
+        reason: str | None
+        try:
+            with np.errstate(all="ignore"):
+                estimate = self._fusion.state_at(at_s)
+            if estimate.covariance is not None and not np.isfinite(estimate.covariance).all():
+                raise ArithmeticError("the covariance is not finite")
+        except ValueError as error:
+            estimate, status, reason = None, "late", str(error)
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            estimate, status, reason = None, "lost", str(error)
+        else:
+            status, reason = str(estimate.status), estimate.reason
+        if status == "tracking":
+            self._note = None
+        elif self._note is not None:
+            reason = f"the filter was restarted: {self._note}; {reason}"
+        pose, rates, covariance, ring_covariance = None, None, None, None
+        if estimate is not None and estimate.pose is not None:
+            pose = estimate.pose.as_dict()
+        if estimate is not None and estimate.rates is not None:
+            both = estimate.rates.tolist()
+            rates = {"angular_rad_s": both[:3], "linear_m_s": both[3:]}
+        if estimate is not None and estimate.covariance is not None:
+            covariance = estimate.covariance.tolist()
+        if estimate is not None and estimate.ring_covariance is not None:
+            ring_covariance = estimate.ring_covariance.tolist()
+        return {
+            "time_s": at_s,
+            "status": status,
+            "reason": reason,
+            "pose": pose,
+            "rates": rates,
+            "covariance": covariance,
+            "ring_radius": None if estimate is None else estimate.ring_radius,
+            "ring_depth_m": None if estimate is None else estimate.ring_depth_m,
+            "ring_covariance": ring_covariance,
+            "starts": self._fusion.starts,
+        }
+
+    def _check_clock(
+        self, measurement: Measurement, frame_s: float, waited_s: float, where: str
+    ) -> None:
+        if abs(measurement.time_s) > MOST_TIME_S:
+            raise RendezviewError(f"{where}: time_s must be within ±{MOST_TIME_S:g}")
+        now_s = max(self._newest_s, frame_s)
+        apart_s = measurement.time_s - now_s
+        if math.isfinite(now_s) and not -MOST_CLOCK_GAP_S <= apart_s <= MOST_CLOCK_GAP_S + waited_s:
+            raise RendezviewError(
+                f"{where}: time_s {measurement.time_s:g} is {abs(apart_s):.6g} s "
+                f"{'after' if apart_s > 0.0 else 'before'} the session's own ({now_s:.6g}): "
+                "all sensors of a session need one clock"
+            )
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def warm_up() -> None:
+    """Compile the filter's loops, or read them from their cache: one line of each kind."""
+    ring = {"centre_m": [0.0, 0.0, 0.5], "axis": [0.0, 0.0, 1.0], "radius_m": 0.5}
+    asked = {"ring": ring, "options": {"ring_radius_sigma": 1e-3}}
+    filter_ = SessionFilter(FusionRequest.model_validate(asked))
+    seen = {
+        "centre_m": [0.0, 0.0, 10.5],
+        "axis": [0.0, 0.0, 1.0],
+        "covariance": (1e-4 * np.eye(5)).tolist(),
+    }
+    tilted = seen | {"axis": [0.0, 0.1, math.sqrt(0.99)]}
+    pose = {"quat_wxyz": [1.0, 0.0, 0.0, 0.0], "translation_m": [0.0, 0.0, 10.0]}
+    lines: Sequence[tuple[str, Json]] = [
+        ("pose", {"pose": pose, "covariance": (1e-4 * np.eye(6)).tolist()}),
+        ("ring", {"ellipses": [], "poses": [seen, tilted]}),
+        ("ring", {"ellipses": [], "poses": [seen]}),
+        ("range", {"range_m": 10.5, "sigma_m": 0.02}),
+    ]
+    start = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
+    for k in range(3):
+        for sensor, record in lines:
+            timed = record | {"time_s": float(k)}
+            kind = kind_of(timed, sensor)
+            filter_.take(sensor, read_line(timed, kind, sensor, filter_._context, sensor))
+        filter_.track(
+            Observation(Status.OK, time_s=k + 0.5, pose=start, covariance=1e-4 * np.eye(6))
+        )
+    far = {"time_s": 2.9, "range_m": 30.0, "sigma_m": 0.02}
+    filter_.take("range", read_line(far, "range", "range", filter_._context, "range"))

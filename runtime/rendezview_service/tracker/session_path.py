@@ -1,0 +1,107 @@
+"""The path of one session: the follower of `rendezview guide`, fed by the session's frames."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.results import json_value
+from rendezview.sensors.appearance import AppearanceObservation
+from rendezview.trajectory import FollowerOptions, PathFollower, Shape, plan_of
+from rendezview.trajectory.follower import record
+from rendezview_service.messages.frame_sensor_messages import TrajectoryRequest
+from rendezview_service.messages.messages import SessionRequest
+from rendezview_service.tracker.sensor_lines import Json, pose_of_fused
+
+# A frame is fitted that is later than the last one by this share of the segment so far: of frames
+# that come fast, some hundreds are. Source: experiment trajectory-accuracy, 100 frames a segment
+_STEP = 0.01
+
+
+class SessionPath:
+    """Fits the path that the camera flies about the target."""
+
+    def __init__(self, request: TrajectoryRequest, centre_m: Array) -> None:
+        """A follower without frames.
+
+        Args:
+            request: with a shape or a plan.
+            centre_m: (3,) of the path, target frame, where neither request nor plan has one.
+
+        Raises:
+            RendezviewError: the plan is none.
+        """
+        plan = None if request.plan is None else plan_of(request.plan, "trajectory: plan")
+        given = centre_m if request.centre_m is None else np.array(request.centre_m)
+        options = FollowerOptions()
+        if plan is not None:
+            options = FollowerOptions(turn_rad=plan.turn_rad, segment_s=plan.segment_s)
+        self._follower = PathFollower(given, request.shape, plan, options)
+        self._last_s = -math.inf
+        self._record: Json | None = None
+
+    def update(
+        self, time_s: float, fused: Json | None, observation: AppearanceObservation
+    ) -> Json | None:
+        """The `Trajectory` at a frame: a new one, or the last while frames come fast.
+
+        Args:
+            time_s: of the frame.
+            fused: the filter's state; None: no filter runs, the tracker's pose is the frame's.
+            observation: of the tracker.
+        """
+        flown = self._follower.cloud.times_s
+        if len(flown) and time_s - self._last_s < _STEP * (time_s - flown[0]):
+            return self._record
+        self._last_s = time_s
+        if fused is None:
+            report = self._follower.update(
+                time_s, observation.pose, observation.covariance, *observation.cloud
+            )
+        else:
+            report = self._follower.update(time_s, *(pose_of_fused(fused) or (None, None)))
+        plan = self._follower.plan
+        self._record = {
+            "time_s": time_s,
+            **json_value(record(report)),
+            "centre_m": self._follower.centre_m.tolist(),
+            "path_from_target": (
+                np.eye(3) if plan is None else plan.path_from_target(time_s)
+            ).tolist(),
+        }
+        return self._record
+
+
+def trajectory_of(request: SessionRequest) -> TrajectoryRequest | None:
+    """The path that a session fits; None: none.
+
+    Raises:
+        RendezviewError: it has neither a shape nor a plan.
+    """
+    asked = None if request.sensors is None else request.sensors.trajectory
+    if not asked:
+        return None
+    if asked is True or (asked.shape is None and asked.plan is None):
+        raise RendezviewError("sensors: trajectory: what path is flown? Give a shape or a plan")
+    return asked
+
+
+def warm_up(rng: np.random.Generator) -> None:
+    """Compile the loops, or read them from their cache, with as few points as run them all."""
+    for shape in (Shape.CIRCULAR, Shape.VBAR):
+        follower = PathFollower(np.zeros(3), shape)
+        for k in range(8):
+            turn = 0.03 * k
+            rotation = np.array(
+                [[math.cos(turn), 0.0, math.sin(turn)], [0.0, 1.0, 0.0],
+                 [-math.sin(turn), 0.0, math.cos(turn)]]
+            )  # fmt: skip
+            hop = 3.0 * abs(math.sin(0.4 * k)) if shape is Shape.VBAR else 0.0
+            place = np.array([0.1 * k, hop, 30.0 - 0.5 * k])
+            wrong = np.eye(6)[3] * (5.0 if k % 4 == 3 else 0.0)
+            noise = 1e-3 * rng.normal(size=6) + wrong
+            seen = Pose(rotation, place).perturbed(noise)
+            follower.update(4.0 * k, seen, 1e-6 * np.eye(6), place[None], np.ones(1))

@@ -1,0 +1,398 @@
+"""The tracker of one session: frames in, states out. The worker and replay run it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba.core.event import Event, Listener, install_listener
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.results import json_value
+from rendezview.io.sequences.frame import GreyImage
+from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
+from rendezview.sensors.appearance.edges.contour_at import contour_pixels
+from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
+from rendezview.sensors.appearance.sky import Sky
+from rendezview.sensors.observation import Status
+from rendezview.sensors.sensor import AidedSensor
+from rendezview_service.messages.message_parts import MOST_TIME_S, PoseMessage
+from rendezview_service.messages.messages import (
+    CameraMessage,
+    Contour,
+    Fit,
+    IntegrityRequest,
+    Phase,
+    SessionRequest,
+)
+from rendezview_service.tracker.approach import ApproachMonitor
+from rendezview_service.tracker.camera_filter import CameraFilter
+from rendezview_service.tracker.frame_sensors import FrameSensors
+from rendezview_service.tracker.frame_sensors import warm_up as warm_up_sensors
+from rendezview_service.tracker.session_filter import SessionFilter
+from rendezview_service.tracker.session_filter import warm_up as warm_up_filter
+from rendezview_service.tracker.session_path import SessionPath, trajectory_of
+from rendezview_service.tracker.session_path import warm_up as warm_up_path
+
+# A `State` as a dict. It is not validated, because it is made here for every frame.
+StateDict = dict[str, Any]
+
+# Keys of an observation's record that a state has as they are, in this order.
+_OBSERVED = ("status", "reason", "pose", "covariance", "confidence", "score")
+_OUTLINE_POINTS = 600  # of a silhouette that is drawn. Source: a chosen limit
+
+
+def camera_of(message: CameraMessage) -> Camera:
+    """The camera of a message.
+
+    Raises:
+        RendezviewError: the number of distortion coefficients is impossible.
+    """
+    try:
+        return Camera(**(message.model_dump() | {"distortion": tuple(message.distortion)}))
+    except ValueError as error:
+        raise RendezviewError(f"camera: {error}") from None
+
+
+def camera_message(camera: Camera) -> CameraMessage:
+    """A camera as a message."""
+    return CameraMessage(
+        width=camera.width,
+        height=camera.height,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
+        distortion=list(camera.distortion),
+        lens_model=camera.lens_model,
+        bit_depth=camera.bit_depth,
+    )
+
+
+def pose_of(message: PoseMessage) -> Pose:
+    """The pose of a message.
+
+    Raises:
+        RendezviewError: the quaternion is zero.
+    """
+    try:
+        return Pose.from_quat_wxyz(message.quat_wxyz, message.translation_m)
+    except ValueError as error:
+        raise RendezviewError(f"pose: {error}") from None
+
+
+def integrity_of(message: IntegrityRequest | None) -> IntegrityOptions | None:
+    """The integrity of a message."""
+    return None if message is None else IntegrityOptions(**message.model_dump(exclude_none=True))
+
+
+class SessionTracker:
+    """A tracker with the session's other sensors, filter, path, names and counters.
+
+    One thread uses it: the worker's, or that of replay.
+    """
+
+    def __init__(
+        self,
+        session: str,
+        model: ViewModel,
+        request: SessionRequest,
+        most_sensors: int | None = None,
+        forgotten: bool = False,
+        recognizer: Recognizer | None = None,
+        handover: StateDict | None = None,
+    ) -> None:
+        """The tracker that a request describes; the request has a camera.
+
+        Args:
+            most_sensors: beside the camera; None: any number.
+            forgotten: the session had a filter whose process ended.
+            recognizer: of the model and the request's camera and trees, which several sessions
+                may share; None: a new one.
+            handover: the last `Fused` state of that filter; None: it had no pose.
+
+        Raises:
+            RendezviewError: the camera, the prior or the direction to the Sun is wrong.
+        """
+        if request.camera is None:
+            raise RendezviewError("the session has no camera: give one")
+        self.session = session
+        self.model = model
+        self.camera = camera_of(request.camera)
+        self.sun_camera = request.sun_camera
+        if self.sun_camera is not None and not any(self.sun_camera):
+            raise RendezviewError("sun_camera: a direction must not be zero")
+        prior = None if request.prior is None else pose_of(request.prior)
+        recognizer = recognizer or Recognizer(model, self.camera, trees=request.trees)
+        self.tracker = Tracker(recognizer, prior, integrity=integrity_of(request.integrity))
+        self._nodes = model.geodesic.nodes.tolist()
+        self._sensors = FrameSensors(request, self.camera)
+        self._fuses = request.sensors is not None and bool(request.sensors.fusion)
+        self.filter = SessionFilter(
+            request.fusion, most_sensors, forgotten, self._sensors.names, self._fuses
+        )
+        if handover is not None:
+            self.filter.resume(handover)
+        fits = trajectory_of(request)
+        ring = None if request.fusion is None else request.fusion.ring
+        centre_m = model.centre_m if ring is None else np.array(ring.centre_m)
+        self._path = None if fits is None else SessionPath(fits, centre_m)
+        self._alone: CameraFilter | None = CameraFilter(request.fusion)
+        self._approach = ApproachMonitor(request.approach, request.fusion, model.centre_m)
+        self._frames = 0
+        self._last_s = -math.inf
+        self._last_pose_s: float | None = None
+
+    def track(
+        self, image: GreyImage, time_s: float, received_unix_s: float, drops: int = 0
+    ) -> tuple[StateDict, AppearanceObservation]:
+        """The state of a frame; the caller sets ``latency_ms`` and ``recorded``.
+
+        Args:
+            image: (H, W).
+            time_s: of the frame.
+            received_unix_s: when it arrived.
+            drops: frames of the session that newer ones replaced, so far.
+
+        Raises:
+            RendezviewError: the time is not later than the last frame's, or the image does not
+                fit the camera. The tracker does not change then.
+        """
+        if not (abs(time_s) <= MOST_TIME_S and time_s > self._last_s):
+            raise RendezviewError(
+                f"time_s: {time_s} is not later than that of the last frame ({self._last_s}), or "
+                "beyond 1e10: send frames in order of time"
+            )
+        start = time.perf_counter()
+        if self.tracker.lost and (known := self.filter.expected(time_s)) is not None:
+            self.tracker.expect(*known)
+        sensor: AidedSensor[GreyImage, npt.ArrayLike, AppearanceObservation] = self.tracker
+        observation = sensor.update(time_s, image, self.sun_camera)
+        track_ms = 1e3 * (time.perf_counter() - start)
+        self._last_s = time_s
+        if observation.pose is not None:
+            self._last_pose_s = time_s
+        state = self._state(observation, time_s, received_unix_s, track_ms)
+        state["drops"] = drops
+        clock = time.perf_counter()
+
+        def lap(stage: str) -> None:
+            nonlocal clock
+            now = time.perf_counter()
+            state["stage_ms"][stage] = 1e3 * (now - clock)
+            clock = now
+
+        if self.filter.running and not self._fuses:  # another sensor's line has started it
+            self._alone = None
+        by_camera = None if self._alone is None else self._alone.track(observation)
+        if self.filter.running:
+            fused = self.filter.track(observation)
+        else:
+            assert by_camera is not None
+            self.filter.remember(observation)
+            fused = by_camera
+        lap("filter")
+        if self._sensors.names:
+            number = self._frames + drops
+            state |= self._sensors.look(image, time_s, number, fused, self.filter)
+            if self.filter.running:
+                fused = self.filter.state_at(time_s)
+            lap("sensors")
+        if self.filter.running:
+            state["fused"] = fused
+        if self._path is not None:
+            state["trajectory"] = self._fitted(time_s, fused, observation)
+            lap("trajectory")
+        # The filter of all sensors expects slow turns, the camera's own takes any.
+        if by_camera and by_camera["status"] == Status.TRACKING != fused["status"]:
+            fused = by_camera
+        state["motion"], covariance = _motion(fused)
+        state["approach"] = self._approach.state(time_s, state["motion"], covariance)
+        self._frames += 1
+        return state, observation
+
+    @property
+    def own_sensors(self) -> list[str]:
+        """Names of the sensors that it reads in its frames."""
+        return self._sensors.names
+
+    @property
+    def frames(self) -> int:
+        """Number of frames tracked so far."""
+        return self._frames
+
+    @property
+    def last_s(self) -> float:
+        """Time of the last frame; -inf: none yet."""
+        return self._last_s
+
+    def _state(
+        self,
+        observation: AppearanceObservation,
+        time_s: float,
+        received_unix_s: float,
+        track_ms: float,
+    ) -> StateDict:
+        """The observation's record, and what only the session knows."""
+        record = json_value(observation.record())
+        pose = observation.pose
+        rates = None if pose is None else self.tracker.rates
+        fit = record["refinement"]
+        return {
+            "session": self.session,
+            "frame": self._frames,
+            "time_s": time_s,
+            "received_unix_s": received_unix_s,
+            "phase": self._phase(observation, time_s),
+            **{name: record[name] for name in _OBSERVED},
+            "range_m": None if pose is None else math.hypot(*pose.apply(self.model.centre_m)),
+            "rates": None
+            if rates is None
+            else {"angular_rad_s": rates[0].tolist(), "linear_m_s": rates[1].tolist()},
+            "candidates": record["candidates"],
+            "fit": None if fit is None else {name: fit[name] for name in Fit.model_fields},
+            "on_nodes": [
+                {"index": node, "weight": weight, "direction": self._nodes[node]}
+                for node, weight in zip(record["on_nodes"], record["weights"], strict=True)
+            ],
+            "stage_ms": record["stage_ms"],
+            "track_ms": track_ms,
+            "latency_ms": 0.0,
+            "drops": 0,
+            "recorded": False,
+            **{name: record[name] for name in ("protection",) if name in record},
+        }
+
+    def _fitted(
+        self, time_s: float, fused: StateDict, observation: AppearanceObservation
+    ) -> StateDict | None:
+        """The path, with a fused state only where it is more than a prediction."""
+        assert self._path is not None
+        if not self.filter.running:
+            return self._path.update(time_s, None, observation)
+        if self.filter.measured_s < time_s:
+            fused = {"pose": None, "covariance": None}
+        return self._path.update(time_s, fused, observation)
+
+    def _phase(self, observation: AppearanceObservation, time_s: float) -> Phase:
+        if observation.pose is not None:
+            return Phase.TRACKING
+        since_s = math.inf if self._last_pose_s is None else time_s - self._last_pose_s
+        if since_s <= self.tracker.options.longest_prediction_s:
+            return Phase.COASTING
+        return Phase.SEARCHING
+
+
+def _motion(fused: StateDict) -> tuple[StateDict, npt.NDArray[np.float64] | None]:
+    """The `Motion` of a `Fused` state, and the covariance (12, 12)."""
+    covariance = None if fused["covariance"] is None else np.array(fused["covariance"])
+    motion = {name: fused[name] for name in ("status", "reason", "pose", "rates")}
+    motion["covariance"] = motion["angular_sigma_rad_s"] = motion["linear_sigma_m_s"] = None
+    if covariance is not None:
+        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+        motion["covariance"] = covariance[:6, :6].tolist()
+        motion["angular_sigma_rad_s"], motion["linear_sigma_m_s"] = sigma[6:9], sigma[9:]
+    return motion, covariance
+
+
+class _Counted(Listener):
+    """Counts the loops that are compiled."""
+
+    def __init__(self, tell: Callable[[int], None]) -> None:
+        self.count = 0
+        self._tell = tell
+
+    def on_start(self, event: Event) -> None:
+        """A loop is being compiled."""
+
+    def on_end(self, event: Event) -> None:
+        """A loop is compiled."""
+        self.count += 1
+        self._tell(self.count)
+
+
+def warm_up(model: ViewModel, tell: Callable[[int], None] = lambda count: None) -> int:
+    """Compile all loops, or read them from their cache, before the first frame.
+
+    A blob before a noisy sky, dark (without a prior) and bright (with one), runs all loops, always
+    in the same order. The order matters: it decides which compiled copy of a shared loop a process
+    uses, and copies that were compiled separately may round differently. For the same reason,
+    restart a process that had to compile before you record its poses.
+
+    Args:
+        tell: receives the number of loops compiled so far, after each.
+
+    Returns:
+        number of loops that were compiled rather than read from the cache.
+    """
+    camera = Camera.from_fov(320, 240, np.deg2rad(40.0))
+    rng = np.random.default_rng(0)
+    ahead = np.array([0.0, 0.0, 3.0 * model.sphere_radius_m])
+    prior = Pose(np.eye(3), ahead - model.centre_m)
+    recognizer = Recognizer(model, camera)
+    counted = _Counted(tell)
+    with install_listener("numba:compile", counted):
+        for sky_grey in (0, 100):
+            noise = rng.integers(sky_grey, sky_grey + 12, size=(240, 320), dtype=np.uint8)
+            image = noise.copy()
+            image[70:170, 110:220] = rng.integers(170, 250, size=(100, 110), dtype=np.uint8)
+            recognizer.recognize(image, None if sky_grey == 0 else prior)
+            if recognizer.search is not None:
+                recognizer.search.at(image, Sky.of(image), prior, np.pi)
+        contour_at(model, camera, prior)
+        warm_up_filter()
+        warm_up_sensors(camera, rng)
+        warm_up_path(rng)
+    return counted.count
+
+
+def shown_pose(state: StateDict) -> tuple[PoseMessage | None, bool]:
+    """The pose that is drawn over a frame, and whether it is only predicted.
+
+    Where the camera gave none it is the filter's, of other sensors or while it coasts.
+    """
+    pose, motion = state["pose"], state.get("motion") or {}
+    fused = (state.get("fused") or {}).get("status") == Status.TRACKING
+    by_filter = pose is None and (fused or state["phase"] == Phase.COASTING)
+    if by_filter:
+        pose = motion.get("pose")
+    if pose is None:
+        return None, False
+    return PoseMessage.model_validate(pose), by_filter and not fused
+
+
+def contour_at(
+    model: ViewModel,
+    camera: Camera,
+    pose: Pose,
+    angles_rad: npt.NDArray[np.float64] | None = None,
+    *,
+    predicted: bool = False,
+) -> Contour | None:
+    """Contour points of the view nearest to a pose, projected; None if the model has none.
+
+    ``angles_rad``: (J,) of the joints of a target that has any.
+    """
+    found = contour_pixels(model, camera, pose, angles_rad)
+    if found is None:
+        return None
+    return Contour.model_construct(
+        points_px=np.round(found.points_px, 1).tolist(),
+        kinds=found.kinds.tolist(),
+        predicted=predicted,
+    )
+
+
+def silhouette_px(observation: AppearanceObservation) -> list[list[list[float]]] | None:
+    """The outlines of the silhouette, thinned for drawing."""
+    if observation.silhouette is None:
+        return None
+    outlines: tuple[npt.NDArray[np.float64], ...] = observation.silhouette.outlines_px
+    step = 1 + sum(len(o) for o in outlines) // _OUTLINE_POINTS
+    return [np.round(o[::step], 1).tolist() for o in outlines]

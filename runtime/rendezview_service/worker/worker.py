@@ -1,0 +1,364 @@
+"""The worker process: ``python -m rendezview_service.worker.worker``, started by the service.
+
+It holds the trackers and logs of some sessions and handles one input at a time. A crash here (of an
+image decoder, for example) ends these trackers, but not the service. When the service ends, the
+worker completes its logs and ends too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import gc
+import json
+import logging
+import os
+import signal
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from pydantic_core import to_json
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.io.sequences.frame import GreyImage
+from rendezview.sensors.appearance import AppearanceObservation
+from rendezview_service.json_logging import set_up_logging
+from rendezview_service.logs.recording import LogWriter, RecordingOptions
+from rendezview_service.messages.frames import read_frame
+from rendezview_service.messages.messages import Contour, SessionRequest
+from rendezview_service.messages.wire import Header, mapped, pack, receive
+from rendezview_service.tracker.tracking import (
+    SessionTracker,
+    StateDict,
+    contour_at,
+    pose_of,
+    shown_pose,
+    silhouette_px,
+)
+from rendezview_service.worker.worker_models import Sight, WorkerModels
+
+JPEG_QUALITY = 80  # 0 … 100, of pictures for watchers. Source: chosen
+# s of processor time to decode a frame, and more for each pixel. Source: a chosen limit
+_DECODING_S, _DECODING_PIXEL_S = 0.1, 50e-9
+_TELL_S = 1.0  # s, between messages with the progress. Source: chosen
+_HEADER_KEYS = ("session", "frame", "time_s", "status", "phase", "track_ms")
+log = logging.getLogger("rendezview_service.worker.worker")
+
+
+@dataclass(slots=True)
+class _WorkerSession:
+    tracker: SessionTracker
+    log: LogWriter | None
+    sight: Sight
+    last: tuple[GreyImage, StateDict, AppearanceObservation] | None = None  # frame and answer
+
+
+class WorkerProcess:
+    """Answers the service's requests."""
+
+    def __init__(self, connection: socket.socket, memory: Any) -> None:
+        self._connection = connection
+        self._memory = memoryview(memory)
+        self._models = WorkerModels(self._tell)
+        self._sessions: dict[str, _WorkerSession] = {}
+        self._reported_s = 0.0
+
+    def run(self) -> None:
+        """Answer until the service ends or asks to quit."""
+        gc.freeze()
+        self._send({"kind": "ready"})
+        try:
+            while (message := receive(self._connection)) is not None:
+                if not self._answer(message[0]):
+                    break
+        finally:
+            for session in self._sessions.values():
+                if session.log is not None:
+                    session.log.close()
+
+    def _answer(self, request: Header) -> bool:
+        try:
+            if request["kind"] == "frame":
+                self._frame(request)
+            elif request["kind"] == "show":
+                self._extras(request["extras"], self._sessions[request["session"]])
+            elif request["kind"] == "measure":
+                self._measure(request)
+            elif request["kind"] == "open":
+                self._send({"kind": "opened", "session": request["session"], **self._open(request)})
+            elif request["kind"] == "warm":
+                self._models.model(Path(request["model_path"]))
+                self._send({"kind": "opened", "session": "", "compiled": self._models.compiled})
+            elif request["kind"] == "prepare":
+                self._models.prepare([Sight.of(one) for one in request["sights"]])
+                self._drop_unused()
+                self._send({"kind": "opened", "session": ""})
+            elif request["kind"] == "close":
+                self._close(request)
+            elif request["kind"] == "quit":
+                return False
+        except RendezviewError as error:
+            self._send(_fault(request, str(error)))
+        except Exception:
+            # An error in one frame must not end the other sessions of this process.
+            log.exception("a request failed")
+            message = "the service has an internal error: see its log"
+            self._send(_fault(request, message) | {"internal": True})
+        return True
+
+    def _tell(self, loops: int) -> None:
+        """Say how many loops are compiled, once a second."""
+        if time.monotonic() - self._reported_s > _TELL_S:
+            self._reported_s = time.monotonic()
+            self._send({"kind": "progress", "loops": loops})
+
+    def _open(self, request: Header) -> Header:
+        asked = SessionRequest.model_validate(request["request"])
+        sight = Sight.of(request["sight"])
+        try:
+            session = self._opened(request, asked, sight)
+            self._sessions[request["session"]] = session
+        finally:
+            self._drop_unused()
+        written = None if session.log is None else str(session.log.path)
+        return {"recording": _recording(session.log), "log_path": written}
+
+    def _opened(self, request: Header, asked: SessionRequest, sight: Sight) -> _WorkerSession:
+        model = self._models.model(sight.model)
+        tracker = SessionTracker(
+            request["session"],
+            model,
+            asked,
+            request["sensors"],
+            request["forgotten"],
+            self._models.recognizer(sight),
+            request["handover"],
+        )
+        writer = None
+        if request["log_path"] is not None:
+            options = RecordingOptions(**request["recording"])
+            content = sight.model.read_bytes() if request["log_model"] and options.images else None
+            notes = session_notes(request["session"], asked, model.name, sight.model)
+            notes["model_file"] = request["model_file"]
+            notes |= {"log": request["log"], "first_frame": str(request["first_frame"])}
+            notes["handover"] = json.dumps(request["handover"])
+            notes["forgotten"] = "yes" if request["forgotten"] else "no"
+            place = Path(request["log_path"])
+            writer = LogWriter(place, tracker.camera, notes, content, options)
+        return _WorkerSession(tracker, writer, sight)
+
+    def _frame(self, request: Header) -> None:
+        session = self._sessions[request["session"]]
+        tracker = session.tracker
+        content = self._memory[: request["length"]]
+        with decoding_time(tracker.camera):
+            image = read_frame(content, tracker.camera)
+        time_s = request["time_s"]
+        state, observation = tracker.track(
+            image, time_s, request["received_unix_s"], request["drops"]
+        )
+        state["frame"] += request["first_frame"]
+        state["recorded"] = session.log is not None
+        state["model_sha256"] = session.sight.model.stem
+        state["latency_ms"] = 1e3 * (time.monotonic() - request["received_s"])
+        text = to_json(state, inf_nan_mode="null")
+        if session.log is not None and not session.log.write(state, text, content):
+            state["recorded"] = False
+            text = to_json(state, inf_nan_mode="null")
+        more = request["extras"]
+        answer: Header = {
+            "kind": "state",
+            **{name: state[name] for name in _HEADER_KEYS},
+            "done": not more,
+            "alarms": [] if state["approach"] is None else state["approach"]["alarms"],
+        }
+        if tracker.filter.running:
+            answer["sensors"] = tracker.filter.health()
+            answer["own"] = tracker.own_sensors
+        if session.log is not None:
+            answer["recording"] = _recording(session.log)
+            answer["log_path"] = str(session.log.path)
+        self._send(answer, text)
+        session.last = image, state, observation
+        if more:
+            self._extras(more, session)
+
+    def _measure(self, request: Header) -> None:
+        """Lines of another sensor: all are checked, then each is taken; then they are logged."""
+        session = self._sessions[request["session"]]
+        tracker, sensor = session.tracker, request["sensor"]
+        text = bytes(self._memory[: request["length"]])
+        lines = tracker.filter.check(
+            sensor, text, tracker.last_s, request["waited_s"], request["most_lines"]
+        )
+        logged, verdicts, marks = [], [], None
+        fused: StateDict | None = None
+        for line in lines:
+            order = tracker.filter.lines
+            verdict, fused = tracker.filter.take(sensor, line)
+            verdicts.append(verdict)
+            marks = line.marks or marks
+            logged.append(
+                {
+                    "session": tracker.session,
+                    "order": order,
+                    "frame": request["first_frame"] + tracker.frames,
+                    "sensor": sensor,
+                    "received_unix_s": request["received_unix_s"],
+                    "record": line.record,
+                    "verdict": verdict,
+                    "fused": fused,
+                }
+            )
+        answer_body = {
+            "type": "measured",
+            "session": tracker.session,
+            "sensor": sensor,
+            "verdicts": verdicts,
+            "fused": fused,
+            "recorded": session.log is not None and session.log.write_measurements(logged),
+        }
+        answer: Header = {
+            "kind": "measured",
+            "session": tracker.session,
+            "accepted": sum(v is not None and v["accepted"] for v in verdicts),
+            "lines": len(lines),
+            "sensors": tracker.filter.health(),
+            "marks": marks,
+            "done": True,
+        }
+        if session.log is not None:
+            answer["recording"] = _recording(session.log)
+            answer["log_path"] = str(session.log.path)
+        self._send(answer, to_json(answer_body, inf_nan_mode="null"))
+
+    def _extras(self, more: Header, session: _WorkerSession) -> None:
+        """What watchers asked for of the last frame. Its sender already has its answer."""
+        assert session.last is not None
+        tracker, (image, state, observation) = session.tracker, session.last
+        contour: Contour | None = None
+        pose, predicted = shown_pose(state)
+        if more["contour"] and pose is not None:
+            joints = observation.joints
+            angles_rad = None if joints is None else joints.angles_rad
+            camera, at = tracker.camera, pose_of(pose)
+            contour = contour_at(tracker.model, camera, at, angles_rad, predicted=predicted)
+        outlines = silhouette_px(observation) if more["silhouette"] else None
+        picture = jpeg(image, more["width"]) if more["width"] else b""
+        header: Header = {
+            "kind": "extras",
+            "session": tracker.session,
+            "frame": state["frame"],
+            "contour": None if contour is None else contour.model_dump(),
+            "silhouette_px": outlines,
+            "done": True,
+        }
+        self._send(header, picture)
+
+    def _close(self, request: Header) -> None:
+        session = self._sessions.pop(request["session"], None)
+        recording = None
+        if session is not None and session.log is not None:
+            session.log.close()
+            recording = _recording(session.log)
+        self._send({"kind": "closed", "session": request["session"], "recording": recording})
+        del session  # its memory is free before the next line
+        self._drop_unused()
+
+    def _drop_unused(self) -> None:
+        self._models.keep({session.sight for session in self._sessions.values()})
+
+    def _send(self, header: Header, content: bytes = b"") -> None:
+        with contextlib.suppress(
+            ConnectionError
+        ):  # the next `receive` sees that the service is gone
+            self._connection.sendall(pack(header, content))
+
+
+@contextlib.contextmanager
+def decoding_time(camera: Camera) -> Iterator[None]:
+    """Bound the processor time of decoding a frame: with more, the process ends.
+
+    No code of this package can interrupt a decoder; the system can. The sessions of this process
+    continue in another one within a fraction of a second.
+    """
+    signal.setitimer(
+        signal.ITIMER_PROF, _DECODING_S + _DECODING_PIXEL_S * camera.width * camera.height
+    )
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+
+
+def session_notes(
+    session: str, request: SessionRequest, model_name: str, model_path: Path
+) -> dict[str, str]:
+    """The metadata of a session in its log, for replay."""
+    return {
+        "session": session,
+        "request": request.model_dump_json(),
+        "target": model_name,
+        "model_file": model_path.name,
+        "model_sha256": model_path.stem,
+        "versions": json.dumps(
+            {name: metadata.version(name) for name in ("rendezview", "numpy", "numba")}
+        ),
+        "opencv": cv2.__version__,
+    }
+
+
+def jpeg(image: GreyImage, width: int) -> bytes:
+    """A frame as JPEG for display, at most ``width`` pixels wide."""
+    shown = image
+    if image.shape[1] > width:
+        height = max(1, round(image.shape[0] * width / image.shape[1]))
+        shown = np.asarray(
+            cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8
+        )
+    return bytes(cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
+
+
+def _fault(request: Header, error: str) -> Header:
+    return {
+        "kind": "fault",
+        "of": request["kind"],
+        "session": request.get("session"),
+        "error": error,
+    }
+
+
+def _recording(writer: LogWriter | None) -> Header | None:
+    return None if writer is None else writer.status.model_dump(mode="json")
+
+
+def main() -> None:
+    """Arguments: descriptors of the connection and of the shared memory, and its size."""
+    # Signals to the process group are for the service: it asks its workers to quit, and if it is
+    # gone, the connection is closed.
+    for sent in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(sent, signal.SIG_IGN)
+    cv2.setNumThreads(1)  # one core per worker
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    # Image decoders write to standard error; the log of the service must be JSON lines only.
+    sys.stderr = os.fdopen(os.dup(2), "w", buffering=1)
+    faulthandler.enable(sys.stderr)
+    quiet = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(quiet, 2)
+    os.close(quiet)
+    set_up_logging("info")
+    connection, memory, size = (int(argument) for argument in sys.argv[1:4])
+    WorkerProcess(socket.socket(fileno=connection), mapped(memory, size)).run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,178 @@
+"""Rows of the benchmark: steps of the filter, and fits of segments."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+from experiments.benchmark.check import Bench, Row, times
+from experiments.frame import CLIENT
+from experiments.timing import Way
+from rendezview.fusion import (
+    BeamSurface,
+    Fusion,
+    FusionOptions,
+    Measurement,
+    PoseMeasurement,
+    RangeMeasurement,
+    RingCandidate,
+    RingMeasurement,
+    SensorOptions,
+)
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.target import Target
+from rendezview.trajectory import FitOptions, Method, PointCloud, Segment, Shape, fit_segment
+from rendezview.trajectory.relative_orbit import transition
+from rendezview.trajectory.shapes import code_of
+from rendezview.trajectory.simplex import RESIDUALS, cost, downhill_simplex, gauss_newton
+
+WHITE = SensorOptions(bias_share=0.1)  # the measurements are made without biases
+OPTIONS = FusionOptions(pose=WHITE, ring=WHITE, range=WHITE)
+STEPS = 101  # of each kind
+POINTS, SPAN_S, RANGE_M, NOISE = 100, 200.0, 30.0, 0.001
+MEAN_MOTION_RAD_S = 0.0011
+CUT, NEAR, MOST = 12.0, 0.01, 5000  # χ² of an outlier; tolerance of the cost; evaluations
+
+
+def measurements() -> dict[str, list[Measurement]]:
+    """Good measurements of a target at rest, of each kind, 10 a second."""
+    rng = np.random.default_rng(0)
+    ring = Target.load(CLIENT).docking_ring
+    assert ring is not None
+    rotation = Rotation.from_rotvec([0.0, -0.5 * np.pi, 0.0]).as_matrix()
+    truth = Pose(rotation, np.array([0.1, -0.2, 12.0]))
+    sigma = np.array([2e-3, 2e-3, 1e-3, 5e-3, 5e-3, 2e-2])
+    surface = BeamSurface(ring.centre_m, ring.axis)
+    normal = rotation @ ring.axis
+    distance = float(normal @ truth.apply(ring.centre_m)) / float(normal[2])
+    found: dict[str, list[Measurement]] = {"pose": [], "ring": [], "range": []}
+    for k in range(STEPS):
+        t = 0.1 * k
+        noisy = truth.perturbed(sigma * rng.standard_normal(6))
+        found["pose"].append(PoseMeasurement(t, "camera", noisy, np.diag(sigma**2)))
+        centre = truth.apply(ring.centre_m) + 5e-3 * rng.standard_normal(3)
+        axis = normal + 5e-3 * rng.standard_normal(3)
+        flat = 5e-3**2 * (np.eye(3) - np.outer(normal, normal))
+        covariance = np.block([[5e-3**2 * np.eye(3), np.zeros((3, 3))], [np.zeros((3, 3)), flat]])
+        both = (axis, axis + np.array([0.02, 0.0, 0.0]))
+        candidates = tuple(RingCandidate(centre, a / np.linalg.norm(a), covariance) for a in both)
+        found["ring"].append(RingMeasurement(t, "ring", candidates, ring))
+        echo = distance + 0.02 * rng.standard_normal()
+        found["range"].append(RangeMeasurement(t, "laser", echo, 0.02, (surface,)))
+    return found
+
+
+def plain_numpy() -> None:
+    """100 steps of a 12-state Kalman filter: no gate, no attitude, no biases."""
+    step, noise = np.eye(12), 1e-6 * np.eye(12)
+    step[:6, 6:] = 0.1 * np.eye(6)
+    design = np.hstack([np.eye(6), np.zeros((6, 6))])
+    white, value, identity = 1e-4 * np.eye(6), 1e-3 * np.ones(6), np.eye(12)
+    for _ in range(100):
+        state, covariance = np.zeros(12), np.eye(12)
+        state = step @ state
+        covariance = step @ covariance @ step.T + noise
+        across = covariance @ design.T
+        gain = np.linalg.solve(design @ across + white, across.T).T
+        state = state + gain @ (value - design @ state)
+        covariance = (identity - gain @ design) @ covariance
+
+
+def fusion(bench: Bench) -> Iterator[Row]:
+    """One step of the filter beside one of 12 states in plain numpy."""
+    kinds, numpy = measurements(), "plain numpy, 12 states, no gate"
+
+    def added(kind: str) -> Way:
+        def add() -> None:
+            state = Fusion(OPTIONS)  # all three have reported: the state has its full size
+            for each in kinds.values():
+                state.add(each[0])
+            for measurement in kinds[kind][1:]:
+                state.add(measurement)
+
+        return Way(add, STEPS + 2)
+
+    ways = {f"fusion, {kind}": added(kind) for kind in kinds}
+    spent = bench.race(ways | {numpy: Way(plain_numpy, 100)})
+    yield from times("fusion-approach", spent, dict.fromkeys(ways, (numpy,)))
+
+
+def cloud_of(shape: Shape) -> tuple[PointCloud, np.random.Generator]:
+    """A circle of 1 rad, or a free relative orbit: 0.1 % noise, a tenth of them outliers."""
+    rng = np.random.default_rng(0)
+    times_s = np.linspace(0.0, SPAN_S, POINTS)
+    if shape is Shape.CIRCULAR:
+        angle = times_s / SPAN_S
+        flat = RANGE_M * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+        places = flat @ Rotation.random(random_state=rng).as_matrix().T
+    else:
+        first = np.array([0.0, RANGE_M, 0.0, 0.01, -0.05, 0.01])
+        places = np.array([(transition(MEAN_MOTION_RAD_S, t) @ first)[:3] for t in times_s])
+    noisy = places + NOISE * RANGE_M * rng.standard_normal(places.shape)
+    far = rng.choice(POINTS, POINTS // 10, replace=False)
+    noisy[far] += 0.1 * RANGE_M * rng.standard_normal((len(far), 3))
+    spread = np.tile((NOISE * RANGE_M) ** 2 * np.eye(3), (POINTS, 1, 1))
+    return PointCloud.of_places(times_s, noisy, spread), rng
+
+
+def ways_of(shape: Shape) -> dict[str, Callable[[], object]]:
+    """Simplexes with the same start (the answer, off by 2 %), compiled cost and tolerance."""
+    cloud, rng = cloud_of(shape)
+    n = MEAN_MOTION_RAD_S
+    fit_segment(cloud, shape, mean_motion_rad_s=n)  # compiles
+    newton = FitOptions(method=Method.GAUSS_NEWTON)
+    best = fit_segment(cloud, shape, mean_motion_rad_s=n, options=newton)
+    assert isinstance(best, Segment)
+    data = (
+        cloud.times_s - best.middle_s, best.base, best.constants, np.zeros((POINTS, 3)),
+        cloud.points, cloud.whitening, cloud.by_node,
+    )  # fmt: skip
+    weights, code = cloud.weights, code_of(shape)
+    scales = np.maximum(np.abs(best.parameters), 0.02)
+    goal, _ = gauss_newton(code, best.parameters, scales, data, weights, CUT, 20)
+    steps = 0.02 * scales
+    start = goal + steps * rng.choice([-1.0, 1.0], len(scales))
+    place, out = np.empty((POINTS, 3)), np.empty((POINTS, RESIDUALS))
+
+    def asked(p: Array, *_: object) -> float:
+        return float(cost(code, p, data, weights, CUT, place, out))
+
+    def by_scipy() -> object:
+        corners = np.vstack([start, start + np.diag(steps)])
+        options = {"initial_simplex": corners, "fatol": NEAR, "xatol": np.inf}
+        options |= {"adaptive": True, "maxfev": MOST}
+        return minimize(asked, start, method="Nelder-Mead", options=options)
+
+    task = (data, weights, CUT)
+    ways: dict[str, Callable[[], object]] = {
+        "simplex, ours": lambda: downhill_simplex(code, start, steps, *task, MOST, NEAR),
+        "simplex, scipy": by_scipy,
+    }
+    if importlib.util.find_spec("nlopt") is not None:
+        import nlopt
+
+        def by_nlopt() -> object:
+            simplex = nlopt.opt(nlopt.LN_NELDERMEAD, len(start))
+            simplex.set_min_objective(asked)
+            simplex.set_ftol_abs(NEAR)
+            simplex.set_maxeval(MOST)
+            simplex.set_initial_step(steps)
+            return simplex.optimize(start)
+
+        ways["simplex, nlopt"] = by_nlopt
+    ways["Gauss–Newton, ours"] = lambda: gauss_newton(code, start, scales, *task, 20)
+    return ways
+
+
+def segments(bench: Bench) -> Iterator[Row]:
+    """Fits of segments: our simplex beside scipy's and nlopt's, one cost for all."""
+    for shape in (Shape.CIRCULAR, Shape.ORBIT):
+        spent = bench.race({f"{shape}: {name}": way for name, way in ways_of(shape).items()})
+        ours, newton = f"{shape}: simplex, ours", f"{shape}: Gauss–Newton, ours"
+        peers = tuple(name for name in spent if name not in (ours, newton))
+        rows = {ours: peers, newton: (f"{shape}: simplex, scipy",)}
+        yield from times("trajectory-accuracy", spent, rows)

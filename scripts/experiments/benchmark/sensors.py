@@ -1,0 +1,146 @@
+"""Rows of the benchmark: readings of reflectors, rings and stereo lights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from itertools import count
+
+import cv2
+import numpy as np
+
+from experiments.benchmark.check import Bench, Row, times
+from experiments.frame import CLIENT, MODELS_CAD
+from experiments.reflectors.accuracy import CAMERA, OPTIONS, random_pose
+from experiments.timing import Way
+from rendezview.calibration.laboratory import calibrate_laboratory
+from rendezview.geometry.camera import Camera
+from rendezview.io.target import Target
+from rendezview.sensors.beacons import (
+    Acquirer,
+    LitDark,
+    ReflectorSensor,
+    Rig,
+    StereoTracker,
+    TrackerOptions,
+    find_spots,
+    patterns_of,
+    reprocess,
+)
+from rendezview.sensors.ring import RingDetector
+from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
+from rendezview_ground.simulate.reflector_frames import render_pair
+from rendezview_ground.simulate.ring_frames import RingSceneOptions, random_scene, render_ring_frame
+
+REFLECTOR_SEED, RING_SEED, STEREO_SEED = 41, 81, 21
+REFLECTOR_RANGE_M = 6.0
+RING_PX = (640, 480)
+STEREO_READINGS, STEREO_PEER_READINGS = 4100, 100
+
+
+def moments(lit: np.ndarray, dark: np.ndarray) -> list[tuple[float, float]]:
+    """Difference, threshold, contours, moments of each: what OpenCV needs for three centroids."""
+    difference = cv2.subtract(lit, dark)
+    mask = cv2.threshold(difference, 20, 255, cv2.THRESH_BINARY)[1]
+    centres = []
+    for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+        x, y, w, h = cv2.boundingRect(contour)
+        m = cv2.moments(difference[y : y + h, x : x + w])
+        centres.append((x + m["m10"] / m["m00"], y + m["m01"] / m["m00"]))
+    return centres
+
+
+def reflectors(bench: Bench) -> Iterator[Row]:
+    """A reading of the reflectors beside what OpenCV needs for three centroids."""
+    rng = np.random.default_rng(REFLECTOR_SEED)
+    pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
+    acquirer, sensor = Acquirer(CAMERA, [pattern]), ReflectorSensor(CAMERA, [pattern])
+    pose, _ = random_pose(rng, pattern, REFLECTOR_RANGE_M)
+    pairs = [LitDark(*render_pair(CAMERA, pattern, pose, OPTIONS, rng)) for _ in range(5)]
+    first, readings = pairs[0], count(1)
+
+    def track() -> None:
+        k = next(readings)
+        reading = sensor.update(0.1 * k, pairs[k % len(pairs)])
+        assert k < 3 or (reading.tracked and reading.pose is not None)
+
+    floor = "difference, threshold, contours, moments"
+    ours: dict[str, Callable[[], object]] = {
+        "reflectors, acquisition": lambda: acquirer.acquire(find_spots(first)),
+        "reflectors, tracking": track,
+    }
+    spent = bench.race(ours | {floor: lambda: moments(first.lit, first.dark)})
+    yield from times("reflector-accuracy", spent, dict.fromkeys(ours, (floor,)))
+
+
+def chain_ellipses(frame: np.ndarray) -> list[tuple[object, ...]]:
+    """OpenCV's edges, and an ellipse through each that is long enough: nothing is asked of it."""
+    edges = cv2.Canny(frame, 50, 100)
+    chains = cv2.findContours(edges, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
+    return [cv2.fitEllipseDirect(chain) for chain in chains if len(chain) >= 30]
+
+
+def rings(bench: Bench) -> Iterator[Row]:
+    """The ring detector beside OpenCV's edges with an ellipse through each."""
+    width, height = RING_PX
+    camera = Camera.from_fov(width, height, math.radians(40.0))
+    options = RingSceneOptions(clutter=2, width_px=(150.0, 380.0))
+    many = max(3, bench.frames // 2)
+    rngs = [np.random.default_rng([RING_SEED, width, k]) for k in range(many)]
+    frames = [render_ring_frame(random_scene(camera, rng, options), rng) for rng in rngs]
+    detector = RingDetector(camera)
+    ours, floor = f"ring, {width} × {height}", "Canny, an ellipse through each chain"
+    ways = {ours: Way(lambda: [detector.detect(f) for f in frames], many),
+            floor: Way(lambda: [chain_ellipses(f) for f in frames], many)}  # fmt: skip
+    yield from times("ring-accuracy", bench.race(ways), {ours: (floor,)})
+
+
+def by_paper(rig: Rig, leds: np.ndarray, currents: np.ndarray) -> None:
+    """Eq. 4 linearised by numpy: 24 equations, one iteration from the last estimate."""
+    rotation, translation = np.eye(3), np.zeros(3)
+    for reading in currents:
+        rows, right = [], []
+        for camera, light in zip(rig.cameras, reading, strict=True):
+            ideal, _ = camera.ideal(camera.photodiode.read(light))
+            arm, c = leds @ rotation.T, camera.camera_from_rig
+            p = (arm + translation) @ c.rotation.T + c.translation_m
+            for axis in range(2):
+                x = p[:, axis] / p[:, 2]
+                g = (c.rotation[axis] - x[:, None] * c.rotation[2]) / p[:, 2:]
+                rows.append(np.hstack([np.cross(arm, g), g]))
+                right.append(ideal[:, axis] - x)
+        step, *_ = np.linalg.lstsq(np.vstack(rows), np.concatenate(right), rcond=None)
+        translation = translation + step[3:]
+        x, y, z = step[:3]
+        turn = np.eye(3) + np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        u, _, vt = np.linalg.svd(turn @ rotation)
+        rotation = u @ vt
+
+
+def stereo(bench: Bench) -> Iterator[Row]:
+    """Readings of lights, one by one and all at once, beside the paper's iteration in numpy."""
+    target = Target.load(MODELS_CAD / "scole")
+    lights = np.array([light.position_m for light in target.leds])
+    laboratory = Laboratory(lights, LaboratoryOptions(), STEREO_SEED)
+    rng = np.random.default_rng(STEREO_SEED)
+    steps = np.arange(STEREO_READINGS) * np.deg2rad(2.0)
+    angles = np.deg2rad(40.0) * np.sin(steps / np.deg2rad(40.0))  # to and fro
+    currents = laboratory.currents(laboratory.stage(angles), rng)
+    rig = calibrate_laboratory(laboratory.calibration(rng)).rig
+    few, tracker = currents[:STEREO_PEER_READINGS], StereoTracker.of_target(rig, target)
+    one_by_one = StereoTracker.of_target(rig, target, TrackerOptions(motion=None))
+    clock = count()
+
+    def follow() -> None:
+        for reading in few:
+            cameras = zip(rig.cameras, reading, strict=True)
+            spots = [camera.photodiode.read(row) for camera, row in cameras]
+            one_by_one.update(0.1 * next(clock), spots)
+
+    ours = {
+        "stereo, a reading": Way(follow, len(few)),
+        "stereo, a log at once": Way(lambda: reprocess(tracker, currents), len(currents)),
+    }
+    plain = "the paper's iteration in plain numpy"
+    spent = bench.race(ours | {plain: Way(lambda: by_paper(rig, lights, few), len(few))})
+    yield from times("stereo-accuracy", spent, dict.fromkeys(ours, (plain,)))

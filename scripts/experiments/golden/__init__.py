@@ -1,0 +1,1 @@
+"""The golden file: answers of every sensor, stored and compared."""

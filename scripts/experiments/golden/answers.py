@@ -1,0 +1,193 @@
+"""The answers of a run as records that lose no bit, and two such runs compared."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from experiments.frame import show, table_of
+from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import Symmetry, angle_between
+from rendezview.io.results import json_line
+
+Record = dict[str, Any]
+Run = dict[tuple[str, int], Record]  # by group and index
+T = TypeVar("T")
+
+RIGHT_RAD, RIGHT_SHARE = float(np.deg2rad(5.0)), 0.05  # an answer within both is right
+_FEWER_RIGHT, _LARGER_ERRORS = 0.99, 1.02  # what `no_worse` allows
+_TIMES, _IDS = ("_ms", "_unix_s"), ("session", "id", "model_sha256", "recorded")  # of lines
+_WORDS = ("group", "index", "status", "line", "right")  # of records; all others are numbers
+_LISTED = 20  # records that differ
+
+
+class Answers:
+    """Collects the records of a run, and the processor time of each group."""
+
+    def __init__(self) -> None:
+        self.records: list[Record] = []
+        self._count: Counter[str] = Counter()
+        self._ms: dict[str, list[float]] = {}
+
+    def timed(self, group: str, answer: Callable[..., T], *arguments: Any) -> T:
+        """Call, and count its processor time for a group."""
+        began_s = time.process_time()
+        found = answer(*arguments)
+        self._ms.setdefault(group, []).append(1e3 * (time.process_time() - began_s))
+        return found
+
+    def add(
+        self, group: str, status: str, *, line: Any = None, right: bool | None = None,
+        errors: tuple[float, float] | None = None, limits: tuple[float, float] | None = None,
+        **numbers: npt.ArrayLike | None,
+    ) -> None:  # fmt: skip
+        """One answer: its numbers, and a digest of everything else.
+
+        Args:
+            group: of the answer, with its index.
+            status: in words.
+            line: anything with a JSON form that is the same in two runs, apart from times.
+            right: of an answer without errors; ``None``: none is given.
+            errors: rotation in radians and translation as a share of the range, of an answer given.
+            limits: below both it is right; the usual ones where left out.
+            numbers: float64 of any shape.
+        """
+        record: Record = {"group": group, "index": self._count[group], "status": status}
+        if line is not None:
+            record["line"] = digest(json_line({"line": steady(line)}).encode())
+        if errors is not None:
+            numbers |= {"rotation": errors[0], "translation": errors[1]}
+            right = all(np.array(errors) < (limits or (RIGHT_RAD, RIGHT_SHARE)))
+        if right is not None:
+            record["right"] = bool(right)
+        # 16 hexadecimal digits a number, most significant first.
+        given = {name: value for name, value in numbers.items() if value is not None}
+        record |= {n: np.asarray(v, dtype=">f8").tobytes().hex() for n, v in given.items()}
+        self.records.append(record)
+        self._count[group] += 1
+
+    def pose(
+        self, group: str, status: object, pose: Pose | None, truth: Pose | None, *,
+        middle_m: npt.ArrayLike = (0.0, 0.0, 0.0), symmetries: tuple[Symmetry, ...] = (),
+        **more: Any,
+    ) -> None:  # fmt: skip
+        """A pose, judged by its attitude and the place of a point of the target.
+
+        ``truth``: ``None`` where there is no target, and any pose is wrong.
+        """
+        errors = None
+        if pose is not None and truth is not None:
+            place, there = pose.apply(middle_m), truth.apply(middle_m)
+            share = float(np.linalg.norm(place - there) / np.linalg.norm(there))
+            errors = (angle_between(pose, truth, symmetries), share)
+        whole = None if pose is None else np.append(pose.rotation, pose.translation_m)
+        right = None if pose is None else False
+        self.add(group, str(status), errors=errors, right=right, pose=whole, **more)
+
+    def seen(self, group: str, seen: Any, truth: Pose | None, **more: Any) -> None:
+        """An observation that has a pose, beside the true one."""
+        self.pose(group, seen.status, seen.pose, truth, line=seen.record(), **more,
+                  covariance=seen.covariance, confidence=seen.confidence)  # fmt: skip
+
+    def write(self, path: Path) -> None:
+        """All records, then the median time of each group; same answers give the same records."""
+        times = [{"group": g, "ms": round(float(np.median(v)), 3)} for g, v in self._ms.items()]
+        text = "".join(json.dumps(r, separators=(",", ":")) + "\n" for r in self.records + times)
+        path.write_bytes(gzip.compress(text.encode(), 9, mtime=0))
+
+
+def digest(content: bytes) -> str:
+    """The first 16 digits of SHA-256."""
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def steady(line: Any) -> Any:
+    """A line without times of computing, times of day, and identifiers."""
+    if isinstance(line, Mapping):
+        return {k: steady(v) for k, v in line.items() if k not in _IDS and not k.endswith(_TIMES)}
+    return [steady(item) for item in line] if isinstance(line, list | tuple) else line
+
+
+def read(path: Path) -> tuple[Run, dict[str, float]]:
+    """Records, and times by group."""
+    lines = [json.loads(line) for line in gzip.decompress(path.read_bytes()).splitlines()]
+    records = {(r["group"], r["index"]): r for r in lines if "index" in r}
+    return records, {r["group"]: r["ms"] for r in lines if "ms" in r}
+
+
+def numbers_of(text: str) -> npt.NDArray[np.float64]:
+    """The numbers of a record, flat."""
+    return np.frombuffer(bytes.fromhex(text), dtype=">f8").astype(np.float64)
+
+
+def same(old: Run, new: Run) -> bool:
+    """Whether every record is the same bit for bit; the first that differ are printed."""
+    keys = list(dict.fromkeys([*old, *new]))
+    off = [key for key in keys if old.get(key) != new.get(key)]
+    for group, index in off[:_LISTED]:
+        one, other = old.get((group, index), {}), new.get((group, index), {})
+        names = [n for n in dict.fromkeys([*one, *other]) if one.get(n) != other.get(n)]
+        print(f"{group} {index}: {'; '.join(_change(n, one.get(n), other.get(n)) for n in names)}")
+    for group, number in Counter(key[0] for key in off).items():
+        print(f"{group}: {number} of {sum(key[0] == group for key in keys)} records differ")
+    print(f"{len(keys)} records, {len(off)} differ")
+    return not off
+
+
+def _change(name: str, old: Any, new: Any) -> str:
+    """The first number that differs, or words."""
+    if name in _WORDS or old is None or new is None or len(old) != len(new):
+        return f"{name} {old} → {new}" if name in _WORDS else f"{name} of another size"
+    was, now = numbers_of(old), numbers_of(new)
+    k = int(np.flatnonzero(was.view(np.int64) != now.view(np.int64))[0])
+    return f"{name}[{k}] {float(was[k])!r} → {float(now[k])!r}"
+
+
+def no_worse(old: Run, new: Run, old_ms: dict[str, float], new_ms: dict[str, float]) -> bool:
+    """Whether no group has become worse; prints a table of all groups, old / new.
+
+    Worse: more than 1 % fewer right answers, more wrong ones, or a median error of the right
+    answers that is more than 2 % larger. A group that one run lacks is shown and not judged.
+    """
+    columns = "group | records | given | right | wrong | rotation, ° | translation, % | ms | worse"
+    rows, fine = table_of("old / new", columns), True
+    for group in dict.fromkeys(key[0] for key in [*old, *new]):
+        was, now = _figures(old, group), _figures(new, group)
+        worse = {
+            "right": now[2] < _FEWER_RIGHT * was[2], "wrong": now[3] > was[3],
+            "rotation": now[4] > _LARGER_ERRORS * was[4],
+            "translation": now[5] > _LARGER_ERRORS * was[5],
+        }  # fmt: skip
+        found = [name for name, is_so in worse.items() if is_so and was[0] and now[0]]
+        pairs = [*zip(was, now, strict=True), (old_ms.get(group), new_ms.get(group))]
+        rows.add_row(group, *(" / ".join(map(_cell, pair)) for pair in pairs), ", ".join(found))
+        fine = fine and not found
+    show(rows, width=150)
+    return fine
+
+
+def _cell(value: float | None) -> str:
+    if value is None or value != value:
+        return "–"
+    return str(value) if isinstance(value, int) else f"{value:.4g}"
+
+
+def _figures(run: Run, group: str) -> tuple[int, int, int, int, float, float]:
+    """Records, answers, right, wrong; median errors of the right ones, ° and %."""
+    own = [r for r in run.values() if r["group"] == group]
+    right, wrong = ([r for r in own if r.get("right") is kind] for kind in (True, False))
+    errors = [
+        float(np.median([numbers_of(r[n])[0] for r in right if n in r] or [np.nan]))
+        for n in ("rotation", "translation")
+    ]
+    answers = len(right) + len(wrong)
+    return len(own), answers, len(right), len(wrong), np.rad2deg(errors[0]), 100.0 * errors[1]

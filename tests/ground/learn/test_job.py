@@ -1,0 +1,285 @@
+"""The training job: the same bytes whatever happens on the way, and refusals in words."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.waiting import MOST_S
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.sensors.appearance import ViewModel
+from rendezview_ground.learn.job import train
+from rendezview_ground.learn.options import TrainingOptions, view_geometry
+from rendezview_ground.mesh.mesh import Mesh
+
+SMALL = TrainingOptions(
+    order=1,
+    bins=60,
+    smooth_bins=3,
+    resolution_px=64,
+    perturbed_views=280,  # five shards
+    held_out_views=20,
+    contour_points=20,
+    contour_radii=(1.0,),
+    contour_resolution_px=64,
+    surface_points=64,
+)
+STOPPED = """
+import os, pickle, signal, sys
+from pathlib import Path
+from rendezview_ground.learn.job import train
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
+mesh, options = pickle.loads(Path(sys.argv[1]).read_bytes())
+stop = int(sys.argv[3])
+
+def progress(stage, done, of):
+    if stage == "trees" and done == 1:
+        os.kill(os.getpid(), stop)
+
+train(mesh, Path(sys.argv[2]), name="bumpy", options=options, jobs=int(sys.argv[4]),
+      progress=progress)
+"""
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory, bumpy_mesh) -> bytes:
+    path = tmp_path_factory.mktemp("reference") / "bumpy.rvm"
+    train(bumpy_mesh, path, name="bumpy", options=SMALL, jobs=1)
+    assert [p.name for p in path.parent.iterdir()] == ["bumpy.rvm"]  # no shards stay
+    return path.read_bytes()
+
+
+def stopped(folder: Path, mesh: Mesh, by: signal.Signals, jobs: int = 1) -> tuple[Path, int]:
+    folder.mkdir()
+    inputs, path = folder.parent / "inputs.pickle", folder / "bumpy.rvm"
+    inputs.write_bytes(pickle.dumps((mesh, SMALL)))
+    done = subprocess.run(
+        [sys.executable, "-c", STOPPED, str(inputs), str(path), str(int(by)), str(jobs)],
+        capture_output=True,
+        timeout=MOST_S,
+        check=False,
+    )
+    return path, done.returncode
+
+
+@pytest.mark.requirement("RV-TRAIN-1")
+def test_two_jobs_give_the_bytes_of_one(tmp_path, bumpy_mesh, reference):
+    train(bumpy_mesh, tmp_path / "m.rvm", name="bumpy", options=SMALL, jobs=2)
+    assert (tmp_path / "m.rvm").read_bytes() == reference
+
+
+def test_another_seed_gives_other_bytes(tmp_path, bumpy_mesh, reference):
+    options = dataclasses.replace(SMALL, seed=1)
+    train(bumpy_mesh, tmp_path / "m.rvm", name="bumpy", options=options, jobs=1)
+    assert (tmp_path / "m.rvm").read_bytes() != reference
+
+
+@pytest.mark.requirement("RV-TRAIN-2")
+def test_a_killed_job_goes_on_where_it_stopped_and_gives_the_same_bytes(
+    tmp_path, bumpy_mesh, reference
+):
+    path, code = stopped(tmp_path / "run", bumpy_mesh, signal.SIGKILL)
+    assert code == -signal.SIGKILL
+    assert not path.exists()
+    shards = sorted((path.parent / "bumpy.rvm.partial").glob("*/*.npz"))
+    assert len(shards) >= 6
+    # the disk may have kept less than what was written: those shards are drawn again
+    damage = {"lattice": 0.5, "views-00000": 0.0, "views-00001": 0.9}
+    for shard in shards:
+        for name, kept in damage.items():
+            if shard.name.startswith(name):
+                content = shard.read_bytes()
+                shard.write_bytes(content[: int(kept * len(content))])
+    first: dict[str, tuple[int, int]] = {}
+    train(
+        bumpy_mesh,
+        path,
+        name="bumpy",
+        options=SMALL,
+        jobs=1,
+        progress=lambda stage, done, of: first.setdefault(stage, (done, of)),
+    )
+    assert first["lattice"] == (0, 3)
+    assert first["perspective"] == (3, 3)
+    assert first["views"] == (3, 5)
+    assert first["held-out"] == (1, 1)
+    assert first["trees"] == (1, 11)
+    assert path.read_bytes() == reference
+    assert [p.name for p in path.parent.iterdir()] == ["bumpy.rvm"]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_ctrl_c_stops_and_leaves_no_half_model(tmp_path, bumpy_mesh, reference, jobs):
+    path, code = stopped(tmp_path / "run", bumpy_mesh, signal.SIGINT, jobs)
+    assert code in (-signal.SIGINT, 130, 1)
+    assert [p.name for p in path.parent.iterdir()] == ["bumpy.rvm.partial"]
+    train(bumpy_mesh, path, name="bumpy", options=SMALL, jobs=1)
+    assert path.read_bytes() == reference
+
+
+def test_shards_of_other_inputs_are_not_used(tmp_path, bumpy_mesh, reference):
+    path = tmp_path / "m.rvm"
+
+    def stop(stage: str, done: int, of: int) -> None:
+        if stage == "trees":
+            raise InterruptedError
+
+    other = dataclasses.replace(SMALL, seed=9)
+    with pytest.raises(InterruptedError):
+        train(bumpy_mesh, path, name="b", options=other, jobs=1, progress=stop)
+    assert not path.exists()
+    train(bumpy_mesh, path, name="bumpy", options=SMALL, jobs=1)
+    assert path.read_bytes() == reference
+
+
+def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
+    reported: dict[str, list[int]] = {}
+    ends = {}
+
+    def progress(stage: str, done: int, of: int) -> None:
+        reported.setdefault(stage, []).append(done)
+        ends[stage] = of
+
+    train(bumpy_mesh, tmp_path / "m.rvm", name="b", options=SMALL, jobs=2, progress=progress)
+    assert list(reported) == [
+        "surface",
+        "lattice",
+        "perspective",
+        "views",
+        "held-out",
+        "contours",
+        "shadows",
+        "sketches",
+        "trees",
+        "forest",
+        "calibration",
+    ]
+    for stage, counts in reported.items():
+        assert counts == list(range(ends[stage] + 1))
+
+
+def test_a_model_says_how_it_was_made(tiny_model, tiny_options, bumpy_mesh):
+    made = tiny_model.provenance
+    assert made["options"]["perturbed_views"] == tiny_options.perturbed_views
+    assert made["triangles"] == len(bumpy_mesh.faces)
+    assert len(made["mesh_sha256"]) == 64
+    assert {"numpy", "numba", "rendezview"} <= set(made["versions"])
+    assert tiny_model.centre_m == pytest.approx(bumpy_mesh.bounding_sphere[0])
+    assert tiny_model.sphere_radius_m == pytest.approx(3.0 * tiny_model.target_radius_m)
+
+
+def test_nodes_are_right_about_views_they_were_and_were_not_trained_on(tiny_model):
+    assert tiny_model.training_accuracy.mean() > 0.99
+    assert np.nanmean(tiny_model.held_out_accuracy) > 0.9
+    assert len(tiny_model.forest) == 162
+    assert 0.0 < tiny_model.held_out.direction_rad < np.deg2rad(8.0)
+    assert 0.0 < tiny_model.held_out.range_fraction < 0.06
+
+
+def test_the_papers_own_training_works_without_random_views(tmp_path, bumpy_mesh):
+    options = dataclasses.replace(SMALL, held_out_views=0).paper()
+    made = train(bumpy_mesh, tmp_path / "m.rvm", name="b", options=options, jobs=1)
+    assert made.decisions is None
+    model = ViewModel.load(tmp_path / "m.rvm")
+    assert np.isnan(model.held_out_accuracy).all()
+    assert np.array_equal(model.views.area_slope, np.zeros(162))  # weak perspective: eq. 4a
+    total = model.leaf_on.sum() + model.leaf_off.sum()
+    assert total == 12 * (16 + 45) + 30 * 73
+    assert model.training_accuracy.min() > 0.9
+
+
+def test_the_sphere_fits_the_field_of_view_of_the_camera(bumpy_mesh):
+    camera = Camera.from_fov(800, 600, np.deg2rad(40.0))
+    geometry = view_geometry(bumpy_mesh, SMALL, camera)
+    angle = np.arcsin(geometry.target_radius_m / geometry.sphere_radius_m)
+    assert 0.9 * camera.half_fov_rad < angle < camera.half_fov_rad
+    assert geometry.flight_focal_px == pytest.approx(camera.fx)
+    assert geometry.flight_half_px == pytest.approx(300.0)
+
+
+def test_a_sphere_that_does_not_enclose_the_target_is_refused(tmp_path, bumpy_mesh):
+    radius = bumpy_mesh.bounding_sphere[1]
+    for factor in (0.3, 1.0, 1.04):
+        options = dataclasses.replace(SMALL, sphere_radius_m=factor * radius)
+        with pytest.raises(RendezviewError, match="does not enclose"):
+            train(bumpy_mesh, tmp_path / "m.rvm", name="b", options=options, jobs=1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_camera_that_does_not_see_its_boresight_decides_no_sphere(bumpy_mesh):
+    camera = Camera(100, 100, 80.0, 80.0, -30.0, 50.0)
+    with pytest.raises(RendezviewError, match="boresight"):
+        view_geometry(bumpy_mesh, SMALL, camera)
+    given = dataclasses.replace(SMALL, sphere_radius_m=6.0)
+    assert view_geometry(bumpy_mesh, given, camera).sphere_radius_m == 6.0
+
+
+def test_a_flat_target_is_refused_and_leaves_no_model(tmp_path):
+    flat = Mesh(
+        np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+        np.array([[0, 1, 2]], dtype=np.int32),
+        np.full((1, 3), 0.6, dtype=np.float32),
+        (),
+    )
+    with pytest.raises(RendezviewError, match="flat"):
+        train(flat, tmp_path / "m.rvm", name="flat", options=SMALL, jobs=1)
+    assert not (tmp_path / "m.rvm").exists()
+
+
+def test_a_place_where_no_model_can_be_written_is_refused_before_the_work(tmp_path, bumpy_mesh):
+    for path in (tmp_path, tmp_path / "none" / "m.rvm"):
+        with pytest.raises(RendezviewError, match="folder"):
+            train(bumpy_mesh, path, name="b", options=SMALL, jobs=1)
+
+
+def test_no_jobs_at_all_are_refused(tmp_path, bumpy_mesh):
+    with pytest.raises(RendezviewError, match="jobs"):
+        train(bumpy_mesh, tmp_path / "m.rvm", name="b", options=SMALL, jobs=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("order", -1),
+        ("order", 6),
+        ("bins", 4),
+        ("bins", 5000),
+        ("smooth_bins", 2),
+        ("smooth_bins", 0),
+        ("smooth_bins", 999),
+        ("component_step", 0),
+        ("resolution_px", 8),
+        ("sphere_radius_m", 0.0),
+        ("sphere_radius_m", float("nan")),
+        ("sphere_radius_m", float("inf")),
+        ("perturbed_views", -1),
+        ("held_out_views", -1),
+        ("clean_fraction", 1.1),
+        ("range_radii", (0.5, 2.0)),
+        ("range_radii", (3.0, 2.0)),
+        ("range_radii", (1.0, float("inf"))),
+        ("roll_error_rad", -0.1),
+        ("roll_error_rad", float("nan")),
+        ("noise_sigma_grey", -1.0),
+        ("noise_sigma_grey", float("nan")),
+        ("label_edges", 0.1),
+        ("reach_edges", 0.2),
+        ("far_edges", float("nan")),
+        ("far_fraction", 1.5),
+        ("min_samples_split", 1),
+        ("min_gain", -1.0),
+        ("min_gain", float("nan")),
+        ("seed", -1),
+    ],
+)
+def test_options_out_of_range_are_refused_by_name(name, value):
+    with pytest.raises(RendezviewError, match=name):
+        TrainingOptions(**{name: value})

@@ -1,0 +1,57 @@
+"""Saturated reflectors, whose charge may run over: poses and their claimed errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests import plain_pictures as plain
+
+from rendezview.geometry.pose import Pose
+from rendezview.geometry.so3 import between
+from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions
+
+PINHOLE = plain.Pinhole(focal_px=651.975)
+
+
+def run_over(picture, rng):
+    """Charge that runs down from saturated pixels, the last of a column partly full."""
+    out = picture.copy()
+    for column in np.flatnonzero((picture == 255).any(axis=0)):
+        full = np.concatenate([[0], (picture[:, column] == 255).astype(int), [0]])
+        starts, ends = np.flatnonzero(np.diff(full) == 1), np.flatnonzero(np.diff(full) == -1)
+        for start, end in zip(starts, ends, strict=True):
+            last = end + round(0.25 * (end - start))
+            out[end:last, column] = 255
+            out[last, column] = max(out[last, column], rng.integers(20, 250))
+    return out
+
+
+@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize("runs_over", [False, True])
+def test_poses_of_saturated_discs_are_as_near_as_they_claim(three, paper_camera, runs_over, even):
+    """Mean normalised error squared of six numbers: 6, within chance of 24 readings."""
+    rng, errors = np.random.default_rng(12), []
+    look = plain.Look(peak=500.0, even=even)
+    half_turn = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    for range_m in np.tile([0.8, 1.5, 3.0, 6.0], 6):
+        margin_px = min(20.0 + 0.25 * PINHOLE.focal_px / range_m, 186.0)
+        truth = Pose(*plain.look_at(rng, PINHOLE, range_m, 0.5, margin_px))
+        light = plain.discs(
+            PINHOLE, truth.rotation, truth.translation_m, three.positions_m, three.normals,
+            three.diameters_m, look,
+        )  # fmt: skip
+        lit, dark = plain.pair(PINHOLE, light, look, rng)
+        frames = LitDark(run_over(lit, rng) if runs_over else lit, dark)
+        sensor = ReflectorSensor(paper_camera, [three], tracking=TrackingOptions(confirm=False))
+        reading = sensor.update(0.0, frames)
+        assert reading.pose is not None
+        near = min((truth, truth @ half_turn), key=reading.pose.angle_to)
+        off = np.append(
+            between(reading.pose.rotation, near.rotation),
+            reading.pose.translation_m - near.translation_m,
+        )
+        errors.append(off @ np.linalg.solve(reading.covariance, off))
+        for window in range(2):  # tracked too
+            tracked = sensor.update(1.0 + window, frames)
+            assert tracked.status == "ok"
+    assert 3.0 < np.mean(errors) < 10.0

@@ -1,0 +1,150 @@
+"""Dots that differ from the target file, lit rooms, black dots, the printed card."""
+
+from __future__ import annotations
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+from tests.plain_pictures import Look, Pinhole, discs, eight_bits, pair
+
+from rendezview.io.target import Target
+from rendezview.sensors.beacons import (
+    AcquisitionOptions,
+    LitDark,
+    ReflectorSensor,
+    SixNumbers,
+    find_spots,
+    patterns_of,
+    pose_of,
+)
+from rendezview.sensors.beacons.card import dots_m, write_card
+from rendezview.sensors.beacons.detect.difference import background_of, faint_mask
+from rendezview.sensors.beacons.tolerance import fit_dots, scaled
+
+SIX = SixNumbers(2.0, 0.02, -0.03, 0.3, 0.2, -0.15)
+
+
+@pytest.fixture(scope="module")
+def pinhole(paper_camera):
+    c = paper_camera
+    return Pinhole(c.width, c.height, c.fx, c.cx, c.cy)
+
+
+def light_of(pinhole, pattern, pose, look, factor=1.0):
+    return discs(
+        pinhole, pose.rotation, pose.translation_m, pattern.positions_m, pattern.normals,
+        factor * pattern.diameters_m, look,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.12, 1.25])
+def test_dots_of_another_diameter_are_found_and_told(pinhole, three, paper_camera, factor):
+    rng, look, pose = np.random.default_rng(0), Look(), pose_of(SIX, three)
+    sensor, reading = ReflectorSensor(paper_camera, [three]), None
+    for k in range(4):
+        frames = LitDark(*pair(pinhole, light_of(pinhole, three, pose, look, factor), look, rng))
+        reading = sensor.update(0.1 * k, frames)
+    assert reading.pose.angle_to(pose) < 0.01
+    told = re.fullmatch(
+        r"dots measure (\d+) % (larger|smaller) than target.toml says", reading.note
+    )
+    assert int(told[1]) == pytest.approx(100 * abs(factor - 1.0), abs=4)
+    assert told[2] == ("larger" if factor > 1.0 else "smaller")
+    assert reading.record()["note"] == reading.note
+
+
+def test_dots_of_the_right_diameter_are_not_told(pinhole, three, paper_camera):
+    rng, pose = np.random.default_rng(5), pose_of(SIX, three)
+    for look in (Look(), Look(blur=0.85), Look(even=True), Look(peak=400.0)):
+        sensor = ReflectorSensor(paper_camera, [three])
+        for k in range(4):
+            frames = LitDark(*pair(pinhole, light_of(pinhole, three, pose, look), look, rng))
+            reading = sensor.update(0.1 * k, frames)
+        assert reading.pose is not None
+        assert reading.note is None
+
+
+def test_another_blur_is_found(pinhole, three, paper_camera):
+    rng, look = np.random.default_rng(1), Look(blur=2.5)
+    pose = pose_of(SixNumbers(4.0, 0.0, 0.0, 0.3, 0.1, 0.1), three)
+    frames = LitDark(*pair(pinhole, light_of(pinhole, three, pose, look), look, rng))
+    fitted = fit_dots(paper_camera, [three], AcquisitionOptions(), find_spots(frames))
+    assert fitted.options.blur_px == pytest.approx(2.5, rel=0.12)
+    assert fitted.found.refined.camera_from_target.translation_m[2] == pytest.approx(4.0, rel=0.02)
+    assert "blur" in fitted.note
+    assert scaled([three], 2.0)[0].diameters_m[0] == 2.0 * three.diameters_m[0]
+
+
+def test_black_dots_on_a_white_card_in_a_room_lit_from_one_side(pinhole, three, paper_camera):
+    rng, look, pose = np.random.default_rng(2), Look(even=True, black=0.0), pose_of(SIX, three)
+    shade = light_of(pinhole, three, pose, look) / look.peak
+    room = np.linspace(120.0, 230.0, pinhole.width)[None, :] * (1.0 - 0.85 * shade)
+    sensor, readings = ReflectorSensor(paper_camera, [three]), []
+    for k in range(4):
+        frames = LitDark(eight_bits(room, look, rng)).inverted()
+        readings.append(sensor.update(0.1 * k, frames))
+    assert readings[-1].tracked
+    assert readings[-1].pose.angle_to(pose) < 0.02
+
+
+def test_black_dots_on_a_card_on_a_darker_desk_are_followed(pinhole, three, paper_camera):
+    """The windows reach over the card's edges; JPEG hides the noise of neighbouring pixels."""
+    rng, look = np.random.default_rng(4), Look(even=True, black=0.0)
+    sensor, readings = ReflectorSensor(paper_camera, [three]), []
+    for k in range(8):
+        pose = pose_of(SixNumbers(1.6 - 0.02 * k, 0.02, -0.03, 0.05, 0.2, -0.15), three)
+        shade = light_of(pinhole, three, pose, look) / look.peak
+        place = pose.apply(three.centre_m)
+        middle = pinhole.cy + pinhole.focal_px * place[1] / place[2]
+        rows = np.abs(np.arange(pinhole.height) - middle)[:, None]
+        room = np.where(rows < 26.0, 220.0, np.linspace(90.0, 130.0, pinhole.width)[None, :])
+        grey = eight_bits(room * (1.0 - 0.85 * shade), look, rng)
+        _, coded = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 90])
+        frames = LitDark(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE)).inverted()
+        readings.append(sensor.update(0.1 * k, frames))
+    assert all(reading.tracked for reading in readings[2:])
+    assert readings[-1].pose.angle_to(pose) < 0.02
+
+
+def test_the_background_follows_the_room_and_not_the_dots():
+    room = np.tile(np.linspace(40.0, 160.0, 320), (240, 1)).astype(np.uint8)
+    room[100:120, 150:170] = 250
+    behind = background_of(room).astype(float)
+    assert abs(behind[110, 160] - 100.0) < 15.0
+    mask = faint_mask(room, background_of(room), 1.0, 30.0)
+    assert mask[110, 160] == 255
+    assert mask[30, 160] == 0
+
+
+def test_faint_stars_are_found_and_noise_is_not():
+    rng = np.random.default_rng(3)
+    places = rng.uniform(15, 240, (40, 2))
+    rows, columns = np.mgrid[:256, :256]
+    sky = 20.0 + rng.normal(0.0, 3.0, (256, 256))
+    nothing = np.clip(np.rint(sky), 0, 255).astype(np.uint8)
+    assert len(find_spots(LitDark(nothing))) <= 1
+    for x, y in places:
+        sky += 20.0 * np.exp(-0.5 * ((columns - x) ** 2 + (rows - y) ** 2) / 0.85**2)
+    spots = find_spots(LitDark(np.clip(np.rint(sky), 0, 255).astype(np.uint8))).centroids_px
+    apart = np.linalg.norm(places[:, None] - spots[None], axis=2).min(axis=1)
+    assert (apart < 1.0).mean() > 0.85  # some stand together
+
+
+def test_the_card_is_a_target_without_a_mesh_and_its_page_has_the_dots(tmp_path):
+    write_card(tmp_path, 0.016)
+    target = Target.load(tmp_path)
+    assert target.mesh is None
+    (pattern,) = patterns_of(target)
+    assert not pattern.symmetries()  # the larger dot tells which way up
+    assert pattern.names == ("left", "post", "right")
+    page = (tmp_path / "card.pdf").read_bytes()
+    assert page.startswith(b"%PDF-1.4")
+    for number, place in enumerate(re.findall(rb"(\d{10}) 00000 n", page), 1):
+        assert page[int(place) :].startswith(f"{number} 0 obj".encode())
+    starts = [float(x) for x in re.findall(rb"^([\d.]+) [\d.]+ m$", page, re.MULTILINE)]
+    assert len(starts) == 3
+    # Unfolded, the post is 35 mm of riser farther from each outer dot than folded.
+    folded = [place[0] for _, place, _ in dots_m(0.016)]
+    assert starts[1] - starts[0] == pytest.approx(1e3 * (folded[1] - folded[0]) + 35.0, abs=0.01)

@@ -1,0 +1,83 @@
+"""The search for triplets in a crowd leaves out nothing that the plain tests would keep."""
+
+import itertools
+import math
+
+import numpy as np
+
+from rendezview.sensors.beacons import Acquirer
+from rendezview.sensors.beacons.match.judgement import judge
+from rendezview.sensors.beacons.match.triplets import search
+
+
+def crowd(camera, rng, count, size_px):
+    """Directions, flat places, sizes and peaks of false spots that are much alike."""
+    rays = camera.rays(rng.uniform((10, 10), (500, 370), (count, 2)))
+    directions = rays / np.linalg.norm(rays, axis=1)[:, None]
+    flat = np.ascontiguousarray(rays[:, :2] * camera.fx)
+    sizes = size_px * np.exp(rng.normal(0.0, 0.05, count))
+    return directions, flat, sizes, rng.uniform(100.0, 200.0, count)
+
+
+def triplets_of(acquirer, spots, tolerance=0.14):
+    camera, triangle, options = acquirer.camera, acquirer._triangles[0], acquirer.options
+    directions, flat, sizes, peaks = spots
+    out = np.empty((20_000, 3), np.int64)
+    near = math.cos(options.tilt_rad)
+    limits = (
+        1.0, 1e4, tolerance, options.peak_limit, options.blur_sigma, near, triangle.longest_side,
+    )  # fmt: skip
+    count = search(
+        directions, flat, sizes, peaks, np.argsort(flat[:, 0]), triangle.glass, triangle.base_m,
+        triangle.diameters_m, camera.fx, options.blur_px, limits, True, out,
+    )  # fmt: skip
+    assert count >= 0
+    return out[:count]
+
+
+def test_the_grid_finds_every_centre_spot_that_the_hourglass_holds(paper_camera, three):
+    acquirer = Acquirer(paper_camera, [three])
+    spots = crowd(paper_camera, np.random.default_rng(3), 40, 1.6)
+    # A tolerance of ln 40 lets any size stand for any base: the shape alone decides.
+    found = {tuple(row) for row in triplets_of(acquirer, spots, tolerance=math.log(40.0)).tolist()}
+    x0, y0, slope, wide, high = acquirer._triangles[0].glass
+    directions, flat = spots[:2]
+    wanted = set()
+    for left, right in itertools.permutations(range(40), 2):
+        a, b = directions[left], directions[right]
+        middle, base = 0.5 * (a + b), b - a
+        across = np.cross(middle, base) / np.linalg.norm(middle)
+        for centre in set(range(40)) - {left, right}:
+            e = (directions[centre] - middle) / (base @ base)
+            x, y = e @ base, e @ across
+            inside = abs(x - x0) <= wide and abs(y - y0) <= slope * abs(x - x0) + high
+            alike = abs(math.log(spots[2][left] / spots[2][right])) <= 0.3
+            if inside and alike:
+                wanted.add((left, centre, right))
+    assert len(flat) == 40
+    assert len(wanted) > 500
+    assert found == wanted
+
+
+def test_the_quick_pose_refuses_no_triplet_that_would_pass(paper_camera, three):
+    acquirer, rng = Acquirer(paper_camera, [three]), np.random.default_rng(4)
+    options, passed = acquirer.options, 0
+    for size_px, count in ((1.0, 100), (1.6, 100), (2.5, 60), (5.0, 35)):
+        directions, flat, sizes, peaks = crowd(paper_camera, rng, count, size_px)
+        triplets = triplets_of(acquirer, (directions, flat, sizes, peaks))
+        members = acquirer._triangles[0].members
+        scores = []
+        for quick in (False, True):
+            score, poses = np.empty((len(triplets), 4)), np.empty((len(triplets), 4, 12))
+            judge(
+                triplets, directions, sizes, peaks, three.positions_m[members],
+                three.normals[members], three.diameters_m[members], paper_camera.fx,
+                options.blur_px, (options.size_sigma, options.diameter_sigma, options.blur_sigma,
+                options.peak_sigma, options.beam_sigma, math.cos(1.2 * options.tilt_rad),
+                options.beam_curve),
+                np.array([0.3, 150.0]), options.score_limit, quick, score, poses,
+            )  # fmt: skip
+            scores.append(np.where(score <= options.score_limit, score, np.inf))
+        assert np.array_equal(*scores)
+        passed += int(np.isfinite(scores[0]).sum())
+    assert passed > 100

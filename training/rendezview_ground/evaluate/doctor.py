@@ -1,0 +1,329 @@
+"""What is wrong with a mesh, what is done about it, and what it costs in accuracy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from rendezview.geometry.geodesic import Geodesic
+from rendezview_ground.learn.options import TrainingOptions, view_geometry
+from rendezview_ground.learn.views.drawn_view import draw_view
+from rendezview_ground.mesh.bounding_sphere import smallest_enclosing_sphere
+from rendezview_ground.mesh.colours import GREY
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.mesh.notes import counted
+from rendezview_ground.mesh.simplify import MANY_FACES
+from rendezview_ground.mesh.symmetries import find_symmetries
+
+# Times larger by one body: a question, and a warning. Source: one panel of a craft makes 1.5
+_FAR, _TOO_FAR = 1.5, 2.0
+_CANDIDATES = 12  # bodies at the outside that are tried. Source: a forgotten part is the largest
+_BODY_SHARE = 0.05  # of all triangles: larger bodies belong to the target. Source: a chosen limit
+_VIEW_PX = 512  # px; of a view that looks for hidden faces. Source: the views of `train`
+_BORDER_PX = 4.0  # px around the target. Source: by construction
+_HIDDEN_SHARE = 0.05  # of the area; fewer are no finding. Source: a chosen limit
+# rad; a curved surface bends by this much from facet to facet, an edge of the craft by more.
+_BENDS_RAD = (math.radians(0.5), math.radians(45.0))  # Source: 8 facets to a circle, and more
+_FACET_SHARE = 0.001  # of the radius: a finding above it. Source: the range error of `track`
+
+
+class Mark(StrEnum):
+    """How much a finding matters."""
+
+    FINE = "fine"
+    NOTE = "note"
+    ACT = "act"  # the user should change the mesh
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the report."""
+
+    mark: Mark
+    what: str
+    done: str  # what the program does about it
+    cost: str  # in accuracy, or in time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """All findings, and what the picture shows of them."""
+
+    mesh: Mesh
+    findings: tuple[Finding, ...]
+    open_edges: NDArray[np.int64]  # (K, 2) vertices
+    mixed_edges: NDArray[np.int64]  # (K, 2) vertices
+    far_faces: NDArray[np.bool_]  # (F,) of a body that should not be there
+
+    @property
+    def healthy(self) -> bool:
+        """Whether nothing needs to be done."""
+        return all(finding.mark is not Mark.ACT for finding in self.findings)
+
+
+def diagnose(mesh: Mesh, progress: Callable[[int, int], None] | None = None) -> Diagnosis:
+    """Examine a mesh as `load_mesh` gives it.
+
+    Args:
+        mesh: cleaned, metres.
+        progress: called with the number of views drawn and their total.
+    """
+    edges = _Edges.of(mesh.faces)
+    far, far_finding = _far_body(mesh)
+    findings = [
+        Finding(Mark.FINE, " ".join(mesh.notes[:2]), "read as it is", "none"),
+        *[_reading(note) for note in _cleaning_notes(mesh)],
+        *far_finding,
+        *_open(edges),
+        *_mixed(edges),
+        *_doubled(mesh),
+        *_facets(mesh, edges),
+        *_hidden(mesh, progress),
+        *_symmetric(mesh),
+        *_colourless(mesh),
+        *_many(mesh),
+    ]
+    return Diagnosis(mesh, tuple(findings), edges.open_edges, edges.mixed_edges, far)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Edges:
+    """The edges of a mesh and their faces."""
+
+    ends: NDArray[np.int64]  # (E, 2)
+    count: NDArray[np.int64]  # (E,) faces
+    balanced: NDArray[np.bool_]  # (E,) passed once in each direction
+    faces: NDArray[np.int64]  # (E, 2) first and last face
+
+    @classmethod
+    def of(cls, faces: NDArray[np.int32]) -> _Edges:
+        each = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+        forward = each[:, 0] < each[:, 1]
+        key = each.min(axis=1) * (int(faces.max()) + 1) + each.max(axis=1)
+        order = np.argsort(key, kind="stable")
+        _, first, count = np.unique(key[order], return_index=True, return_counts=True)
+        passed = np.add.reduceat(forward[order].astype(np.int64), first)
+        owner = order // 3
+        ends = np.sort(each[order[first]], axis=1)
+        pair = np.column_stack([owner[first], owner[first + count - 1]])
+        return cls(ends, count, passed == 1, pair)
+
+    @property
+    def open_edges(self) -> NDArray[np.int64]:
+        return np.asarray(self.ends[self.count == 1])
+
+    @property
+    def mixed_edges(self) -> NDArray[np.int64]:
+        return np.asarray(self.ends[(self.count == 2) & ~self.balanced])
+
+
+def _cleaning_notes(mesh: Mesh) -> list[str]:
+    """The notes of reading, without those on topology, which have findings of their own."""
+    return [
+        note
+        for note in mesh.notes[2:]
+        if not note.startswith(("Not watertight", "Mixed winding", "No usable colours"))
+    ]
+
+
+def _reading(note: str) -> Finding:
+    """A note of reading the file as a finding."""
+    if note.endswith("dropped."):
+        return Finding(Mark.NOTE, note, "left out", "none")
+    if "grey" in note or "olour" in note or "exture" in note:
+        return Finding(
+            Mark.NOTE, note, "shown in the colour that is known, else 0.6 grey",
+            "brightness tells less where colours are missing",
+        )  # fmt: skip
+    return Finding(Mark.NOTE, note, "accepted", "none")
+
+
+def _open(edges: _Edges) -> list[Finding]:
+    count = len(edges.open_edges)
+    if not count:
+        return [Finding(Mark.FINE, "The surface is closed.", "–", "none")]
+    share = 100.0 * count / len(edges.count)
+    return [
+        Finding(
+            Mark.NOTE,
+            f"The surface has {counted(count, 'open edge')} ({share:.1f} % of its edges).",
+            "both sides of every face are drawn; nothing is closed",
+            "none for sheets and joints; a real hole in the hull shows the inside or the sky",
+        )
+    ]
+
+
+def _mixed(edges: _Edges) -> list[Finding]:
+    count = len(edges.mixed_edges)
+    if not count:
+        return []
+    return [
+        Finding(
+            Mark.NOTE,
+            f"Neighbouring faces are wound in opposite directions at {counted(count, 'edge')}.",
+            "winding is not used anywhere",
+            "none",
+        )
+    ]
+
+
+def _doubled(mesh: Mesh) -> list[Finding]:
+    ordered = np.sort(mesh.faces, axis=1)
+    count = len(ordered) - len(np.unique(ordered, axis=0))
+    if not count:
+        return []
+    return [
+        Finding(
+            Mark.NOTE, f"{counted(count, 'face')} of the same three corners as another.",
+            "the first is seen", "none; of two colours the wrong one may show",
+        )
+    ]  # fmt: skip
+
+
+def _far_body(mesh: Mesh) -> tuple[NDArray[np.bool_], list[Finding]]:
+    """The body without which the target is much smaller."""
+    none = np.zeros(len(mesh.faces), dtype=bool)
+    vertices = len(mesh.vertices_m)
+    links = mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+    graph = coo_array((np.ones(len(links), np.int8), (links[:, 0], links[:, 1])), (vertices,) * 2)
+    total, body = connected_components(graph, directed=False)
+    if total < 2:
+        return none, []
+    centre_m, radius_m = mesh.bounding_sphere
+    of_face = body[mesh.faces[:, 0]]
+    sizes = np.bincount(of_face, minlength=total)
+    out_m = np.linalg.norm(mesh.vertices_m - centre_m, axis=1)
+    reach = np.zeros(total)
+    np.maximum.at(reach, body, out_m)
+    for candidate in np.argsort(-reach)[:_CANDIDATES]:
+        if sizes[candidate] > _BODY_SHARE * len(mesh.faces):
+            continue
+        rest = mesh.vertices_m[np.unique(mesh.faces[of_face != candidate])]
+        _, without_m = smallest_enclosing_sphere(rest)
+        if radius_m > _FAR * without_m:
+            times = radius_m / without_m
+            return of_face == candidate, [
+                Finding(
+                    Mark.ACT if times > _TOO_FAR else Mark.NOTE,
+                    f"One body of {counted(int(sizes[candidate]), 'triangle')} makes the target "
+                    f"{times:.1f} times larger: {2.0 * radius_m:.3g} m across instead of "
+                    f"{2.0 * without_m:.3g} m. Is it a floor, a datum plane or a stand?",
+                    "kept",
+                    f"if it does not fly, remove it: views are {times:.1f} times smaller, and "
+                    f"errors are {times:.1f} times larger",
+                )
+            ]
+    return none, []
+
+
+def _facets(mesh: Mesh, edges: _Edges) -> list[Finding]:
+    """How far the facets of curved surfaces are inside them: w tan(α/4) / 2 for a bend α."""
+    inner = edges.count == 2
+    corner = mesh.vertices_m[mesh.faces]
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    twice = np.linalg.norm(cross, axis=1)
+    normal = cross / twice[:, None]
+    a, b = edges.faces[inner].T
+    cosine = np.abs((normal[a] * normal[b]).sum(axis=1))  # winding may be mixed
+    bend = np.arccos(np.clip(cosine, -1.0, 1.0))
+    ends = mesh.vertices_m[edges.ends[inner]]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    width = np.minimum(twice[a], twice[b]) / np.maximum(length, 1e-12)
+    curved = (bend > _BENDS_RAD[0]) & (bend < _BENDS_RAD[1])
+    if not curved.any():
+        return []
+    depth = 0.5 * width[curved] * np.tan(0.25 * bend[curved])
+    order = np.argsort(depth)
+    share = np.cumsum(length[curved][order]) / length[curved].sum()
+    depth_m = float(depth[order][np.searchsorted(share, 0.9)])
+    _, radius_m = mesh.bounding_sphere
+    part = depth_m / radius_m
+    return [
+        Finding(
+            Mark.ACT if part > 10.0 * _FACET_SHARE
+            else Mark.NOTE if part > _FACET_SHARE else Mark.FINE,
+            f"Facets of curved surfaces are {1e3 * depth_m:.2g} mm inside them "
+            f"({100.0 * part:.2g} % of the radius; 90 % are better).",
+            "drawn as they are",
+            f"range too short by up to about {100.0 * part:.2g} %"
+            + ("; export with a finer tolerance" if part > _FACET_SHARE else ""),
+        )
+    ]  # fmt: skip
+
+
+def _hidden(mesh: Mesh, progress: Callable[[int, int], None] | None) -> list[Finding]:
+    """Faces that no view shows."""
+    geometry = view_geometry(mesh, TrainingOptions(), None)
+    seen = np.zeros(len(mesh.faces), dtype=bool)
+    directions = Geodesic.of_order(1).nodes
+    for k, direction in enumerate(directions):
+        view = draw_view(mesh, geometry, direction, geometry.sphere_radius_m, _VIEW_PX, _BORDER_PX)
+        seen[view.owner[view.owner >= 0]] = True
+        if progress is not None:
+            progress(k + 1, len(directions))
+    corner = mesh.vertices_m[mesh.faces]
+    area = np.linalg.norm(
+        np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
+    )
+    share = float(area[~seen].sum() / area.sum())
+    words = f"{100.0 * share:.0f} % of the surface is never seen from outside"
+    if share < _HIDDEN_SHARE:
+        return [Finding(Mark.FINE, words + ".", "–", "none")]
+    return [
+        Finding(
+            Mark.NOTE,
+            f"{words} ({counted(int((~seen).sum()), 'face')}): interior parts, or the backs of "
+            "double walls.",
+            "kept",
+            "none; training is faster without them",
+        )
+    ]
+
+
+def _symmetric(mesh: Mesh) -> list[Finding]:
+    findings = []
+    for symmetry in find_symmetries(mesh):
+        axis = ", ".join(f"{v:.2f}" for v in symmetry.axis)
+        turn = (
+            "by any angle"
+            if symmetry.angle_rad is None
+            else f"by {math.degrees(symmetry.angle_rad):.0f}°"
+        )
+        findings.append(
+            Finding(
+                Mark.NOTE,
+                f"It looks the same when turned {turn} about ({axis}).",
+                "written into the model; poses are one of the equivalent ones",
+                "the attitude is known only up to that turn; a coloured marking decides it",
+            )
+        )
+    return findings
+
+
+def _colourless(mesh: Mesh) -> list[Finding]:
+    if not np.allclose(mesh.face_rgb, GREY):
+        return []
+    return [
+        Finding(
+            Mark.NOTE, "The file has no colours.", "all surfaces are equally bright",
+            "brightness tells less of the Sun and of nearly symmetric sides",
+        )
+    ]  # fmt: skip
+
+
+def _many(mesh: Mesh) -> list[Finding]:
+    if len(mesh.faces) <= MANY_FACES:
+        return []
+    return [
+        Finding(
+            Mark.NOTE, f"{counted(len(mesh.faces), 'triangle')} are more than accuracy needs.",
+            "views are drawn with fewer, of the same shape", "none; a little time in training",
+        )
+    ]  # fmt: skip

@@ -1,0 +1,57 @@
+"""``rendezview doctor``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from rendezview.cli.progress import ProgressBar, say
+from rendezview.io.bundled import find_target
+from rendezview.io.files import atomic_write, check_place
+from rendezview_ground.evaluate.doctor import Mark, diagnose
+from rendezview_ground.evaluate.pictures.doctor_pictures import doctor_picture
+from rendezview_ground.evaluate.pictures.palette import png
+from rendezview_ground.mesh.mesh import load_mesh
+
+_SIGNS = {Mark.FINE: "[green]fine[/]", Mark.NOTE: "[cyan]note[/]", Mark.ACT: "[bold red]act[/]"}
+
+
+def doctor(
+    target: Annotated[
+        str,
+        typer.Argument(
+            help="Mesh, FILE#NODE for a node of a scene, target.toml or its folder, or hubble, "
+            "client, scole, shuttle."
+        ),
+    ],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Picture; default NAME-doctor.png.")
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of the mesh: m, cm, mm, in, ft; overrides the file.")
+    ] = None,
+) -> None:
+    """Say what is wrong with a mesh, what is done about it, and what it costs in accuracy.
+
+    \b
+    Example: rendezview doctor mysat.stl --unit mm
+    """
+    found = find_target(target)
+    place = output or Path(f"{found.name}-doctor.png")
+    check_place(place, "the picture")
+    mesh = load_mesh(found.mesh_path, unit or found.unit)
+    with ProgressBar() as bar:
+        progress = bar.stage("views", 42)
+        diagnosis = diagnose(mesh, lambda done, _: progress(done))
+    table = Table("", "finding", "what is done", "what it costs", show_lines=True)
+    for finding in diagnosis.findings:
+        table.add_row(_SIGNS[finding.mark], finding.what, finding.done, finding.cost)
+    Console().print(table)
+    with atomic_write(place, durable=False) as file:
+        file.write(png(doctor_picture(diagnosis, f"{found.name}: {mesh.notes[0]}")))
+    advice = "nothing needs to be done" if diagnosis.healthy else "see the lines marked act"
+    say(f"{place}: {advice}")

@@ -1,0 +1,94 @@
+"""Training of a target with joints: a model of every configuration, in one file."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.joint import Joint
+from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview_ground.learn.job import Trained, provenance, train
+from rendezview_ground.learn.jobs.stages import Progress
+from rendezview_ground.learn.options import TrainingOptions, view_geometry
+from rendezview_ground.mesh.joints import (
+    STEP_RAD,
+    common_sphere,
+    configuration_angles,
+    model_of_configurations,
+    posed,
+)
+from rendezview_ground.mesh.mesh import Mesh
+
+
+def train_configurations(
+    mesh: Mesh,
+    path: Path,
+    joints: Sequence[Joint],
+    *,
+    step_rad: float = STEP_RAD,
+    progress: Progress | None = None,
+    **arguments: Any,
+) -> Trained:
+    """Train a target with joints and write one model to ``path``.
+
+    Finished configurations are kept in ``path`` + ``.sheets`` until the model is written.
+
+    Args:
+        mesh: of ``with_parts``.
+        path: the model file to write.
+        joints: of the target, in the order of the mesh's parts.
+        step_rad: between configurations, at most.
+        progress: called with the stage (and the configuration's number), the shards done
+            and all shards.
+        arguments: name, options, camera and so on, of ``train``.
+
+    Raises:
+        RendezviewError: as ``train``; there are too many configurations.
+    """
+    angles = configuration_angles(joints, step_rad)
+    sphere = common_sphere(mesh, joints)
+    options, camera = arguments.get("options"), arguments.get("camera")
+    folder = path.with_name(path.name + ".sheets")
+    if not path.parent.is_dir():
+        raise RendezviewError(f"{path}: give a file name in an existing folder for the model")
+    folder.mkdir(exist_ok=True)
+    configurations, first = [], None
+    for k, own in enumerate(angles):
+        configuration = posed(mesh, joints, own)
+        file = folder / f"{k:02d}.rvm"
+
+        def tell(stage: str, done: int, of: int, number: int = k + 1) -> None:
+            if progress is not None:
+                progress(f"{stage} {number}/{len(angles)}", done, of)
+
+        kept = _kept(file, configuration, arguments)
+        if kept is None:
+            trained = train(configuration, file, bounding_sphere=sphere, progress=tell, **arguments)
+            first, kept = first or trained, trained.model
+        configurations.append(kept)
+    model = model_of_configurations(configurations, joints, angles)
+    model.save(path)
+    shutil.rmtree(folder, ignore_errors=True)
+    if first is None:
+        geometry = view_geometry(mesh, options or TrainingOptions(), camera, sphere)
+        return Trained(model, None, geometry)
+    return replace(first, model=model)
+
+
+def _kept(file: Path, mesh: Mesh, arguments: dict[str, Any]) -> ViewModel | None:
+    """The configuration of an earlier run with the same inputs; None if there is none."""
+    if not file.is_file():
+        return None
+    try:
+        model = ViewModel.load(file)
+    except RendezviewError:
+        return None
+    wanted = provenance(
+        mesh, arguments.get("options") or TrainingOptions(), arguments.get("camera")
+    )
+    same = all(model.provenance.get(key) == wanted[key] for key in ("mesh_sha256", "options"))
+    return model if same else None

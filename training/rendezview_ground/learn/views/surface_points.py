@@ -1,0 +1,120 @@
+"""Points on the surface of the target, and the directions from which each is visible."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.model.contours import DIRECTION_UNIT, POINT_UNIT
+from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT, Surface
+from rendezview_ground.learn.options import TrainingOptions, ViewGeometry
+from rendezview_ground.learn.views.drawn_view import draw_view
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.render.crossings import face_normals
+from rendezview_ground.render.projection import SurfaceRenderer
+from rendezview_ground.render.shown_faces import bits_of
+from rendezview_ground.render.zbuffer import Int32s
+
+SURFACE_ORDER = 3  # of the sphere of directions: 642, independent of the order of the trees
+_CANDIDATES = 8  # candidates per kept point: much of a mesh is visible from nowhere
+_AFAR_RADII = 100.0  # target radii; perspective is negligible from there
+_BORDER_PX = 4.0  # px around the target in the picture
+_STREAM = 6  # of random numbers
+
+
+def candidate_points(
+    mesh: Mesh, geometry: ViewGeometry, options: TrainingOptions
+) -> tuple[Array, npt.NDArray[np.int32]]:
+    """Random points over the surface, fewer where it is less trusted.
+
+    Returns:
+        (N, 3) from the view centre, and faces (N,).
+    """
+    rng = np.random.default_rng([options.seed, _STREAM])
+    corners = (mesh.vertices_m - geometry.centre_m)[mesh.faces]
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if mesh.face_trust is not None:
+        area *= mesh.face_trust
+    count = _CANDIDATES * options.surface_points
+    face = rng.choice(len(area), count, p=area / area.sum()).astype(np.int32)
+    s, t = rng.random((2, count, 1))
+    s, t = np.where(s + t > 1.0, 1.0 - s, s), np.where(s + t > 1.0, 1.0 - t, t)
+    return a[face] + s * (b - a)[face] + t * (c - a)[face], face
+
+
+def visible_points(
+    mesh: Mesh,
+    geometry: ViewGeometry,
+    points: Array,
+    faces: npt.NDArray[np.int32],
+    direction: Array,
+    options: TrainingOptions,
+    renderer: SurfaceRenderer | None = None,
+) -> tuple[npt.NDArray[np.uint8], Int32s]:
+    """(N / 8,) bits, lowest first: which of the points are visible from a distant camera.
+
+    And (H, W) the face that each pixel of its picture shows, −1 in the sky.
+    """
+    range_m = _AFAR_RADII * geometry.target_radius_m
+    size = options.contour_resolution_px
+    view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX, renderer)
+    places = points @ view.rotation.T + np.array([0.0, 0.0, range_m])
+    visible = np.zeros(len(points), dtype=np.bool_)
+    _look_up(places, faces, view.focal, view.middle, view.owner, visible)
+    return np.packbits(visible, bitorder="little"), view.owner
+
+
+def shown_from_near(
+    mesh: Mesh, geometry: ViewGeometry, direction: Array, options: TrainingOptions
+) -> npt.NDArray[np.uint8]:
+    """(F / 8,) bits, lowest first: which faces a camera at the nearest range sees."""
+    radii = min(options.range_radii[0], *options.contour_radii)
+    range_m = radii * geometry.sphere_radius_m
+    view = draw_view(mesh, geometry, direction, range_m, options.contour_resolution_px, _BORDER_PX)
+    return bits_of(view.owner, len(mesh.faces))
+
+
+def chosen_surface(
+    mesh: Mesh,
+    geometry: ViewGeometry,
+    points: Array,
+    faces: npt.NDArray[np.int32],
+    visible: npt.NDArray[np.uint8],
+    options: TrainingOptions,
+) -> Surface:
+    """The first of the points that are visible from anywhere.
+
+    Args:
+        visible: (S, N / 8) of ``visible_points``, for S directions.
+    """
+    bits = np.unpackbits(visible, axis=1, count=len(points), bitorder="little")
+    kept = np.flatnonzero(bits.any(axis=0))[: options.surface_points]
+    normals = face_normals(mesh.vertices_m, np.ascontiguousarray(mesh.faces, dtype=np.int32))
+    place = points[kept] / (geometry.target_radius_m * POINT_UNIT)
+    return Surface(
+        point=np.rint(place).astype(np.int16),
+        normal=np.rint(normals[faces[kept]] / DIRECTION_UNIT).astype(np.int8),
+        albedo=np.rint(mesh.face_albedo[faces[kept]] / ALBEDO_UNIT).astype(np.uint8),
+        seen=np.packbits(bits[:, kept], axis=1, bitorder="little"),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _look_up(
+    places: Array,
+    faces: Int32s,
+    focal: float,
+    middle: float,
+    owner: Int32s,
+    visible: npt.NDArray[np.bool_],
+) -> None:
+    """A point is visible if its face owns its pixel or one of the eight around it."""
+    for k in range(places.shape[0]):
+        x, y, z = places[k]
+        column, row = int(x / z * focal + middle + 0.5), int(y / z * focal + middle + 0.5)
+        for i in range(-1, 2):
+            for j in range(-1, 2):
+                visible[k] |= owner[row + i, column + j] == faces[k]

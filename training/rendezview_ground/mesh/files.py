@@ -1,0 +1,263 @@
+"""Readers of all supported mesh formats; they give unconnected triangles."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import re
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array
+from rendezview_ground.mesh.colours import Rgb, grey, stl_face_rgb, visual_face_rgb
+from rendezview_ground.mesh.containers import (
+    check_3mf_size,
+    colours_of_3mf,
+    file_unit,
+    refers_to_texture,
+)
+from rendezview_ground.mesh.gltf import GLTF_SUFFIXES, check_gltf
+from rendezview_ground.mesh.mesh_file import MeshFile, joined
+from rendezview_ground.mesh.notes import counted
+from rendezview_ground.mesh.obj import read_obj
+from rendezview_ground.mesh.scenes import nodes_below, step_note, triangulate_step
+from rendezview_ground.mesh.usd import USD_SUFFIXES, read_usd
+
+STEP_SUFFIXES = (".step", ".stp")
+
+_TEXTURE_TROUBLE = re.compile(r"pillow|image|texture|bumpmap", re.IGNORECASE)
+_LOGGERS = ("trimesh", "collada")
+
+
+def read_mesh_file(path: Path, node: str | None = None) -> MeshFile:
+    """Read one file of a supported format.
+
+    Args:
+        path: the file.
+        node: of its scene; None: all of it.
+
+    Raises:
+        RendezviewError: the file cannot be read, or has no such node; the message names the file.
+    """
+    kind = path.suffix.lower().lstrip(".").upper()
+    try:
+        return READERS[path.suffix.lower()](path, node)
+    except RendezviewError:
+        raise
+    except ImportError as error:
+        raise RendezviewError(
+            f"{path}: reading {kind} files needs another package ({error}). "
+            "Install it with: pip install 'rendezview[training]'"
+        ) from error
+    except Exception as error:  # each format's reader raises its own kinds
+        cause = " ".join(str(error).split())[:200] or "no message"
+        raise RendezviewError(
+            f"{path} cannot be read as {kind}: {type(error).__name__}: {cause}. "
+            "The file is damaged, cut short or of another format; export it again."
+        ) from error
+
+
+def _read_obj(path: Path, node: str | None) -> MeshFile:
+    if node is not None:
+        raise RendezviewError(
+            f"{path}#{node}: OBJ files have no nodes here: export the part alone, or as GLB"
+        )
+    vertices, faces, rgb, notes = read_obj(path)
+    return MeshFile(vertices, faces, rgb, None, tuple(notes))
+
+
+def _read_usd(path: Path, node: str | None) -> MeshFile:
+    return joined(*read_usd(path, node))
+
+
+def _read_gltf(path: Path, node: str | None) -> MeshFile:
+    check_gltf(path)
+    return _read_with_trimesh(path, node)
+
+
+def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
+    suffix = path.suffix.lower()
+    if suffix in STEP_SUFFIXES:
+        with tempfile.TemporaryDirectory() as folder:
+            triangles = Path(folder) / "from-step.glb"
+            count = triangulate_step(path, triangles)
+            found = _read_with_trimesh(triangles, node)
+        return replace(
+            found,
+            unit=(1.0, "STEP, converted to metres"),
+            notes=(step_note(count, found.faces), *found.notes),
+        )
+    if suffix == ".stl":
+        _check_stl_length(path)
+    if suffix == ".3mf":
+        check_3mf_size(path)
+    unit = file_unit(path)
+    with _quiet() as messages:
+        import trimesh
+
+        options: dict[str, Any] = {"process": False}
+        if suffix == ".3mf":
+            options["postprocess"] = False  # it would rename and merge bodies
+        scene = trimesh.load_scene(str(path), file_type=suffix[1:], **options)
+    notes = _texture_notes(path, messages)
+    lost_texture = any(note.startswith("Textures") for note in notes)
+    colours = _special_colours(path, scene, notes)
+    parts: list[tuple[Array, NDArray[np.int64], Rgb]] = []
+    others = grey_faces = 0
+    chosen = nodes_below(scene.graph, node, path)
+    for part in scene.graph.nodes_geometry:
+        if chosen is not None and part not in chosen:
+            continue
+        matrix, name = scene.graph[part]
+        geometry = scene.geometry[name]
+        if getattr(geometry, "faces", None) is None or len(geometry.faces) == 0:
+            others += 1
+            continue
+        vertices = np.asarray(geometry.vertices, dtype=np.float64)
+        faces = np.asarray(geometry.faces, dtype=np.int64)
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise ValueError(f"a face uses a vertex that is not there (there are {len(vertices)})")
+        rgb = colours.get(str(name))
+        if rgb is None:
+            rgb = visual_face_rgb(geometry, suffix in (".glb", ".gltf"), lost_texture)
+        if rgb is None:
+            grey_faces += len(faces)
+            rgb = grey(len(faces))
+        parts.append((vertices @ matrix[:3, :3].T + matrix[:3, 3], faces, rgb))
+    if len(parts) > 1:
+        notes.append(f"{len(parts)} bodies joined into one.")
+    if others:
+        notes.append(f"{counted(others, 'body')} without triangles (points, lines) ignored.")
+    total = sum(len(faces) for _, faces, _ in parts)
+    if 0 < grey_faces < total:
+        notes.append(f"{counted(grey_faces, 'face')} without a colour: grey.")
+    return joined(parts, unit, notes)
+
+
+def _special_colours(path: Path, scene: Any, notes: list[str]) -> dict[str, Rgb]:
+    """Colours by geometry name that trimesh does not read: 3MF, binary STL."""
+    if path.suffix.lower() == ".3mf":
+        colours = colours_of_3mf(path)
+        counts = [len(geometry.faces) for geometry in scene.geometry.values()]
+        if [len(rgb) for rgb in colours] == counts:
+            return dict(zip(scene.geometry, colours, strict=True))
+        notes.append("Colours ignored: the 3MF file spreads its meshes over several parts.")
+    if path.suffix.lower() == ".stl":
+        with path.open("rb") as stream:
+            header = stream.read(80)
+        for name, geometry in scene.geometry.items():
+            words = getattr(geometry, "face_attributes", {}).get("stl")
+            found = None if words is None else stl_face_rgb(np.asarray(words), header)
+            if found is not None:
+                notes.append(f"{counted(found[1], 'face')} with an STL colour.")
+                return {name: found[0]}
+    return {}
+
+
+def _check_stl_length(path: Path) -> None:
+    """Refuse a text without its end, and a binary file whose length contradicts its header."""
+    with path.open("rb") as stream:
+        start = stream.read(1024)
+        size = stream.seek(0, io.SEEK_END)
+        stream.seek(max(size - 1024, 0))
+        end = stream.read()
+    if b"\0" not in start and b"facet" in start.lower():
+        if b"endsolid" not in end.lower():
+            raise ValueError("the text ends without `endsolid`: it is cut short")
+        return
+    if len(start) < 84:
+        raise ValueError(f"{size} bytes are too few for an STL file")
+    count = int.from_bytes(start[80:84], "little")
+    if size != 84 + 50 * count:
+        raise ValueError(
+            f"the header announces {count} triangles ({84 + 50 * count} bytes) "
+            f"but the file has {size} bytes"
+        )
+
+
+def _texture_notes(path: Path, messages: list[tuple[int, str]]) -> list[str]:
+    """Notes from the library's log; it reports lost textures at debug level only."""
+    notes: list[str] = []
+    troubled = [text for _, text in messages if _TEXTURE_TROUBLE.search(text)]
+    if refers_to_texture(path) and troubled:
+        if any("pillow" in text.lower() for text in troubled) or not _has_pillow():
+            notes.append(
+                "Textures ignored: install Pillow (pip install pillow) to use their colours."
+            )
+        else:
+            notes.append("Textures not found or not readable: their faces keep their plain colour.")
+    warned = [text for level, text in messages if level >= logging.WARNING]
+    notes += [
+        f"trimesh reports: {text.rstrip('.')}."
+        for text in dict.fromkeys(warned)
+        if text not in troubled
+    ]
+    return notes
+
+
+def _has_pillow() -> bool:
+    try:
+        import PIL.Image  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+class _Recorder(logging.Handler):
+    def __init__(self) -> None:
+        super().__init__(logging.DEBUG)
+        self.messages: list[tuple[int, str]] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        first_line = (record.getMessage().splitlines() or [""])[0]
+        self.messages.append((record.levelno, first_line))
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[list[tuple[int, str]]]:
+    """Record the library's logs and warnings, and keep its output off the terminal."""
+    recorder = _Recorder()
+    loggers = [logging.getLogger(name) for name in _LOGGERS]
+    before = [(logger.level, logger.propagate, list(logger.handlers)) for logger in loggers]
+    try:
+        for logger in loggers:
+            logger.setLevel(logging.DEBUG)
+            logger.propagate = False
+            logger.handlers = [recorder]
+        with (
+            warnings.catch_warnings(record=True) as caught,
+            contextlib.redirect_stdout(io.StringIO()),
+            contextlib.redirect_stderr(io.StringIO()),
+        ):
+            warnings.simplefilter("always")
+            yield recorder.messages
+    finally:
+        for logger, (level, propagate, handlers) in zip(loggers, before, strict=True):
+            logger.setLevel(level)
+            logger.propagate = propagate
+            logger.handlers = handlers
+    for warning in caught:
+        if not issubclass(warning.category, (DeprecationWarning, ResourceWarning)):
+            recorder.messages.append((logging.WARNING, str(warning.message)))
+
+
+# Reader of each suffix. A new format is a file with a reader, and its line here.
+READERS: dict[str, Callable[[Path, str | None], MeshFile]] = {
+    ".stl": _read_with_trimesh,
+    ".obj": _read_obj,
+    ".ply": _read_with_trimesh,
+    **dict.fromkeys(GLTF_SUFFIXES, _read_gltf),
+    ".3mf": _read_with_trimesh,
+    ".dae": _read_with_trimesh,
+    **dict.fromkeys(STEP_SUFFIXES, _read_with_trimesh),
+    **dict.fromkeys(USD_SUFFIXES, _read_usd),
+}
