@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -267,17 +268,28 @@ def test_a_worker_that_waits_for_a_processor_is_not_killed_for_it(
     assert bool(ended) == killed
 
 
+@contextlib.contextmanager
+def _running(program: str) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
 def test_the_processor_time_of_a_worker_is_its_own() -> None:
     handle: WorkerHandle[Session] = WorkerHandle(4096, 5.0)
-    with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as handle._process:
+    with _running("while True: pass") as handle._process:
         wait_until(lambda: handle._wants_processor)
-        wait_until(lambda: handle._processor_s() > 0.5)
-        handle._process.kill()
-    asleep = [sys.executable, "-c", "import time; print(flush=True); time.sleep(600)"]
-    with subprocess.Popen(asleep, stdout=subprocess.PIPE) as handle._process:
+        before_s, ours_s = handle._processor_s(), time.process_time()
+        wait_until(lambda: handle._processor_s() - before_s > 0.5)
+        spent_s = handle._processor_s() - before_s
+        assert spent_s > time.process_time() - ours_s  # this process has only waited
+    asleep = "import time; print(flush=True); time.sleep(600)"
+    with _running(asleep) as handle._process:
         handle._process.stdout.readline()
         wait_until(lambda: not handle._wants_processor)
         before_s = handle._processor_s()
         time.sleep(0.2)
         assert handle._processor_s() - before_s < 0.1
-        handle._process.kill()
