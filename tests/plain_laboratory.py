@@ -6,7 +6,6 @@ For tests and experiments, which ask both the same questions.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from tests import plain_lights as plain
@@ -16,7 +15,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import Lens, Photodiode, Response, Rig, RigCamera
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview_ground.simulate.led_pictures import PictureOptions, draw
+from rendezview_ground.simulate.led_pictures import PictureOptions, draw, picture_rig
 
 _STEP = 1e-6  # rad, m; of numeric derivatives
 _UP = np.array([0.0, 0.0, -1.0])  # a light's normal in the target's frame
@@ -39,21 +38,6 @@ def rotation_of(yaw: float, pitch: float, roll: float) -> np.ndarray:
 def pose_of(place: plain.Place) -> Pose:
     """camera_from_room."""
     return Pose(place.rotation, -place.rotation @ place.position)
-
-
-def picture_rig(laboratory: Laboratory, options: PictureOptions) -> Rig:
-    """The laboratory's cameras with a pixel detector of the same size and a perfect lens."""
-    pitch = 2.0 * laboratory.options.half_width_m / options.size_px
-    middle = 0.5 * (options.size_px - 1)
-    return Rig(
-        tuple(
-            replace(
-                camera, fx=camera.fx / pitch, fy=camera.fy / pitch, cx=middle, cy=middle,
-                lens=Lens(), photodiode=None, size=(options.size_px, options.size_px),
-            )
-            for camera in laboratory.rig.cameras
-        )
-    )  # fmt: skip
 
 
 def picture_bound(rig: Rig, leds: np.ndarray, pose: Pose, options: PictureOptions) -> np.ndarray:

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.plain_laboratory import picture_rig, rotation_of
+from tests.plain_laboratory import rotation_of
 
 from rendezview.calibration.board import BoardViews, Chessboard, calibrate_board
 from rendezview.calibration.board import read_board_views as read_views
@@ -31,7 +31,7 @@ from rendezview.sensors.beacons.rig import INTRINSICS, POSE, intrinsics_of
 from rendezview.sensors.beacons.rig_files import load_rig, save_opencv, save_rig
 from rendezview.sensors.beacons.stereo_motion import difference
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview_ground.simulate.led_pictures import PictureOptions
+from rendezview_ground.simulate.led_pictures import PictureOptions, picture_rig
 
 DATA = os.environ.get("RENDEZVIEW_TEST_DATA", "")
 needs = pytest.mark.skipif(not DATA, reason="RENDEZVIEW_TEST_DATA is not set")

@@ -8,13 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.plain_laboratory import picture_rig
 
 from rendezview.io.results import read_results
 from rendezview.io.target import Target
 from rendezview.sensors.beacons.rig_files import load_rig, save_rig
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview_ground.simulate.led_pictures import PictureOptions
+from rendezview_ground.simulate.led_pictures import PictureOptions, picture_rig
 
 MODELS = Path(__file__).resolve().parents[2] / "models_cad"
 CLIENT, SCOLE = MODELS / "client", MODELS / "scole"

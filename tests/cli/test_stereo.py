@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.plain_laboratory import picture_rig, rotation_of
+from tests.plain_laboratory import rotation_of
 
 from rendezview.calibration.laboratory_files import save_record
 from rendezview.geometry.pose import Pose
@@ -19,7 +19,7 @@ from rendezview.io.results import read_results
 from rendezview.io.target import Target
 from rendezview.sensors.beacons.rig_files import load_rig, save_rig
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview_ground.simulate.led_pictures import PictureOptions, draw
+from rendezview_ground.simulate.led_pictures import PictureOptions, draw, picture_rig
 
 SCOLE = Path(__file__).resolve().parents[2] / "models_cad" / "scole"
 RUN = "from rendezview.cli.main import main; main()"

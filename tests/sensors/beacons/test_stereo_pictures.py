@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.plain_laboratory import picture_rig, rotation_of
+from tests.plain_laboratory import rotation_of
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
@@ -12,7 +12,7 @@ from rendezview.sensors.beacons import Spots, StereoTracker
 from rendezview.sensors.beacons.detect.led_spots import SpotOptions, find_spots
 from rendezview.sensors.observation import Status
 from rendezview_ground.simulate.led_laboratory import Laboratory
-from rendezview_ground.simulate.led_pictures import PictureOptions, draw
+from rendezview_ground.simulate.led_pictures import PictureOptions, draw, picture_rig
 
 POSE = Pose(rotation_of(0.7, 0.2, -0.1), [0.05, -0.08, 0.3])
 

@@ -8,15 +8,31 @@ pixel.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
-from rendezview.sensors.beacons import Rig
+from rendezview.sensors.beacons import Lens, Rig
+from rendezview_ground.simulate.led_laboratory import Laboratory
 
 _REACH = 5.0  # σ; extent of a drawn spot
+
+
+def picture_rig(laboratory: Laboratory, options: PictureOptions) -> Rig:
+    """The laboratory's cameras with a pixel detector of the same size and a perfect lens."""
+    pitch = 2.0 * laboratory.options.half_width_m / options.size_px
+    middle = 0.5 * (options.size_px - 1)
+    return Rig(
+        tuple(
+            replace(
+                camera, fx=camera.fx / pitch, fy=camera.fy / pitch, cx=middle, cy=middle,
+                lens=Lens(), photodiode=None, size=(options.size_px, options.size_px),
+            )
+            for camera in laboratory.rig.cameras
+        )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
