@@ -9,10 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from experiments.__main__ import EXPERIMENTS
+
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ("runtime", "training", "scripts")
 MOST_LINES = 400
 MOST_KERNEL_LINES = 60
+MOST_EXPERIMENTS = 30
+MOST_FLAT_FILES = 12
 _SOURCE = re.compile(r"[Ss]ources?:")
 
 
@@ -78,6 +82,20 @@ def test_no_files_import_each_other_in_a_circle():
     assert circles == []
 
 
+def test_a_folder_of_the_service_has_at_most_a_screen_of_files():
+    """Sub-folders are rooms: messages, tracker, logs, worker, hub, http, cluster."""
+    service = ROOT / "runtime" / "rendezview_service"
+    assert len(list(service.glob("*.py"))) <= MOST_FLAT_FILES
+
+
+def test_the_laboratory_stays_thin():
+    assert sum(len(group) for group in EXPERIMENTS.values()) <= MOST_EXPERIMENTS
+    modules = {entry.partition(":")[0] for g in EXPERIMENTS.values() for entry, _ in g.values()}
+    for module in modules:
+        path = ROOT / "scripts" / "experiments" / Path(*module.split("."))
+        assert path.with_suffix(".py").is_file(), module
+
+
 def _is_number(node: ast.expr | None) -> bool:
     """Whether a value is a literal number, or a tuple or array of them."""
     if node is None:
@@ -121,7 +139,7 @@ def _tuned(path: Path) -> Iterator[tuple[str, str]]:
 def numbers_without_source() -> list[str]:
     """``file: name`` of every tuned number of what flies whose comment names no source."""
     return [
-        f"{path.relative_to(ROOT / 'runtime' / 'rendezview')}: {name}"
+        f"{path.relative_to(ROOT / 'runtime')}: {name}"
         for path in _files("runtime")
         for name, block in _tuned(path)
         if not _SOURCE.search(block)
