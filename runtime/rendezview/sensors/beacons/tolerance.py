@@ -141,7 +141,7 @@ class DotSizes:
     ) -> None:
         self._given = camera, pattern, options.blur_px
         self._sigmas = options.size_sigma, options.blur_sigma
-        self.note: str | None = None  # by `fit_dots`, whose diameter is used
+        self.fitted_note: str | None = None  # by `fit_dots`, whose diameter is used
         self.clear()
 
     def clear(self) -> None:
@@ -152,8 +152,8 @@ class DotSizes:
     @property
     def note(self) -> str | None:
         """What is different, in words; None where nothing is sure to be."""
-        if self.note or len(self._steps) < _FEWEST:
-            return self.note
+        if self.fitted_note or len(self._steps) < _FEWEST:
+            return self.fitted_note
         step = sum(self._steps) / len(self._steps)
         sure = abs(step) > max(_REPORTED_DIAMETER, _REPORTED_SIGMA * self._sigma)
         return _of_diameter(math.exp(step)) if sure else None

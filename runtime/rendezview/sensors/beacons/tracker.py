@@ -184,7 +184,7 @@ class ReflectorSensor:
         hidden = self._fit.hidden
         self._expect(fitted.patterns, fitted.options)
         self._fit.hidden = hidden
-        self._dots.note = fitted.note
+        self._dots.fitted_note = fitted.note
         return fitted.found
 
     def _expect(self, patterns: list[ReflectorPattern], options: AcquisitionOptions) -> None:
