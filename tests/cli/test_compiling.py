@@ -8,10 +8,13 @@ import pickle
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import numba
 import numpy as np
 import pytest
 from numba import njit, typeof
+from numba.core.caching import IndexDataCacheFile
 from numba.core.event import install_listener
 from tests.waiting import MOST_S
 
@@ -66,6 +69,20 @@ def test_a_listed_loop_is_cached_when_it_is_compiled():
     for index in Path(loop.stats.cache_path).glob(f"*{loop.py_func.__qualname__}-*.nbi"):
         os.utime(index, (0, 0))
     assert compiling._is_cached(loop)
+
+
+def test_a_cache_of_a_version_with_other_types_is_compiled_again(tmp_path):
+    file = IndexDataCacheFile(str(tmp_path), "loop", "stamp")
+    index = tmp_path / "loop.nbi"
+    index.write_bytes(pickle.dumps(numba.__version__) + b"crendezview.no_longer_here\nTables\n.")
+    with pytest.raises(ModuleNotFoundError):
+        file._load_index()
+    loop = SimpleNamespace(
+        stats=SimpleNamespace(cache_path=str(tmp_path)), _cache=SimpleNamespace(_cache_file=file)
+    )
+    assert not compiling._is_cached(loop)
+    assert not index.exists()
+    assert file._load_index() == {}
 
 
 def test_a_loop_that_has_changed_does_not_keep_others_from_being_compiled(monkeypatch):

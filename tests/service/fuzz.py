@@ -9,7 +9,6 @@ import contextlib
 import json
 import socket
 import struct
-import time
 from collections import Counter
 from collections.abc import Callable
 from http.client import HTTPConnection, HTTPException
@@ -19,13 +18,13 @@ from urllib.parse import quote, urlsplit
 import numpy as np
 from tests.service.fuzz_cases import CAMERA, RING, Cases
 from tests.service.fuzz_routes import Routes, raw_bytes, send_raw
+from tests.waiting import MOST_S
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
 from experiments.service.serving import Processes
 from rendezview_service.client import Client, ServiceError
 
-SLOW_S = 10.0
 MOST_PROCESSOR_S = 5.0  # of the service and its workers for one case; a whole search takes 1
 MOST_MB = 200.0  # that their memory may take for one case at its peak, and grow by in all
 MOST_HELD = 500  # half-open connections
@@ -69,7 +68,7 @@ class Fuzz(Cases):
         headers: dict[str, str] | None = None,
     ) -> bytes:  # fmt: skip
         """One request; what must not be is noted."""
-        start, content = time.monotonic(), b""
+        content = b""
         try:
             http.request(method, path, body, headers or {})
             with http.getresponse() as answer:
@@ -82,8 +81,6 @@ class Fuzz(Cases):
             self.outcomes[type(error).__name__] += 1
             if isinstance(error, TimeoutError):
                 self.failures.append(f"{method} {path}: no answer")
-        if time.monotonic() - start > SLOW_S:
-            self.failures.append(f"{method} {path}: took {time.monotonic() - start:.1f} s")
         return content
 
     def measured(self, case: Callable[[], str]) -> None:
@@ -102,7 +99,7 @@ class Fuzz(Cases):
 
     def by_http(self, count: int, case: Callable[[HTTPConnection], str] | None = None) -> None:
         """Frames, lines of sensors and requests of sessions; or other cases."""
-        http = HTTPConnection(self.place.hostname or "", self.place.port, timeout=30.0)
+        http = HTTPConnection(self.place.hostname or "", self.place.port, timeout=MOST_S)
         for k in range(count):
             self.measured(lambda: (case or self.http_case)(http))
             if k % CHECKED_EVERY == CHECKED_EVERY - 1:
@@ -189,7 +186,7 @@ class Fuzz(Cases):
             if rng.random() < 0.2:
                 message = json.dumps({"sensor": sensor, "record": self.value()})
         stream.send(message)
-        answer = json.loads(stream.recv(SLOW_S))
+        answer = json.loads(stream.recv(MOST_S))
         status = answer.get("status", 200)
         self.outcomes[f"stream {status if 'error' in answer else 'state'}"] += 1
         if "error" in answer and status >= 500 and status != 503:

@@ -10,6 +10,7 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+from tests.waiting import MOST_S
 
 METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "CONNECT", "BREW")
 _KINDS = (
@@ -119,7 +120,7 @@ def raw_bytes(rng: np.random.Generator) -> bytes:
 
 def send_raw(address: tuple[str, int], content: bytes, held: list[socket.socket]) -> str:
     """What became of bytes that were sent; some connections stay open in ``held``."""
-    connection = socket.create_connection(address, timeout=5.0)
+    connection = socket.create_connection(address, timeout=MOST_S)
     try:
         connection.sendall(content)
         connection.settimeout(0.02)

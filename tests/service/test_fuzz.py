@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 
-from tests.service import fuzz as fuzz_module
 from tests.service.fuzz import SESSION, Fuzz
-from tests.waiting import MOST_S
 
 from experiments.service.serving import Processes
-from rendezview_service.client import Client
 
 CASES = 600
 
 
-def test_malformed_requests_neither_fail_nor_cost_much(start_service, monkeypatch):
-    monkeypatch.setattr(fuzz_module, "SLOW_S", MOST_S)  # processor time and memory count here
+def test_malformed_requests_neither_fail_nor_cost_much(start_service):
     served = start_service()
     fuzz = Fuzz(Processes(served.url, served.process.pid), seed=41)
-    with Client(served.url) as client:
+    with served.client() as client:
         fuzz.open(client)
         fuzz.by_routes(CASES // 2)
         fuzz.by_http(CASES // 4)

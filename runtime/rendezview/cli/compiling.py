@@ -138,7 +138,7 @@ def _missing(groups: Sequence[str]) -> list[dict[str, Any]]:
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return []
     entries = [entry for group in groups for entry in load_loops(group)]
-    missing = [e for e in entries if e["seconds"] and not _is_cached(_named(e["loop"]))]
+    missing = [e for e in entries if not _is_cached(_named(e["loop"])) and e["seconds"]]
     return missing if _seconds(missing) >= _LEAST_S else []
 
 
@@ -182,12 +182,16 @@ def _named(name: str) -> Any:
 def _is_cached(loop: Any) -> bool:
     """Whether the cache on disk has a version of a loop from its source as it is now.
 
-    numba decides by the source's contents, not by its date.
+    numba decides by the source's contents, not by its date. An index with types that have moved
+    since is removed: numba would fail on it.
     """
     if loop.stats.cache_path is None:  # no cache is kept
         return True
     try:
         return bool(loop._cache._cache_file._load_index())
+    except (AttributeError, ImportError):
+        Path(loop._cache._cache_file._index_path).unlink(missing_ok=True)
+        return False
     except (OSError, EOFError, ValueError, pickle.UnpicklingError):
         return False
 
