@@ -152,13 +152,13 @@ def _check(mesh: Mesh, joint: Joint, hinge: Hinge, turning: npt.NDArray[np.bool_
         )
 
 
-def _points_on(mesh: Mesh, chosen: npt.NDArray[np.bool_]) -> Array:
+def _points_on(mesh: Mesh, chosen: npt.NDArray[np.bool_], seed: int = 0) -> Array:
     """(N, 3) points on the chosen faces (F,), evenly by area, and their corners."""
     corners = mesh.vertices_m[mesh.faces[chosen]]
     area = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     face = rng.choice(len(corners), size=_SAMPLES, p=area / area.sum())
     a, b = rng.random(_SAMPLES), rng.random(_SAMPLES)
     beyond = a + b > 1.0
