@@ -22,6 +22,7 @@ from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.zbuffer import Float32s, draw_perspective, empty_buffers
 from rendezview_ground.simulate.cloudy_skies import cloudy_sky
 from rendezview_ground.simulate.hard_light import HardLightOptions, photograph
+from rendezview_ground.simulate.random_craft import any_craft
 from rendezview_ground.simulate.random_skies import random_sky
 from rendezview_ground.simulate.scene import sun_at_phase
 from rendezview_ground.simulate.shading import ShadingOptions, render
@@ -45,6 +46,12 @@ class CraftDrawing:
 
     maps: npt.NDArray[np.uint8]  # (MAPS, S, S) of ``sketch_maps``, 0 … 255
     light: npt.NDArray[np.float16]  # (2, S, S) radiance in sunlight and in the light of the sky
+
+
+def sketch_frame(seed: int, options: HardLightOptions | None = None) -> tuple[Float32s, Float32s]:
+    """One picture (S, S), grey levels 0 … 255, and its maps (MAPS, S, S), 0 … 1."""
+    rng = np.random.default_rng(seed)
+    return take(draw_craft(any_craft(rng), rng), draw_sky(rng), rng, options)
 
 
 def take(

@@ -117,6 +117,10 @@ class Lens:
         """(8,) in the order of `COEFFICIENT_NAMES`."""
         return np.array([*self.radial, *self.tangential, *self.centre])
 
+    def undistort(self, measured: npt.ArrayLike) -> Array:
+        """(N, 2) measured → ideal, normalised; NaN where the model has no answer."""
+        return self._mapped(measured, self.corrects)
+
     def distort(self, ideal: npt.ArrayLike) -> Array:
         """(N, 2) ideal → measured, normalised; NaN where the model has no answer."""
         return self._mapped(ideal, not self.corrects)
