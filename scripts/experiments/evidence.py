@@ -34,11 +34,7 @@ class Requirement:
 
 
 def requirements(path: Path = REQUIREMENTS) -> dict[str, Requirement]:
-    """All requirements by id.
-
-    Raises:
-        ValueError: an entry is not complete, has unknown keys, or stands twice.
-    """
+    """All requirements by id; ValueError where one is not complete, odd, or stands twice."""
     found: dict[str, Requirement] = {}
     for entry in tomllib.loads(path.read_text(encoding="utf-8"))["requirement"]:
         odd = set(entry) - KEYS or KEYS - {"experiment"} - set(entry)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 import importlib
 import inspect
-import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -26,7 +25,6 @@ CLIENT = MODELS_CAD / "client"
 PICTURES = ROOT / "docs" / "pictures"
 
 PeerPython = Annotated[Path | None, "an interpreter with opencv-contrib"]
-Log = Annotated[Path | None, "every answer, JSON lines"]
 
 
 def run(name: str, experiment: Callable[..., object], words: Sequence[str]) -> object:
@@ -92,12 +90,6 @@ def show(*tables: Table, width: int | None = None) -> None:
     """Print tables, in as many columns as they need."""
     for one in tables:
         Console(width=width).print(one)
-
-
-def write_log(path: Path | None, records: Iterable[dict[str, Any]]) -> None:
-    """Records as JSON lines, where a path is given."""
-    if path is not None:
-        path.write_text("".join(json.dumps(record) + "\n" for record in records))
 
 
 def two(values: npt.ArrayLike, high: float = 95, form: str = "{:.3f} / {:.3f}") -> str:

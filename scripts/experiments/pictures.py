@@ -174,14 +174,10 @@ COLOURS = {"fused": "#222222", "appearance": "#d9731a", "ring": "#2b7bba", "lase
 
 def curve(range_m: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middle of each bin and median error, where at least ten frames are."""
-    middles, medians = [], []
-    for near, far in pairwise(EDGES_M):
-        inside = error[(range_m >= near) & (range_m < far)]
-        inside = inside[np.isfinite(inside)]
-        if len(inside) >= 10:
-            middles.append(np.sqrt(near * far))
-            medians.append(np.median(inside))
-    return np.array(middles), np.array(medians)
+    inside = [((range_m >= a) & (range_m < b) & np.isfinite(error)) for a, b in pairwise(EDGES_M)]
+    full = [k for k, some in enumerate(inside) if some.sum() >= 10]
+    middles = np.sqrt(EDGES_M[:-1] * EDGES_M[1:])[full]
+    return middles, np.array([np.median(error[inside[k]]) for k in full])
 
 
 def fusion(samples: Path) -> None:

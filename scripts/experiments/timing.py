@@ -24,10 +24,7 @@ class Way:
 
 
 def race(ways: dict[str, Way], seconds: float, rounds: int = 15) -> dict[str, float]:
-    """Seconds an answer: least of the medians of ``rounds`` turns, after a warm-up.
-
-    ``seconds`` is for all of it; a turn has at least one call, so slow ways may take longer.
-    """
+    """Seconds an answer: least of the medians of ``rounds`` turns; ``seconds``: for all of it."""
     other_process = any(way.own_clock for way in ways.values())
     now = time.perf_counter if other_process else time.process_time
     for way in ways.values():

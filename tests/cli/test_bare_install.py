@@ -1,4 +1,4 @@
-"""What flies needs nothing of the ground side; experiment `check-bare-install` tries a wheel."""
+"""What flies needs nothing of the ground side: a process without it."""
 
 from __future__ import annotations
 

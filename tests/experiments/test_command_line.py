@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import pytest
 
 from experiments.__main__ import EXPERIMENTS, listing
-from experiments.frame import ROOT, nees, run, table_of, two, write_log
+from experiments.frame import ROOT, nees, run, table_of, two
 
 ENTRIES = {name: entry for group in EXPERIMENTS.values() for name, (entry, _) in group.items()}
 
@@ -69,11 +69,9 @@ def test_wrong_arguments_are_refused(words: list[str], capsys: pytest.CaptureFix
     assert "python -m experiments name" in capsys.readouterr().err
 
 
-def test_tables_and_statistics(tmp_path: Path) -> None:
+def test_tables_and_statistics() -> None:
     made = table_of("title", "what | n | NEES", left=1)
     assert [column.header for column in made.columns] == ["what", "n", "NEES"]
     assert [column.justify for column in made.columns] == ["left", "right", "right"]
     assert two([1.0, 2.0, 3.0], 50) == "2.000 / 2.000"
     assert nees([1.0, 2.0], [[1.0, 0.0], [0.0, 4.0]]) == 2.0
-    write_log(tmp_path / "log", [{"a": 1}, {"b": None}])
-    assert (tmp_path / "log").read_text() == '{"a": 1}\n{"b": null}\n'

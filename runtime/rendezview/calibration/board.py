@@ -20,7 +20,7 @@ from rendezview.sensors.beacons.rig import Rig, RigCamera
 OPENCV_FIVE = ("fx", "fy", "cx", "cy", "l1", "l2", "l3", "p1", "p2")  # as cv2.calibrateCamera
 _FEWEST_VIEWS = 3  # Source: Zhang 2000, three views for all intrinsics
 # half-width; a wider one takes in the neighbouring corners of small squares. Source: by hand,
-# stereo-calibration --part pictures
+# stereo-calibration (0.1) --part pictures
 _WINDOW_PX = 5
 # cells of a picture, across and down, in which an error of the lens model is about the same.
 # Source: by construction, a lens of nine numbers has no finer errors, and a dozen boards fill them

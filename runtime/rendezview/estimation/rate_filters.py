@@ -21,7 +21,7 @@ JERK, WALK, FREQUENCY, FIRST_MEAN, FIRST_SWING, FIRST_CHANGE, FIRST_LOG_K = rang
 _LARGEST_STEP = 0.5 * math.pi
 _NEVER = 1e6  # below any score. Source: by construction
 _SERIES = 1e-3  # rad of a swing in a step; below it the series. Source: by construction, 1e-13 off
-# 1/k: time for which a wrong frequency's jerk keeps its sign. Source: experiment reflector-rates
+# 1/k: time for which a wrong frequency's jerk keeps its sign. Source: reflector-rates (0.1)
 _PERSISTS = 0.2
 
 

@@ -51,24 +51,25 @@ _CHANGED = 1.5  # × the variance of the jitter: again. Source: by construction,
 class RateOptions:
     """How freely the target may move; the numbers of turns, and for moves times a length."""
 
-    # rad/s² √s of white accelerations. Source: experiment reflector-rates, a free body, a drive
+    # rad/s² √s of white accelerations. Source: reflector-rates (0.1), a free body, a drive
     steady_walks: tuple[float, ...] = (1e-4, 1e-3)
-    # rad/s³ √s of white jerks. Source: experiment reflector-rates, a robot's arm to a hand
+    # rad/s³ √s of white jerks. Source: experiment reflector-rates (0.1), a robot's arm to a hand
     jerks: tuple[float, ...] = (1e-2, 1e-1, 1.0)
-    # rad/s of swings, periods of 42 to 2.6 s; each estimates its own. Source: reflector-rates
+    # rad/s of swings, periods of 42 to 2.6 s; each estimates its own. Source: reflector-rates (0.1)
     frequencies: tuple[float, ...] = (0.15, 0.3, 0.6, 1.2, 2.4)
     frequency_spread: float = 0.35  # of the logarithm: half the step. Source: by construction
-    swing_jerk: float = 1e-4  # rad/s³ √s of the swings. Source: reflector-rates
-    swing_walk: float = 3e-5  # rad/s² √s of their means. Source: reflector-rates
-    frequency_walk: float = 1e-3  # of the logarithm, a √s. Source: reflector-rates
+    swing_jerk: float = 1e-4  # rad/s³ √s of the swings. Source: reflector-rates (0.1)
+    swing_walk: float = 3e-5  # rad/s² √s of their means. Source: reflector-rates (0.1)
+    frequency_walk: float = 1e-3  # of the logarithm, a √s. Source: reflector-rates (0.1)
     linear_per_angular_m: float = 0.3  # m/rad. Source: by construction, an arm's length
     first_rate: float = 0.5  # rad/s, σ before the first reading. Source: by construction
     first_acceleration: float = 0.3  # rad/s², likewise. Source: by construction
-    memory_s: float = 10.0  # s, of the likelihoods. Source: experiment reflector-rates
+    memory_s: float = 10.0  # s, of the likelihoods. Source: experiment reflector-rates (0.1)
     # of the logarithm of a likelihood: that far behind, a filter restarts. Source: reflector-rates
+    # (0.1)
     behind: float = 12.0
     # of the best filter's weight, 0 to 1; no other has less. With 1e-3 the covariance holds a push
-    # that began unseen, and is too large in steady motion. Source: experiment reflector-rates
+    # that began unseen, and is too large in steady motion. Source: experiment reflector-rates (0.1)
     least_weight: float = 0.0
 
     def kinds(self) -> Array:

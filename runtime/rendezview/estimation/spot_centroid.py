@@ -22,7 +22,7 @@ from rendezview.geometry.pose import Array
 
 Grey = npt.NDArray[np.uint8]
 
-LEAST_WINDOW_PX = 1.0  # σ. Source: experiment reflector-real-spots, stars of 2 px FWHM
+LEAST_WINDOW_PX = 1.0  # σ. Source: experiment reflector-real-spots (0.1), stars of 2 px FWHM
 LARGEST_WINDOW_PX = 40.0  # σ: a disc of 125 px. Source: by construction
 _CLIPS = 6  # rounds without what is far off. Source: by construction, two neighbouring spots
 _REACH = 3.0  # of the window, in its σ: the weight there is 1 %. Source: by construction

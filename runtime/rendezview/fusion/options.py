@@ -68,13 +68,11 @@ class SensorOptions:
     floor_rad: float = 0.0  # rad, σ added to its attitude or axis. Source: by construction, off
     floor_range: float = 0.0  # σ added to its place, over the range. Source: by construction, off
     # Of the variance, that is a bias. Source: by hand; halved, the 95 % error doubles
-    # (number-effects)
     bias_share: Annotated[float, _key("bias_share")] = 0.8
     # s, correlation time of the bias. Source: by hand; uncritical halved or doubled
-    # (number-effects)
     bias_s: Annotated[float, _key("bias_s")] = 30.0
     # Change of ln(range) over which the bias decorrelates. Source: by hand; uncritical halved or
-    # doubled (number-effects)
+    # doubled
     bias_range: Annotated[float, _key("bias_range")] = 0.5
     # Probability that a good measurement is rejected.
     gate: float = 1e-4  # Source: by construction, a rate of false alarms
@@ -126,10 +124,10 @@ class FusionOptions:
     # m, of the ring's place along its axis; 0: it is known.
     ring_depth_sigma_m: float = 0.0  # Source: by construction, off
     # Probability that another edge was taken for the ring's; then only its bearing counts. Source:
-    # by hand; uncritical halved or doubled (number-effects)
+    # by hand; uncritical halved or doubled
     ring_other_edge: float = 0.1
-    # Poses that must agree before the state is believed. Source: number-effects: with 2 the mean
-    # NEES is 5194, with 3 it is 9
+    # Poses that must agree before the state is believed. Source: with 2 the mean NEES is 5194, with
+    # 3 it is 9
     start_with: int = 3
     history_s: float = 10.0  # s, how late a measurement may be. Source: a chosen limit
     # Measurements kept for late ones.

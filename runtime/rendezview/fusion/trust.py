@@ -28,7 +28,7 @@ _WHOLE = 6  # degrees of freedom of a pose. Source: by construction
 # Squared distance of a place, in σ of another edge. Source: χ² distribution, mean of three degrees
 _BESIDE = 3.0
 # Weight of the latest residual in the running mean of an outlier. Source: by hand; uncritical
-# halved or doubled (number-effects)
+# halved or doubled
 _FOLLOW = 0.5
 
 

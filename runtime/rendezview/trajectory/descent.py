@@ -36,13 +36,13 @@ _NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ. Sou
 # χ² that hops must save: five parameters, and chance. Source: experiment trajectory-accuracy
 _HOPS_WORTH = 30.0
 _SUBSETS = 40  # of three frames: with 40 % outliers nine are clean. Source: by construction
-_LED = 3  # starts that the simplex goes down from. Source: experiment trajectory-methods, seed 1
+_LED = 3  # starts that the simplex goes down from. Source: trajectory-methods (0.1), seed 1
 _SIDES = 0.02  # of the typical sizes, longest sides of a first simplex. Source: the same
 _LEAST_SIDES = 1e-4  # of the same: the shortest. Source: by construction
-_RESTARTS = 4  # Source: experiment trajectory-methods, seed 1
-# Where either holds, several valleys are likely. Source: experiment trajectory-methods, seed 1
+_RESTARTS = 4  # Source: experiment trajectory-methods (0.1), seed 1
+# Where either holds, several valleys are likely. Source: trajectory-methods (0.1), seed 1
 _FEW_FRAMES = 20
-# Share of the points that are more than 3.5 σ off. Source: experiment trajectory-methods, seed 1
+# Share of the points that are more than 3.5 σ off. Source: trajectory-methods (0.1), seed 1
 _OUTLIERS = 0.05
 
 

@@ -45,7 +45,7 @@ _COMMON = (0.35, 1.1)
 class FitOptions:
     """How a segment is fitted."""
 
-    method: Method = Method.BEST  # Source: experiment trajectory-methods, seed 1
+    method: Method = Method.BEST  # Source: experiment trajectory-methods (0.1), seed 1
     hops: bool = True  # look for hops of a V-bar approach
     # Of circular and spiral: a less certain rate is rejected. Source: normal distribution, 0.3 %
     least_turn_sigma: float = 3.0

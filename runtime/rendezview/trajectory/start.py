@@ -13,7 +13,7 @@ from rendezview.trajectory.shapes import SPIRAL, basis, frame_of
 # Of hops that are tried, from an eighth of the segment to twice it.
 _PERIODS = 24  # Source: by construction, a grid
 _PHASES = 8  # Source: by construction, a grid
-# Of weights after outliers. Source: experiment trajectory-methods, seed 1
+# Of weights after outliers. Source: experiment trajectory-methods (0.1), seed 1
 _ROUNDS = 3
 # Times the median squared distance: half weight. 12 σ² over the median of χ² of three degrees.
 _CUT_MEDIANS = 5.0  # Source: by construction

@@ -31,7 +31,7 @@ let unreachable = null, refusal = null; // since when the service is (ms), and t
 let decoding = false, fetching = false, drawing = false;
 let banner = ""; // phase and status that the banner shows
 let fresh = false, slowAt = 0, told = null; // the state whose words and numbers are shown
-// For tests and experiment service-page: what was drawn, and how often.
+// For tests: what was drawn, and how often.
 const drawn = (window.rendezview = { received: 0, updates: 0, spaces: 0, frame: null, plotted: null, webgl: null });
 const views = new Views(drawn, schedule, again);
 

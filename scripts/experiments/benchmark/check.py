@@ -97,10 +97,7 @@ def write(rows: Iterable[Row], path: Path) -> None:
 
 
 def worse(rows: Iterable[Row], path: Path, allowed: float = ALLOWED) -> dict[str, str]:
-    """The faults, a line for each key: ratios above ``allowed`` × the kept ones, missing rows.
-
-    A row that the file does not have is wrong too: it wants ``--write``.
-    """
+    """The faults, a line for each key: ratios above ``allowed`` × the kept ones, other rows."""
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
         limits = {key: allowed * float(entry["ratio"]) for key, entry in kept.items()}

@@ -78,10 +78,7 @@ def show_rows(rows: list[Row]) -> None:
 
 
 def measured(bench: Bench, passes: int, kept: Path | None) -> tuple[list[Row], dict[str, str]]:
-    """All rows, the best of the passes, and the rows that are worse than the kept ones.
-
-    Groups with a row that is worse are measured again: noise disappears, a real slowdown stays.
-    """
+    """All rows, the best of the passes, and those worse than the kept: these are measured again."""
     everything = [poses, nodes, reflectors, three_points, rings, stereo, fusion, segments]
     if driver.compiler() is not None:
         everything.insert(2, flight_code)

@@ -92,11 +92,8 @@ def run(
     levels, the Sun within 60° of behind the camera. Each frame goes to a signature in C and in
     Python. Each signature, and nine perturbed ones (readings off by up to 10 %, some cut off), goes
     through all trees, each at its own roll, and through both searches, at and around an attitude
-    that is up to 20° off. Outlines, readings and trust must be equal to the last bit.
-
-    Then the sizes of the object files and the time of all trees: every signature once in a round,
-    nine rounds, each signature's fastest; the median and the worst of them, beside the runtime's
-    own compiled loop. --onnx also runs the trees as an ONNX graph.
+    that is up to 20° off. Outlines, readings and trust must be equal to the last bit. Times are
+    each signature's fastest of nine rounds, beside the runtime's own compiled loop.
     """
     cc = driver.compiler()
     if cc is None:

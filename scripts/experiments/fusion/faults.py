@@ -97,15 +97,13 @@ def outcome(flight: Flight, sensors: tuple[str, ...], third: int) -> Outcome:
 def run(runs: Path, *, seeds: int = 50) -> None:
     """One sensor dead, biased or late for a third of an approach: does the filter diverge?
 
-    RUNS are those of fusion-approach: real recognizer, real ring detector. In the first, middle or
-    last third of the time one sensor (or the camera: recognizer and ring at once) is silent
-    (dead), adds a constant offset (lying), or stamps data of 0.5 s ago with the present time
-    (late). The offset is the same for all seeds: pose 0.2 m, −0.15 m, 0.4 m and 3° about an axis
-    across the line of sight; ring 0.1 m, −0.1 m, 0.2 m and 3°; range 0.5 m.
+    RUNS are those of fusion-approach. In the first, middle or last third of the time one sensor (or
+    the camera: recognizer and ring at once) is silent (dead), adds a constant offset (lying), or
+    stamps data of 0.5 s ago with the present time (late). The offset: pose 0.2 m, −0.15 m, 0.4 m
+    and 3° about an axis across the line of sight; ring 0.1 m, −0.1 m, 0.2 m and 3°; range 0.5 m.
 
     A run has diverged if its state in the last 5 s is wrong beyond its own 99.99 % bound (six
-    degrees of freedom), or if it has no state although the fault is over. Where the fault lasts to
-    the end and no other sensor sees the ring, the filter coasts: its error and covariance grow.
+    degrees of freedom), or if it has no state although the fault is over.
     """
     kept = [load_run(runs / str(seed)) for seed in range(seeds)]
     print(

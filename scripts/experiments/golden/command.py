@@ -65,6 +65,7 @@ def answered(folder: Path, scratch: Path) -> Answers:
     known = models.bundled(folder)
     steps: dict[str, Callable[[], None]] = {
         "models": partial(models.digests, answers, known, scratch / "code"),
+        "service": partial(states.service, answers, known["hubble"], _SEED),
         "first poses": partial(appearance.first_poses, answers, known, _SEED),
         "hard light": partial(appearance.hard_light, answers, known, _SEED),
         "sequences": partial(appearance.sequences, answers, known, _SEED),
@@ -78,7 +79,6 @@ def answered(folder: Path, scratch: Path) -> Answers:
         "approach": partial(states.approached, answers, known["client"], _SEED),
         "trajectory": partial(states.segments, answers, _SEED),
         "spin": partial(states.spins, answers, _SEED),
-        "service": partial(states.service, answers, known["hubble"], _SEED),
     }
     for name, step in steps.items():
         step()

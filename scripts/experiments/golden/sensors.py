@@ -164,7 +164,7 @@ def _facing(rng: np.random.Generator, pattern: ReflectorPattern, range_m: float)
     aside = rng.uniform(-0.12, 0.12, 2)
     tilt, way = np.deg2rad(25.0) * np.sqrt(rng.random()), rng.uniform(0.0, 2.0 * np.pi)
     roll = rng.uniform(-1.4, 1.4)
-    six = SixNumbers(range_m, *aside, roll, tilt * np.sin(way), tilt * np.cos(way))
+    six = SixNumbers(range_m, aside[0], aside[1], roll, tilt * np.sin(way), tilt * np.cos(way))
     return pose_of(six, pattern)
 
 

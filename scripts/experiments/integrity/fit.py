@@ -74,7 +74,7 @@ class Poses:
 
 
 def gather(folder: Path) -> Poses:
-    """Replay every track through a monitor and keep what it computes from."""
+    """Every track through a monitor: what it computes from."""
     plain = IntegrityModel(
         attitude=Overbound(1.0, 3.0), position=Overbound(1.0, 3.0), wrong=np.zeros(len(NAMES)),
         attitude_spread=Spread.none(), position_spread=Spread.none(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from itertools import product
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from experiments.frame import Log, show, table_of, two, write_log
+from experiments.frame import show, table_of, two
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.sequences import open_sequence
@@ -117,8 +118,9 @@ def row(name: str, records: list[Record]) -> list[str]:
 
 
 def run(
-    frames: Path, models: Path, *, seed: Annotated[int, "of the priors"] = 5, log: Log = None
-) -> None:
+    frames: Path, models: Path, *, seed: Annotated[int, "of the priors"] = 5,
+    log: Annotated[Path | None, "every answer, JSON lines"] = None,
+) -> None:  # fmt: skip
     """First poses and tracked poses on the frames of pose-frames.
 
     MODELS is a folder with a model <target>.rvm for every folder of FRAMES. Every frame is read
@@ -133,7 +135,8 @@ def run(
         tasks = [(*scene, seed, log is not None) for scene in scenes]
         parts = dict(workers.results(on_scene, (frames.resolve(), models.resolve()), tasks))
     records = [record for k in sorted(parts) for record in parts[k]]
-    write_log(log, records)
+    if log is not None:
+        log.write_text("".join(json.dumps(record) + "\n" for record in records))
     columns = "frames | n | right % | best right % | wrong % | rotation ° median / 95 % "
     columns += "| translation % of range | NEES mean / median | ms"
     rows = table_of("poses", columns, left=0)

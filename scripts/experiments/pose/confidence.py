@@ -19,10 +19,7 @@ _WEIGHT_OF_WRONG = 5.0  # a wrong answer costs more than one that is not given
 
 
 def fitted(features: np.ndarray, right: np.ndarray, looked: np.ndarray) -> np.ndarray:
-    """(2, 2, 11) coefficients, by the edges only and with the surface, for bright and dark skies.
-
-    By the edges only, everything is fitted again without the last feature.
-    """
+    """(2, 2, 11) coefficients: without the last feature and with it, bright and dark skies."""
     tables = []
     for look in (False, True):
         rows = []
@@ -43,10 +40,7 @@ def probability(coefficients: np.ndarray, features: np.ndarray, looked: np.ndarr
 
 
 def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients of log κ², by most likely Gaussian errors, and the NEES that remain.
-
-    They come on top of those with which the logs were made.
-    """
+    """Coefficients of log κ², on top of those of the logs, and the NEES that remain."""
     right = [r for r in records if r.get("rotation_deg", 180.0) < WRONG_DEG]
     features = np.array([inflation_features(*np.array(r["features"])[[1, 3, 7]]) for r in right])
     nees = np.array([r["nees"] for r in right])

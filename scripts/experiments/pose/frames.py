@@ -68,11 +68,10 @@ def run(
 ) -> None:  # fmt: skip
     """Draw the frames of pose-accuracy with Mitsuba, as BOP scenes.
 
-    FRAMES/<target>/<condition> has independent frames of random attitudes: 640 × 480, 53° across,
-    the bounding sphere 100–220 px in radius anywhere in the image, blur 0.7 px, σ = 3 grey levels,
-    each frame with its own exposure and Sun. Conditions: low: Sun phase 0–30°, black sky; high:
-    30–70°, black sky; earth: 0–60°, the Earth behind, whose limb crosses some of the frames. An
-    existing scene is kept.
+    FRAMES/<target>/<condition> has frames of random attitudes: 640 × 480, 53° across, the bounding
+    sphere 100–220 px in radius anywhere in the image, each frame with its own exposure and Sun.
+    Conditions: low: Sun phase 0–30°, black sky; high: 30–70°, black sky; earth: 0–60°, the Earth
+    behind, whose limb crosses some of the frames. An existing scene is kept.
     """
     camera = default_camera()
     for target in targets:

@@ -205,8 +205,8 @@ def run(
     (d) as (c), with the Sun up to 30° from behind the camera, hard shadows;
     (e) as (d), with the Sun 30–60° from behind the camera.
 
-    In-views lie within one edge of a node, out-views between 1.32 and 3 edges. Every frame counts:
-    a frame without a silhouette has all its in-decisions wrong and its out-decisions right.
+    In-views lie within one edge of a node, out-views between 1.32 and 3 edges. A frame without a
+    silhouette has all its in-decisions wrong and its out-decisions right.
     """
     found, loaded = Target.load(target), ViewModel.load(model)
     mesh = load_mesh(found.mesh_path, found.unit)

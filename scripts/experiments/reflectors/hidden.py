@@ -94,12 +94,11 @@ def one(n: int, seed: int, sensor: ReflectorSensor, simulator: Simulator) -> dic
 def run(*, readings: int = 10_000, seed: int = 1, simulator: Simulator = "plain") -> None:
     """Every subset of three to five of Bales' five reflectors: right, wrong, ambiguous or none.
 
-    Plain pictures of the tests' simulator, which shares no code with the product, or of the
-    product's own: 1 to 8 m, tilt to 35°, every roll, blur of 0.6 to 0.9 px, retro-reflected and
-    even light, no to three false spots as large and bright as the discs. Each reading on its own.
-    Wrong: more than 5° or 3 % of the range off (half a turn of roll is no error where it is
-    reported). OpenCV's SQPNP and poselib's RANSAC have our centroids with the right names of the
-    reflectors, and no false spots.
+    Pictures of the tests' plain simulator or of the product's own: 1 to 8 m, tilt to 35°, every
+    roll, blur of 0.6 to 0.9 px, retro-reflected and even light, up to three false spots as large
+    and bright as the discs. Each reading on its own. Wrong: more than 5° or 3 % of the range off
+    (half a turn of roll is no error where it is reported). OpenCV's SQPNP and poselib's RANSAC have
+    our centroids with the right names, and no false spots.
     """
     sensor = ReflectorSensor(CAMERA, [FIVE], tracking=TrackingOptions(confirm=False))
     done = [one(n, seed, sensor, simulator) for n in range(readings)]

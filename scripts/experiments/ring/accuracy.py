@@ -205,11 +205,10 @@ def detection(seed: int, count: int, peer: Path | None) -> None:
 def run(*, seed: int = 71, frames: int = 150, peer_python: PeerPython = None) -> None:
     """Accuracy and detection of the ring sensor on simulated frames, beside OpenCV's detectors.
 
-    Frames are 640 × 480 with noise of 3 grey levels: --frames of each case, and 1000 cluttered
-    ones for detection. The peers (EdgeDrawing's ellipses and findEllipses) see the same frames. Of
-    several ellipses of a peer the one nearest to a true edge counts; our detector does not get this
-    help. A detection is right if centre and semi-axes are within 2 px, or 3 % of the long axis, of
-    a true edge. A frame without an answer is a miss.
+    Frames are 640 × 480 with noise of 3 grey levels: --frames of each case, and 1000 cluttered ones
+    for detection. Of several ellipses of a peer (EdgeDrawing, findEllipses) the one nearest to a
+    true edge counts; our detector does not get this help. A detection is right if centre and
+    semi-axes are within 2 px, or 3 % of the long axis, of a true edge.
     """
     accuracy(seed, frames, peer_python)
     detection(seed, CLUTTERED_FRAMES, peer_python)

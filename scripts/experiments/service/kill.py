@@ -21,12 +21,6 @@ from rendezview_service.logs.log_repair import mend
 from rendezview_service.logs.replay import read_log
 
 
-def serve(model: Path, folder: Path, models: Path) -> Served:
-    """A recording service. Its logs are without the model: written 200 times it only takes time."""
-    flags = ("--workers", "1", "--record", str(folder), "--models", str(models))
-    return Served(model, *flags, group=True, record_model="false")
-
-
 def send(url: str, scene: Path, name: str, acknowledged: dict[str, list[dict]]) -> None:
     """Frames as fast as they are answered, until the service is killed."""
     loop, states = Loop(scene), acknowledged.setdefault(name, [])
@@ -61,7 +55,9 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
         with tempfile.TemporaryDirectory() as work:
             folder = Path(work) / "logs"
             folder.mkdir()
-            served = serve(model, folder, Path(work) / "models")
+            # Logs without the model: written each time it only takes time.
+            flags = ("--workers", "1", "--record", str(folder), "--models", f"{work}/models")
+            served = Served(model, *flags, group=True, record_model="false")
             acknowledged: dict[str, list[dict]] = {}
             threads = [
                 threading.Thread(target=send, args=(served.url, scene, name, acknowledged))

@@ -40,10 +40,7 @@ _NO_POSE = np.full((3, 3), np.nan)
 
 
 def line(set_deg: np.ndarray, read_deg: np.ndarray) -> tuple[float, float]:
-    """Slope, and r.m.s. scatter about the fitted line (two degrees of freedom fewer).
-
-    NaN: a reading without a pose, which is left out and counted beside the table.
-    """
+    """Slope, and r.m.s. scatter about the fitted line; readings without a pose are NaN."""
     seen = np.isfinite(read_deg)
     set_deg, read_deg = set_deg[seen], read_deg[seen]
     slope, offset = np.polyfit(set_deg, read_deg, 1)
@@ -52,10 +49,7 @@ def line(set_deg: np.ndarray, read_deg: np.ndarray) -> tuple[float, float]:
 
 
 def turned_deg(rotations: np.ndarray) -> np.ndarray:
-    """Turn of each about the stage's axis, the laboratory's z, from their mean, degrees.
-
-    Unlike the yaw of eq. 3 it does not depend on the orientation of the lights' plane on the stage.
-    """
+    """Turn of each about the stage's axis from their mean; the lights' plane does not matter."""
     seen = np.isfinite(rotations[:, 0, 0])
     turned = np.full(len(rotations), np.nan)
     u, _, vt = np.linalg.svd(rotations[seen].mean(axis=0))

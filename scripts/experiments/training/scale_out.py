@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -26,20 +24,10 @@ from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate.command import default_camera
 
 WORKERS, TARGET = 4, "hubble"
+LOCAL = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "silence_logs": 50,
+         "host": "127.0.0.1"}  # fmt: skip
 MEDIUM = TrainingOptions(order=2, perturbed_views=1600, held_out_views=400, contour_radii=(1.0,))
 TINY = replace(MEDIUM, order=0, perturbed_views=60, held_out_views=20)
-
-
-@contextmanager
-def local_cluster(workers: int) -> Iterator[tuple[distributed.LocalCluster, Cluster]]:
-    with (
-        distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0",
-            silence_logs=50, host="127.0.0.1",
-        ) as local,
-        Cluster.connect(local.scheduler_address) as cluster,
-    ):  # fmt: skip
-        yield local, cluster
 
 
 def cpu_s(processes: list[int]) -> float:
@@ -88,7 +76,10 @@ def run(*, model: Path, frames: Annotated[int, "of the campaign"] = 192) -> None
     print("| work | workers | wall s | CPU s of workers | of this process |")
     print("|---|---:|---:|---:|---:|")
     for count in (1, WORKERS):
-        with local_cluster(count) as (local, cluster):
+        with (
+            distributed.LocalCluster(n_workers=count, **LOCAL) as local,
+            Cluster.connect(local.scheduler_address) as cluster,
+        ):
             with distributed.Client(local.scheduler_address, set_as_default=False) as client:
                 client.run(load_code, mesh, loaded)  # in every worker
                 processes = list(client.run(os.getpid).values())

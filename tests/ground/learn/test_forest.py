@@ -118,7 +118,7 @@ def test_samples_are_rolled_and_rounded_up():
         assert np.array_equal(out[k], np.ceil(seen * strain[k]))
 
 
-def test_voters_know_their_nodes_from_others(samples):
+def test_forests_know_their_nodes_from_others(samples):
     """On samples of the same kind that were not learned, with errors of roll and shape."""
     tables = ForestTables.of(joined([learn_forest(samples, OPTIONS, NODES)]))
     right = total = 0
@@ -133,7 +133,7 @@ def test_voters_know_their_nodes_from_others(samples):
     assert right / total > 0.9
 
 
-def test_voters_learned_in_parts_are_those_learned_at_once(samples):
+def test_a_forest_learned_in_parts_is_that_learned_at_once(samples):
     whole = joined([learn_forest(samples, OPTIONS, NODES)])
     parts = joined([learn_forest(samples, OPTIONS, part) for part in (range(5), range(5, 12))])
     for field in dataclasses.fields(whole):

@@ -25,7 +25,7 @@ from rendezview_ground.mesh.mesh import Mesh, load_mesh
 from rendezview_ground.mesh.parts import faces_of
 from rendezview_ground.mesh.surface_samples import points_on
 
-STEP_RAD = math.radians(15.0)  # between configurations at most. Source: experiment pose-joints
+STEP_RAD = math.radians(15.0)  # between configurations at most. Source: pose-joints (0.1)
 _MOST_CONFIGURATIONS = 64  # of a model; each is as large as a model without joints
 _UNSEEN_RADII = 0.003  # of the target's radius: a turn that moves the surface less shows nothing
 _FAR_RADII = 2.0  # of the target's radius: an axis beyond is not the target's

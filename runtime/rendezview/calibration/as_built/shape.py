@@ -22,7 +22,7 @@ class ShapeOptions:
     size_sigma: float = 0.02  # of the mean of xx, yy, zz. Source: by construction, a known craft
     turn_sigma_rad: float = 0.15  # of a part. Source: by construction, 6° is twice less
     move_sigma: float = 0.05  # of a part, share of the target's radius. Source: by construction
-    rounds: int = 10  # Gauss–Newton, at most. Source: experiment pose-shape, twice what it took
+    rounds: int = 10  # Gauss–Newton, at most. Source: pose-shape (0.1), twice what it took
     stop: float = 2e-4  # largest change of a component. Source: a tenth of an edge's error
     # The frames are recognised so often at most: again with the model found, while the strain
     # changes by more than ``repeat_above``. Source: experiment photo-accuracy --folds

@@ -17,8 +17,10 @@ from rendezview.sensors.appearance.observation import AppearanceObservation
 
 # Rad; a pose or an angle further away is another answer. Source: as in the experiments
 _OTHER_RAD = np.deg2rad(5.0)
-_AS_GOOD = 0.03  # merit; poses that differ by less fit as well. Source: experiment pose-joints
-# Rad, of an angle, where its edges are looked for again. Source: experiment pose-joints
+_AS_GOOD = (
+    0.03  # merit; poses that differ by less fit as well. Source: pose-joints (0.1)
+)
+# Rad, of an angle, where its edges are looked for again. Source: pose-joints (0.1)
 _ASIDE_RAD = np.deg2rad([-9.0, -6.0, -3.0, 3.0, 6.0, 9.0])
 
 
@@ -34,9 +36,9 @@ def best_of(
     Args:
         observations: one of each configuration, given or not.
         models: the configurations.
-        confident: gives or refuses the pose of a frame by its margin.
+        confident: gives or refuses the pose of an observation by its margin.
     """
-    found = [k for k, frame in enumerate(observations) if frame.found is not None]
+    found = [k for k, observation in enumerate(observations) if observation.found is not None]
     if not found:
         return observations[0]
     found.sort(key=lambda k: -_merit(observations[k]))
@@ -61,10 +63,10 @@ def _spread(
     covariance = best.joint_covariance
     if covariance is None or best.angles_rad is None:
         return best
-    for frame in others:
-        assert frame.found is not None
-        other = frame.found.best
-        if other.angles_rad is None or merit - frame.found.merit > _AS_GOOD:
+    for observation in others:
+        assert observation.found is not None
+        other = observation.found.best
+        if other.angles_rad is None or merit - observation.found.merit > _AS_GOOD:
             continue
         if best.pose.angle_to(other.pose) > _OTHER_RAD:
             continue
@@ -86,9 +88,9 @@ def around(joints: Sequence[Joint], angles_rad: Array) -> list[Array]:
     return found
 
 
-def _merit(frame: AppearanceObservation) -> float:
-    assert frame.found is not None
-    return frame.found.merit
+def _merit(observation: AppearanceObservation) -> float:
+    assert observation.found is not None
+    return observation.found.merit
 
 
 def _another(

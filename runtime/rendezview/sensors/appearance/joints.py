@@ -11,7 +11,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.model.joint_angles import JointAngles
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
-# Drives turn evenly. Source: experiment pose-joints
+# Drives turn evenly. Source: experiment pose-joints (0.1)
 _RATE_WALK_RAD_S = np.deg2rad(0.02)  # one σ of the change of a rate in a second
 _FIRST_RATE_RAD_S = np.deg2rad(3.0)  # one σ before two frames have shown it. Source: a fast drive
 _OUTLIER = 5.0  # σ of an innovation; such an angle is another optimum. Source: by construction

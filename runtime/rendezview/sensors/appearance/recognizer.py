@@ -38,14 +38,14 @@ from rendezview.sensors.observation import Status
 
 # Of the outline: it was whole, and refinement says why there is no pose.
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
-# Rad; error of a pose whose joint is at a wrong angle. Source: experiment pose-joints
+# Rad; error of a pose whose joint is at a wrong angle. Source: experiment pose-joints (0.1)
 _NEAR_RAD = np.deg2rad(8.0)
 # Confidence: with less after the likeliest starts, a sketch is tried before all others. Of 79
 # frames of Hubble, Sun 30° and 60° aside, 4 have less although grey edges find their pose at last.
 # Source: by hand, seeds 5 and 6 of rendezview simulate --trajectory random
-_LEAST_RATIO = 0.1
+_LEAST_CONFIDENT = 0.1
 _CONFIGURATIONS = (
-    3  # of a target with joints that are searched whole. Source: experiment pose-joints
+    3  # of a target with joints that are searched whole. Source: experiment pose-joints (0.1)
 )
 # merit; chance decides between two poses nearer to each other. Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
@@ -54,7 +54,7 @@ _LEAST_MARGIN = 0.01
 _MOST_SIGMA = 0.5
 
 
-class _Frame(NamedTuple):
+class _Request(NamedTuple):
     """What ``recognize`` is asked of one frame; see there."""
 
     frame: Picture
@@ -155,53 +155,53 @@ class Recognizer:
         """
         frame = check_frame(image, self.camera.width, self.camera.height)
         with self._lock:
-            frame = _Frame(frame, prior, prior_error_rad, sun_camera, enough_inliers)
+            request = _Request(frame, prior, prior_error_rad, sun_camera, enough_inliers)
             if self.model.joints and self.search is not None:
-                seen = self._of_configurations(frame, angles_rad)
+                seen = self._of_configurations(request, angles_rad)
             else:
-                seen = self._recognize(*frame)
+                seen = self._recognize(*request)
         return seen if time_s is None else replace(seen, time_s=time_s)
 
     def _of_configurations(
-        self, frame: _Frame, angles_rad: npt.ArrayLike | None
+        self, request: _Request, angles_rad: npt.ArrayLike | None
     ) -> AppearanceObservation:
-        """The frame of the configuration next to the angles, or the best of all."""
+        """The observation of the configuration next to the angles, or the best of all."""
         configurations = every = (self, *self._others)
         models = [configuration.model for configuration in every]
 
         def at(angles: Array) -> Recognizer:
             return every[models.index(self.model.configuration_at(angles))]
 
-        if frame.prior is not None and angles_rad is not None:
+        if request.prior is not None and angles_rad is not None:
             angles = np.array(angles_rad, dtype=np.float64).reshape(len(self.model.joints))
-            seen = at(angles)._turned_to(angles, frame, tracked=True)
+            seen = at(angles)._turned_to(angles, request, tracked=True)
             if seen.found is None or seen.found.best.joint_support >= LEAST_SUPPORT:
                 return seen
             # The parts are elsewhere, or hidden.
             others = around(self.model.joints, angles) + [model.angles_rad for model in models]
-            again = [at(other)._turned_to(other, frame) for other in others]
+            again = [at(other)._turned_to(other, request) for other in others]
             return best_of([seen, *again], models, self._judged)
         observations: list[AppearanceObservation] = []
-        if frame.prior is None:
-            configurations, observations = self._likely(configurations, frame)
+        if request.prior is None:
+            configurations, observations = self._likely(configurations, request)
         observations += [
-            configuration._turned_to(configuration.model.angles_rad, frame)
+            configuration._turned_to(configuration.model.angles_rad, request)
             for configuration in configurations
         ]
         best = best_of(observations, models, self._judged)
         if best.found is None or best.found.best.angles_rad is None:
             return best
         # Edges of a part may have led to a local optimum of its angle.
-        near = frame._replace(prior=best.found.best.pose, prior_error_rad=_NEAR_RAD)
+        near = request._replace(prior=best.found.best.pose, prior_error_rad=_NEAR_RAD)
         others = around(self.model.joints, best.found.best.angles_rad)
         again = [at(angles)._turned_to(angles, near) for angles in others]
         return best_of([*observations, *again], models, self._judged)
 
     def _likely(
-        self, configurations: tuple[Recognizer, ...], frame: _Frame
+        self, configurations: tuple[Recognizer, ...], request: _Request
     ) -> tuple[tuple[Recognizer, ...], list[AppearanceObservation]]:
         """The configurations that fit best after a brief search, and what the others observed."""
-        frame, sky = frame.frame, Sky.of(frame.frame, frame.sun_camera)
+        frame, sky = request.frame, Sky.of(request.frame, request.sun_camera)
         traced = self.outline.trace(frame, None, StageClock(), bright_sky=not sky.dark)
         merits, observations = [], []
         for configuration in configurations:
@@ -219,12 +219,12 @@ class Recognizer:
         return tuple(configurations[k] for k in chosen), [observations[k] for k in others]
 
     def _turned_to(
-        self, angles_rad: Array, frame: _Frame, *, tracked: bool = False
+        self, angles_rad: Array, request: _Request, *, tracked: bool = False
     ) -> AppearanceObservation:
-        """The frame of this configuration, with the joints starting at some angles (J,)."""
+        """The observation of this configuration, with the joints starting at some angles (J,)."""
         assert self.search is not None
         self.search.start_at(angles_rad, tracked=tracked)
-        return self._recognize(*frame)
+        return self._recognize(*request)
 
     def _judged(self, seen: AppearanceObservation) -> AppearanceObservation:
         """The observation with its found pose given or refused."""
@@ -279,7 +279,7 @@ class Recognizer:
                 return self._given(seen, found)
         traced = self.outline.trace(frame, prior, clock, bright_sky=not sky.dark)
         if prior is None and traced.outlines:
-            least = 0.0 if self.sketch is None else _LEAST_RATIO
+            least = 0.0 if self.sketch is None else _LEAST_CONFIDENT
             found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera, give_up=least)
             clock.lap("refine")
             if found is not None and self._confident(found):
@@ -297,7 +297,7 @@ class Recognizer:
         if self.sketch is not None:
             sketched = self._sketched(self.sketch, frame, sky, prior, error_rad)
             clock.lap("sketch")
-            doubtful = found is None or found.confidence < _LEAST_RATIO
+            doubtful = found is None or found.confidence < _LEAST_CONFIDENT
             if sketched is not None and prior is None:
                 # Grey edges judge what the sketch proposes, and are the finer ones.
                 answers = sketched.answers + ([] if found is None or doubtful else found.answers)

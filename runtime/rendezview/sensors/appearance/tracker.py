@@ -18,7 +18,7 @@ from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.observation import Status
 
-# rad; rivals nearer than this are the same answer. Source: by hand; pose-trials sequences
+# rad; rivals nearer than this are the same answer. Source: by hand; pose-trials (0.1) sequences
 _SAME_RAD = np.deg2rad(3.0)
 # target radii; a centre predicted nearer than this is not used. Source: by construction, inside the
 # target
@@ -37,27 +37,27 @@ class TrackerOptions:
     longest_outage_s: float = 60.0
     # s; rates are held so long, then the pose is held. Source: a chosen limit
     longest_prediction_s: float = 10.0
-    # frames without a pose; then all attitudes are searched too. Source: by hand; pose-trials
-    # sequences
+    # frames without a pose; then all attitudes are searched too. Source: by hand;
+    # pose-trials (0.1) sequences
     restart_after: int = 2
     # frames without a pose; where the target should overflow the picture, all attitudes are
     # searched so often, if a whole silhouette is there. Source: a chosen limit
     close_restart: int = 15
-    # 0 … 1; a restart needs more than a pose near a prediction. Source: by hand; pose-trials
-    # sequences
+    # 0 … 1; a restart needs more than a pose near a prediction. Source: by hand;
+    # pose-trials (0.1) sequences
     restart_confidence: float = 0.9
-    # frames; a pose that a search confirmed is accepted so long … Source: by hand; pose-trials
-    # sequences
+    # frames; a pose that a search confirmed is accepted so long … Source: by hand;
+    # pose-trials (0.1) sequences
     confirmed_frames: int = 15
-    # … while it keeps this share of the confirmed inlier ratio. Source: by hand; pose-trials
-    # sequences
+    # … while it keeps this share of the confirmed inlier ratio. Source: by hand;
+    # pose-trials (0.1) sequences
     confirmed_share: float = 0.9
     # σ of an expected attitude that are searched … Source: normal distribution, 99.7 %
     expected_sigmas: float = 3.0
     # rad; … and more beside them. Source: by construction, the reach of refinement
     expected_rad: float = np.deg2rad(3.0)
-    # merit, summed over frames; by this much one of two rivals leads. Source: by hand; pose-trials
-    # sequences
+    # merit, summed over frames; by this much one of two rivals leads. Source: by hand;
+    # pose-trials (0.1) sequences
     decisive_lead: float = 0.1
 
 

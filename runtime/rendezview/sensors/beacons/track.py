@@ -16,16 +16,15 @@ from rendezview.geometry.pose import Array, Pose
 class TrackingOptions:
     """Windows, and when to give up."""
 
-    # Half width over a spot's σ … Source: by hand; uncritical halved or doubled (number-effects)
+    # Half width over a spot's σ … Source: by hand; uncritical halved or doubled
     window_sizes: float = 4.0
-    # … and the margin for motion. Source: by hand; uncritical halved or doubled (number-effects)
+    # … and the margin for motion. Source: by hand; uncritical halved or doubled
     window_px: float = 6.0
-    # … and each reading without that spot. Source: by hand; uncritical halved or doubled (number-
-    # effects)
+    # … and each reading without that spot. Source: by hand; uncritical halved or doubled
     coasting_px: float = 4.0
     # Of the distance to the next reflector, at most. Source: by construction, less than half
     window_share: float = 0.45
-    # ln of size over expected size. Source: by hand; uncritical halved or doubled (number-effects)
+    # ln of size over expected size. Source: by hand; uncritical halved or doubled
     size_limit: float = 0.25
     # Small over large axis. Source: by construction, looser than AcquisitionOptions
     least_shape: float = 0.45
@@ -39,7 +38,7 @@ class TrackingOptions:
     # Of a redundant fit: a spot further off is no reflector. Source: normal distribution, 2·10⁻⁹
     gate_sigma: float = 6.0
     # error of a centroid beside the noise: pixels, lens, reflector edge. Source: by hand; doubled,
-    # NEES falls from 0.53 to 0.29 (number-effects)
+    # NEES falls from 0.53 to 0.29
     floor_px: float = 0.01
     rates: RateOptions = field(default_factory=RateOptions)
 

@@ -30,10 +30,10 @@ Array = npt.NDArray[np.float64]
 _MOST_COMPANIONS = 5  # Source: by construction, a bound of time
 # Of the first edge's radius: other edges of a lip. Larger circles are a foot or a cone behind it,
 # smaller ones a nozzle or a shield: near head-on they fit as well, and move the place by 1 %.
-_COMPANIONS = (0.8, 1.02)  # Source: ring-vehicle, seed 22
+_COMPANIONS = (0.8, 1.02)  # Source: ring-vehicle (0.1), seed 22
 _COMPANIONS_BY_SCORE = (0.8, 1.25)  # where the first may be an inner edge. Source: ring-accuracy
 # σ of an ellipse's numbers over that of its edge's systematic part: the ellipse takes in a part.
-_SYSTEMATIC = 1.0  # Source: ring-vehicle, seed 22
+_SYSTEMATIC = 1.0  # Source: ring-vehicle (0.1), seed 22
 _LEAST_SYSTEMATIC_PX = 1e-3  # Source: by construction, far below any error
 # Frames without a pose, after which the last one is forgotten. Source: a chosen limit
 _FORGET_FRAMES = 5

@@ -30,7 +30,8 @@ _AGREE_SIGMAS = 4.0
 _AGREE_SHARE = (0.005, 0.02)  # of R, of D_f. Source: a fifth of a rim's width in models_cad/client
 _SURE_SHARE = 0.05  # σ of R over R, of an ellipse that may name a circle. Source: by construction
 _AS_MANY = 0.8  # of the most frames, of a circle that may be the ring too. Source: by construction
-# σ of an error of the ring's size that all pictures share. Source: ring-size-pictures, seed 62
+# σ of an error of the ring's size that all pictures share. Source: ring-size-pictures (0.1), seed
+# 62
 _COMMON_PX = 0.05
 _MOST_CIRCLES = 4  # reported. Source: by construction
 

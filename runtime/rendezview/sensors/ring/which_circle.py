@@ -28,7 +28,8 @@ from rendezview.sensors.ring.detector import RingEdge
 Array = npt.NDArray[np.float64]
 
 _RANGE_FLOOR = 0.003  # of the range; least σ of the point it is measured to. Source: a rim's depth
-# From the given range; beyond it an ellipse is none of the ring's. Source: ring-vehicle, seed 22
+# From the given range; beyond it an ellipse is none of the ring's. Source: ring-vehicle (0.1),
+# seed 22
 _FARTHEST_SIGMAS = 3.0
 # Of −ln score: a long arc with companions is likelier the ring than a shadow. Source: the same
 _WORTH = 2.0
@@ -42,15 +43,15 @@ _ASIDE = 0.3
 # From here edges of one group are known to be of one plane. Source: the groups' own tolerance
 _PLANE_TILT_RAD = math.radians(10.0)
 # How far a known circle's picture may lie from its ellipse: a share of its size, and so many px.
-# Source: ring-vehicle, seed 22
+# Source: ring-vehicle (0.1), seed 22
 _KNOWN_SHARE, _KNOWN_PX = 0.015, 1.0
-# A ring has two edges at least. Of the circles that fitted the range by chance (ring-vehicle of
-# HST, seed 25) 19 of 26 stood alone, of the right ones on client, HST and ISS none of 194.
+# A ring has two edges at least. Of the circles that fitted the range by chance (ring-vehicle
+# (0.1) of HST, seed 25) 19 of 26 stood alone, of the right ones on client, HST and ISS none of 194.
 _ALONE = (
     "the circle that may be the ring stands alone: no other edge of the frame is about its axis"
 )
 # Cost gained by a known circle that is found, and of one that is not. Source: 2 ln of the odds of
-# 60 % (client, ring-vehicle, seed 22) to 10 % (by chance)
+# 60 % (client, ring-vehicle (0.1), seed 22) to 10 % (by chance)
 _KNOWN_FOUND, _KNOWN_MISSED = 3.6, 1.6
 
 

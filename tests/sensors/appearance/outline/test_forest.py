@@ -129,7 +129,7 @@ def test_readings_roll_as_interpolation_does():
         np.testing.assert_allclose(out, twin, atol=1e-2)
 
 
-def test_the_voters_of_a_view_prefer_its_own_attitude(refining_model):
+def test_the_forest_of_a_view_prefers_its_own_attitude(refining_model):
     forest_scores, right = scores_of(refining_model), []
     for view in range(0, len(refining_model.lattice.nodes), 7):
         attitude = refining_model.views.centred_from_target[view]
@@ -140,7 +140,7 @@ def test_the_voters_of_a_view_prefer_its_own_attitude(refining_model):
     assert np.mean(right) > 0.9
 
 
-def test_silencing_the_voters_costs_work(refining_model, bumpy_mesh, camera, draw, monkeypatch):
+def test_silencing_the_forest_costs_work(refining_model, bumpy_mesh, camera, draw, monkeypatch):
     """What the forest says decides how many poses are aligned, and in which order."""
     aligned: list[int] = []
     first: list[np.ndarray] = []
@@ -170,7 +170,7 @@ def test_silencing_the_voters_costs_work(refining_model, bumpy_mesh, camera, dra
     assert not np.allclose(orders["learned"], orders["silenced"])
 
 
-def test_a_model_without_voters_works_as_before(refining_model, tmp_path, camera, draw, bumpy_mesh):
+def test_a_model_without_a_forest_works_as_before(refining_model, tmp_path, camera, draw, bumpy_mesh):
     path = tmp_path / "old.rvm"
     replace(refining_model, score_forest=None).save(path)
     old = ViewModel.load(path)
@@ -181,7 +181,7 @@ def test_a_model_without_voters_works_as_before(refining_model, tmp_path, camera
     assert observation.found.votes is None
 
 
-def test_alone_a_pose_that_the_voters_doubt_is_not_given(refining_model, bumpy_mesh, camera, draw):
+def test_alone_a_pose_that_the_forest_doubts_is_not_given(refining_model, bumpy_mesh, camera, draw):
     given = {}
     models = {
         "learned": refining_model,
@@ -230,7 +230,7 @@ def test_votes_find_the_attitude_of_a_sunlit_part(refining_model):
         ({"roots": np.full((1, 1), 7, np.int32)}, "outside"),
     ],
 )
-def test_voters_that_do_not_belong_together_are_refused(change, words):
+def test_a_forest_that_does_not_belong_together_is_refused(change, words):
     sound = {
         "roots": np.zeros((1, 1), np.int32),
         "component": np.array([4, LEAF, LEAF], np.uint8),

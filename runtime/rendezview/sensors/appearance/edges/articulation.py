@@ -25,11 +25,11 @@ _LONGEST_RAD = (
 )
 # Of angles that no edge shows. Source: as of the alignment's first stage
 _DAMPING = 1e-3
-_LEVER_RADII = 0.3  # of the target's radius: of a part that turns. Source: experiment pose-joints
+_LEVER_RADII = 0.3  # of the target's radius: of a part that turns. Source: pose-joints (0.1)
 # Of the target's radius: a measured point and the table's own. Source: by construction
 _SAME_RADII = 5e-3
 # Of the visible points of a joint: with fewer in place no edge confirms its angle. Source:
-# experiment pose-joints, 7 to 13 % at wrong angles and above 34 % at right ones
+# experiment pose-joints (0.1), 7 to 13 % at wrong angles and above 34 % at right ones
 LEAST_SUPPORT = 0.22
 _INT16 = 32767  # Source: by construction, the largest stored coordinate
 

@@ -10,7 +10,7 @@ from rendezview.sensors.appearance.edges.alignment import AGREEING, CLOSE_PX
 from rendezview.sensors.appearance.edges.predicted import FOUND, NOT_FOUND, RESIDUAL, STATE, U, V
 
 # Of the grey above the sky at the upper quartile of the points with an edge: below it a point lies
-# in the dark. Source: experiment close-in, seeds 5 (Mitsuba) and 7, and approach 24 with a wing in
+# in the dark. Source: close-in (0.1), seeds 5 (Mitsuba) and 7, and approach 24 with a wing in
 # the dark: right poses then have shares of 0.54 or more, wrong ones 0.34 or less
 _LIT = 0.2
 _AROUND_PX = (-4, 0, 4)  # px; where the grey beside an edge is read. Source: as above

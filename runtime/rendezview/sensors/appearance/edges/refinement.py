@@ -79,13 +79,13 @@ _LEAST_SIGMA_PX = 0.1
 _VIEW_STRAIN = 3e-4
 # Where edges are farther off than this, those that a strain moves most do not count any more: one
 # σ of the strain is also so many times the excess, of the target's radius. Source: experiment
-# pose-misfit, hubble and client, seed 6, strains of 0, 1 and 4 %
+# pose-misfit (0.1), hubble and client, seed 6, strains of 0, 1 and 4 %
 _STRAIN_OF_RESIDUAL = 12.0
 _FAR_RESIDUAL_PX = 0.2  # px, root mean square. Source: as above; 0.10 to 0.15 with the right mesh
 # Of the inflation, which is fitted to whole targets of 100 to 220 px: the edges of a near part are
-# longer and err together less. Source: experiment close-in, client, seeds 2 and 5 (Mitsuba)
+# longer and err together less. Source: experiment close-in (0.1), client, seeds 2 and 5 (Mitsuba)
 _NEAR_INFLATION = 0.45
-_JOINT_ROUNDS = 4  # of alignment and a step of the angles. Source: experiment pose-joints
+_JOINT_ROUNDS = 4  # of alignment and a step of the angles. Source: experiment pose-joints (0.1)
 _TURNED_PX = 0.3  # px; angles whose step moves their edges less are found. Source: its last stage
 
 

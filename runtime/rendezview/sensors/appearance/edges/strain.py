@@ -23,7 +23,7 @@ _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix. Sourc
 # a mesh is. Source: by construction, a third of what the views are off by, to a tenth of the size
 _SIGMAS = np.geomspace(1e-4, 0.1, 12)
 # Of the variance: a craft differs from its model in other ways than by one strain, too, of which
-# the edges show less. Source: experiment pose-misfit, hubble and client, seed 7, and close-in,
+# the edges show less. Source: pose-misfit (0.1), hubble and client, seed 7, and close-in (0.1),
 # client, seed 5 (Mitsuba): no mean normalised error squared above eight
 _OTHER_WAYS = 1.6
 # Of the strain that shows most: one that shows less is absorbed by the pose, as a uniform one is by

@@ -118,7 +118,7 @@ class SketchChoice:
     @property
     def features(self) -> Array:
         """(14,) ``CHOICE_FEATURES``."""
-        pose, passes = self.best.pose, self.looks
+        pose, passes = self.best.pose, self.passes
         margin = min(self.margin, _MOST_MARGIN)
         seen = [passes.lead(pose), passes.basin(pose), *passes.scattered(pose)]
         seen.append(min(self.spread_deg, _MOST_SCATTER_DEG))

@@ -17,17 +17,18 @@ from rendezview.sensors.appearance.outline.retrieval import Retrieval
 _STARTS = 60  # most similar silhouettes, whole and sunlit. Source: that of the search on edges
 _STARTS_NEAR = 1000  # before those far from a prior are left out. Source: by construction
 _BESIDE_RAD = np.deg2rad(5.0)  # rad; of a view beyond the prior's error. Source: views' spacing
-VOTES_WORTH = 0.3  # of the log of the rank by similarity. Source: tree-ablation, seed 4101
-_LEAST_VOTES = -0.5  # log odds about the pose. Source: experiment tree-ablation, seed 4101
+VOTES_WORTH = 0.3  # of the log of the rank by similarity. Source: tree-ablation (0.1), seed 4101
+_LEAST_VOTES = -0.5  # log odds about the pose. Source: experiment tree-ablation (0.1), seed 4101
 # The same near a prior, which leaves fewer other views to tell from.
 _LEAST_VOTES_NEAR = 0.5  # Source: experiment recognition-accuracy, seed 77
-_LEAST_LEAD = 1.5  # log odds above another view's. Source: experiment tree-ablation, seed 4101
+_LEAST_LEAD = 1.5  # log odds above another view's. Source: tree-ablation (0.1), seed 4101
 _OTHER_RAD = np.deg2rad(20.0)  # rad; farther off is another view. Source: by construction
 # Rad; turns among which the votes are averaged: three steps either way, twice.
-_STEP_RAD, _STEPS, _ROUNDS = np.deg2rad(3.0), 3, 2  # Source: tree-ablation, seed 4101
+_STEP_RAD, _STEPS, _ROUNDS = np.deg2rad(3.0), 3, 2  # Source: tree-ablation (0.1), seed 4101
 # One σ of such a pose; the bearing's is that of whole silhouettes twice.
-_DIRECTION_RAD, _ROLL_RAD = np.deg2rad(3.0), np.deg2rad(2.5)  # Source: tree-ablation, seed 4101
-_RANGE_FRACTION = 0.06  # Source: experiment tree-ablation, seed 4101
+# Source: tree-ablation (0.1), seed 4101
+_DIRECTION_RAD, _ROLL_RAD = np.deg2rad(3.0), np.deg2rad(2.5)
+_RANGE_FRACTION = 0.06  # Source: experiment tree-ablation (0.1), seed 4101
 
 
 @dataclass(frozen=True, slots=True, eq=False)

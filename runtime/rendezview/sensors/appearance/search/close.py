@@ -18,11 +18,11 @@ from rendezview.sensors.appearance.search.starts import rotated_about_axes
 from rendezview.sensors.appearance.sky import Sky
 
 # Share of the lit contour points in the picture with an edge in place: right poses have 0.54 or
-# more, wrong ones 0.34 or less. Source: experiment close-in, seeds 5 (Mitsuba) and 7
+# more, wrong ones 0.34 or less. Source: experiment close-in (0.1), seeds 5 (Mitsuba) and 7
 _LEAST_SHARE = 0.45
-_LEAST_POINTS = 40  # in the picture. Source: experiment close-in, seed 7
+_LEAST_POINTS = 40  # in the picture. Source: experiment close-in (0.1), seed 7
 # Rad, and of the range: a pose further from the prior is another one. A ring of 72 facets fits
-# again when it is turned by 5°. Source: experiment close-in, seed 1
+# again when it is turned by 5°. Source: experiment close-in (0.1), seed 1
 _FURTHEST_RAD = np.deg2rad(2.5)
 _FURTHEST_RANGE = 0.05  # Source: by hand, a frame of an approach
 # Rad, one σ of the attitude: beside a ring alone, the prior knows more of the roll. Source: as

@@ -36,13 +36,13 @@ from rendezview.sensors.appearance.sky import Sky
 # Source: commit 7a5ba6e, experiment pose-accuracy
 _CONFIDENT = 0.98  # probability; such a pose needs no further search, nor its shading
 # Of the log of the rank by similarity, a unit of the forest's log odds. Source: experiment
-# tree-ablation, seed 4101
+# tree-ablation (0.1), seed 4101
 _VOTES_WORTH = 0.3
-_REFINED_OF_VOTED = 2  # Source: experiment tree-ablation, seed 4101
+_REFINED_OF_VOTED = 2  # Source: experiment tree-ablation (0.1), seed 4101
 # Log odds of the nodes about a pose: a forest that knows nothing gives −2.2, the share of a node's
-# views among its samples. Source: experiment tree-ablation, seed 4101
+# views among its samples. Source: experiment tree-ablation (0.1), seed 4101
 _LEAST_VOTES = -2.0
-_LEAST_LEAD = 0.5  # log odds above every half turn. Source: experiment tree-ablation, seed 4101
+_LEAST_LEAD = 0.5  # log odds above every half turn. Source: tree-ablation (0.1), seed 4101
 # Inlier ratio of the likeliest starts' best pose: below 0.3, no half turn of it has been right in
 # 120 frames of Mitsuba. Source: docs/notes/photographs.md
 _WORTH_TURNING = 0.2
@@ -66,7 +66,7 @@ class SearchOptions:
     # docs/notes/refinement.md
     retrieved: int = 60
     # With a forest: the likeliest are aligned first, and two of them refined. Where edges and the
-    # forest agree on a pose, nothing else is tried. Source: experiment tree-ablation, seed 4101
+    # forest agree on a pose, nothing else is tried. Source: tree-ablation (0.1), seed 4101
     voted_first: int = 8
     retrieved_first: int = 20  # of them, before the others; often enough. Source: commit cb7137c
     # For each of several outlines before a bright sky. Source: by hand, seeds of

@@ -65,11 +65,11 @@ class ThresholdOptions:
     lower_grey: float | None = None  # of the difference; None: from its noise
     # × noise: one pixel in 10¹¹ of pure noise. Source: normal distribution
     noise_factor: float = 7.0
-    # × noise: the peak of a spot in a single picture. Source: reflector-real-spots, where 90 % of
-    # the stars above 5 σ are to be found
+    # × noise: the peak of a spot in a single picture. Source: reflector-real-spots (0.1), where
+    # 90 % of the stars above 5 σ are to be found
     faint_factor: float = 5.0
     # Of an automatic threshold: flicker of bright background stays below. Source: by hand;
-    # uncritical halved or doubled (number-effects)
+    # uncritical halved or doubled
     least_grey: float = 12.0
     upper_grey: float | None = None  # of the lit picture: brighter is a glint, not a reflector
     # Of the dark picture: saturated there, the difference is not usable. Source: by construction,

@@ -54,7 +54,7 @@ _RAN_OVER = 0.4
 # less than AcquisitionOptions.size_limit
 _SIZE_KNOWN = 0.1
 # In a crowd of more, chance fits dots of another size, or fainter ones. Source: experiments
-# reflector-tolerance and reflector-nees
+# reflector-tolerance (0.1) and reflector-nees
 MOST_CERTAIN = 20
 # more than that is no picture of a target. Source: by construction, a bound of time
 MOST_SPOTS = 400

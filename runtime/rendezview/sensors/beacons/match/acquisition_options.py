@@ -33,13 +33,12 @@ class AcquisitionOptions:
     # optics of 0.7 px
     blur_px: float = 0.75
     # Of ln(size): noise, focus, the disc's own tilt. Source: by hand; uncritical halved or doubled
-    # (number-effects)
     size_sigma: float = 0.035
     # Of ln(brightness) of the centre spot against the outer two. Source: by hand; uncritical halved
-    # or doubled (number-effects)
+    # or doubled
     peak_sigma: float = 0.08
     # Of ln(brightness) between the outer two: the beam has a middle. Source: by hand; uncritical
-    # halved or doubled (number-effects)
+    # halved or doubled
     beam_sigma: float = 0.5
     # … and the centre is brighter than the mean of the outer two: ln(brightness) a rad² of half the
     # base as seen, squared. Source: by construction, ln 2 / (20°)² of a beam of ±20° half power
@@ -49,29 +48,25 @@ class AcquisitionOptions:
     # ±20 %
     blur_sigma: float = 0.12
     # ln, of one spot before anything else is tried. Source: by hand; uncritical halved or doubled
-    # (number-effects)
     size_limit: float = 0.14
-    # ln, between two spots. Source: by hand; uncritical halved or doubled (number-effects)
+    # ln, between two spots. Source: by hand; uncritical halved or doubled
     peak_limit: float = 1.6
     # Small over large axis: a disc at 40° has 0.77, an edge far less. Source: by construction,
     # between the two
     least_shape: float = 0.55
-    # χ² of three sizes and brightnesses. Source: by hand; uncritical halved or doubled (number-
-    # effects)
+    # χ² of three sizes and brightnesses. Source: by hand; uncritical halved or doubled
     score_limit: float = 18.0
     # χ² by which the best must win over other spots. Source: by hand; uncritical halved or doubled
-    # (number-effects)
     rival_margin: float = 2.5
     # χ² by which it must win over other poses of the same spots, and over other spots where more
     # reflectors might have confirmed it. Source: experiment reflector-hidden --seed 1
     pose_margin: float = 16.0
     # Triplets as good as the best that chance may bring. Those of chance with five terms of
     # χ² below s grow as s^5/2, and all that pass but the best give their number.
-    chance: float = 0.25  # Source: by hand; uncritical halved or doubled (number-effects)
+    chance: float = 0.25  # Source: by hand; uncritical halved or doubled
     # χ² of three spots of a target with more reflectors. Source: experiment reflector-hidden
     sparse_limit: float = 8.0
     # A further reflector is its spot when this near. Source: by hand; uncritical halved or doubled
-    # (number-effects)
     match_px: float = 1.5
     # Of a fit to four or more spots: σ of a place beside the noise, px and share of the spot's
     # size (even light moves it). Beyond gate_sigma is another spot. Source: reflector-hidden
@@ -81,7 +76,6 @@ class AcquisitionOptions:
     # Source: experiment reflector-hidden --seed 1
     gate_sigma: float = 5.0
     # Of the last range: how far the new one may be. Source: by hand; uncritical halved or doubled
-    # (number-effects)
     reacquisition: float = 0.25
 
     def __post_init__(self) -> None:

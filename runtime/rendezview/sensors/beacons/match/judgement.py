@@ -23,7 +23,7 @@ Tolerances = tuple[float, float, float, float, float, float, float]
 _CORRECTIONS = 2  # rounds. Source: by construction, a bound of time
 # Largest errors of the quick pose in ln(size): in all, and as a multiple of (base / range)².
 _SLACK, _SLACK_NEAR = 0.01, 0.2
-# and without corrections, of base / range. Source: by hand; see reflector-acquisition
+# and without corrections, of base / range. Source: by hand; see reflector-acquisition (0.1)
 _SLACK_FIRST = 0.3
 # ln of a size: by so much the expected one may be smaller than the one visible. Source: by
 # construction, three times the largest σ of a size

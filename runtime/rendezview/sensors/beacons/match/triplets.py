@@ -23,7 +23,7 @@ Ints = npt.NDArray[np.int64]
 Table = npt.NDArray[np.float64]
 
 # ln of the sizes of two spots of equal reflectors, at most. Source: by hand; see
-# reflector-acquisition
+# reflector-acquisition (0.1)
 _ALIKE = 0.3
 # … and that of the base's ends a rad of the base as seen: near by one is much farther, and seen at
 # another angle. Source: by construction, tan 45° for the range and half of that for the angle
