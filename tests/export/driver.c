@@ -10,6 +10,7 @@
  *   F  frame, camera, expected place      -> status, silhouette, points, status, signature
  *   B  n, then n times readings, rolls    -> nanoseconds of all trees, for each of them
  *   Q  n, then n times signature, attitude -> the same for rdv_search at RDV_REACH_RAD
+ *   D  n, then n times signature, attitude -> the same for rdv_forest_score
  *   R  n, then n times signature, attitude -> the same for rdv_search_around with an error of 20°
  */
 #define _POSIX_C_SOURCE 199309L
@@ -247,6 +248,12 @@ static void speed(int kind)
             {
                 (void)rdv_all_trees(signatures[k].readings, &at[k * numbers], trust);
             }
+#if (RDV_FOREST_TREES > 0u)
+            else if (kind == 'D')
+            {
+                (void)rdv_forest_score(&signatures[k], &at[k * numbers], trust);
+            }
+#endif
             else if (kind == 'Q')
             {
                 (void)rdv_search(&signatures[k], &at[k * numbers], RDV_REACH_RAD, &found);
@@ -281,6 +288,7 @@ int main(void)
         case 'G': signature_of(); break;
         case 'F': frame(); break;
         case 'B':
+        case 'D':
         case 'Q':
         case 'R': speed(request); break;
         default: exit(5);

@@ -17,7 +17,7 @@ from rendezview.export import write_c
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.model.signature import Readings, Signature
-from rendezview.sensors.appearance.outline.votes import Matcher
+from rendezview.sensors.appearance.outline.votes import Match, Matcher
 from rendezview.sensors.observation import Status
 
 Array = npt.NDArray[np.float64]
@@ -249,6 +249,10 @@ class FlightCode(Pipe):
         """Nanoseconds of `rdv_search_around`, the attitudes known to 20°."""
         return self._speed(b"R", readings, attitudes)
 
+    def forest_score_ns(self, readings: Array, attitudes: Array) -> Array:
+        """Nanoseconds of `rdv_forest_score`, which the model must have."""
+        return self._speed(b"D", readings, attitudes)
+
     def _speed(self, letter: bytes, readings: Array, more: Array) -> Array:
         pairs = [_f32(r) + _f64(m) for r, m in zip(readings, more, strict=True)]
         self.send(letter, struct.pack("I", len(pairs)), *pairs)
@@ -305,6 +309,18 @@ def same_search(c: ActiveNodes | Status | str, python: ActiveNodes | None) -> bo
         isinstance(c, ActiveNodes)
         and np.array_equal(c.nodes, python.nodes)
         and np.array_equal(c.trust, python.trust)
+        and np.abs(c.weights - python.weights).max() < 1e-12
+        and np.abs(c.direction - python.direction).max() < 1e-12
+    )
+
+
+def same_match(c: ActiveNodes | Status | str, python: Match | None) -> bool:
+    """The same of `rdv_forest_search` and `Matcher.at`."""
+    if python is None:
+        return c is Status.UNRECOGNIZED
+    return (
+        isinstance(c, ActiveNodes)
+        and np.array_equal(c.nodes, python.active_nodes)
         and np.abs(c.weights - python.weights).max() < 1e-12
         and np.abs(c.direction - python.direction).max() < 1e-12
     )

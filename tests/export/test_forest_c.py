@@ -10,7 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.export.driver import SANITIZED, ActiveNodes, FlightCode, build, compiler, object_bytes
+from tests.export.driver import (
+    SANITIZED,
+    ActiveNodes,
+    FlightCode,
+    build,
+    compiler,
+    object_bytes,
+    same_match,
+)
 
 from rendezview.export.c_code import model_files
 from rendezview.export.tables import pack_score_forest, windows_of
@@ -19,9 +27,8 @@ from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.model.forest import BINS
 from rendezview.sensors.appearance.model.signature import Signature, rebinning
 from rendezview.sensors.appearance.outline.votes import Matcher
-from rendezview.sensors.observation import Status
 
-SIGNATURES = 10_000
+SIGNATURES = 4000
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler here")
 
 
@@ -57,7 +64,7 @@ def test_the_score_of_an_attitude_is_that_of_the_runtime(code, forest_model):
         score = float(forest.scores(signature, attitude[None])[0])
         assert code.forest_score(signature.readings, attitude) == score
         scores.add(score)
-    assert len(scores) > SIGNATURES // 10
+    assert len(scores) > SIGNATURES // 3
 
 
 @pytest.mark.requirement("RV-CODE-1")
@@ -69,15 +76,10 @@ def test_the_forest_finds_the_active_nodes_of_the_runtime(code, forest_model):
         signature, attitude = some_view(forest_model, rng)
         match = matcher.at(signature, Pose(attitude, np.array([0.0, 0.0, 10.0])))
         c = code.forest_search(signature.readings, attitude, reach)
-        if match is None:
-            assert c is Status.UNRECOGNIZED
-            continue
-        assert isinstance(c, ActiveNodes)
-        assert np.array_equal(c.nodes, match.active_nodes)
-        assert np.abs(c.weights - match.weights).max() < 1e-12
-        assert np.abs(c.direction - match.direction).max() < 1e-12
-        assert c.support == pytest.approx(c.weights.sum())
-        found.append(len(c.nodes))
+        assert same_match(c, match)
+        if isinstance(c, ActiveNodes):
+            assert c.support == pytest.approx(c.weights.sum())
+            found.append(len(c.nodes))
     assert len(found) > 500
     assert len(set(found)) > 5
 

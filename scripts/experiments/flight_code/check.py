@@ -18,7 +18,7 @@ from experiments.frame import tests_module
 from experiments.recognition.accuracy import flight_camera, frame_of, random_pose
 from rendezview.export import write_onnx
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array
+from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.model.signature import Readings, Signature, twist
@@ -103,14 +103,15 @@ def run(
     views, craft = ViewModel.load(model), Target.load(target)
     matcher, mesh = Matcher(views), load_mesh(craft.mesh_path, craft.unit)
     camera, rng = flight_camera(mesh), np.random.default_rng([seed, 9])
-    nodes = np.arange(len(views.forest))
+    nodes, scores = np.arange(len(views.forest)), views.forest_scores()
     rotations = views.views.centred_from_target[: len(nodes)]
     reach_rad = (MatchOptions().margin_edges + 2.0) * views.geodesic.mean_edge_rad
     tally: Counter[str] = Counter()
     readings, attitudes, rolls, trusts = [], [], [], []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        size = sum(driver.object_bytes(views, folder).values())
+        sizes = driver.object_bytes(views, folder)
+        size = sum(sizes[name] for name in sizes if "forest" not in name)
         with driver.FlightCode(driver.build(views, folder, [OPTIMISE]), views) as code:
             while len(readings) < signatures:
                 _, pose = random_pose(views, camera, rng)
@@ -133,6 +134,13 @@ def run(
                     match = driver.runtime_search_around(matcher, view, attitude, PRIOR_RAD)
                     found = code.search_around(view, attitude, PRIOR_RAD)
                     tally["sweeps"] += driver.same_search(found, match)
+                    if scores is not None:
+                        centred = Signature(view, signature.area_sr, np.eye(3))
+                        score = scores.scores(centred, attitude[None])[0]
+                        tally["scores"] += code.forest_score(view, attitude) == score
+                        found = code.forest_search(view, attitude, reach_rad)
+                        match = matcher.at(centred, Pose(attitude, np.zeros(3)))
+                        tally["forest searches"] += driver.same_match(found, match)
                     readings.append(view)
                     attitudes.append(attitude)
                     rolls.append(roll)
@@ -140,6 +148,7 @@ def run(
             every, where = np.array(readings), np.array(attitudes)
             all_us = 1e-3 * code.trees_ns(every, np.array(rolls))
             search_us = 1e-3 * code.search_ns(every, where)
+            score_us = 1e-3 * code.forest_score_ns(every, where) if scores else np.zeros(1)
             sweep_us = 1e-3 * code.search_around_ns(every[::10], where[::10])
         python_us = np.full(len(readings), np.inf)
         for _ in range(3):
@@ -151,12 +160,15 @@ def run(
             tally["ONNX"] = ask_onnx(views, folder / "trees.onnx", readings, rolls, trusts)
     total, frames = len(readings), tally["frames"]
     print(f"frame to signature: identical {tally['frames identical']} of {frames} "
-          f"({tally['frames refused']} refused); object size: {size} bytes")  # fmt: skip
+          f"({tally['frames refused']} refused); object size: {size} bytes, "
+          f"{sum(sizes.values()) - size} more with the forest")  # fmt: skip
     checked = ["trees", "searches", "sweeps", *(["ONNX"] if onnx else [])]
+    checked += ["scores", "forest searches"] if scores else []
     for name in checked:
         print(f"{name}: identical {tally[name]} of {total}")
     for name, us in (("all trees", all_us), ("the runtime's loop", python_us),
-                     ("node search", search_us), ("search around 20°", sweep_us)):  # fmt: skip
+                     ("node search", search_us), ("search around 20°", sweep_us),
+                     ("score of the forest", score_us)):  # fmt: skip
         print(f"{name}: median {np.median(us):.1f} µs, worst {us.max():.1f} µs")
     right = (
         tally["frames identical"] == frames

@@ -261,6 +261,7 @@ rdv_status rdv_search(const rdv_signature *signature, const rdv_f64 centred_from
         rdv_f64 trust[RDV_NODES];
         uint32_t k;
 
+        rolls_rad[0] = 0.0; /* no node may be near */
         for (k = 0u; k < count; k++)
         {
             rolls_rad[k] = twist(centred_from_target, rdv_attitudes[near[k]]);
