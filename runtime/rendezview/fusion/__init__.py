@@ -4,7 +4,6 @@ from rendezview.fusion.fusion import Estimate, Fusion
 from rendezview.fusion.options import FusionOptions, MotionOptions, SensorOptions
 from rendezview.fusion.state import FilterState, predict
 from rendezview.fusion.trust import Trust, Verdict
-from rendezview.fusion.update import Innovation, Rejected, innovation, update
 from rendezview.sensors.measurement import (
     BeamSurface,
     Measurement,
@@ -20,18 +19,14 @@ __all__ = [
     "FilterState",
     "Fusion",
     "FusionOptions",
-    "Innovation",
     "Measurement",
     "MotionOptions",
     "PoseMeasurement",
     "RangeMeasurement",
-    "Rejected",
     "RingCandidate",
     "RingMeasurement",
     "SensorOptions",
     "Trust",
     "Verdict",
-    "innovation",
     "predict",
-    "update",
 ]

@@ -8,15 +8,23 @@ import threading
 from dataclasses import dataclass
 from typing import overload
 
+import numpy as np
+from scipy.special import chdtri, expit
+
+from rendezview.fusion.choice import Rival, Snapshot, resumed, step, useless_covariance
 from rendezview.fusion.options import FusionOptions
-from rendezview.fusion.state import RING, FilterState, predict
-from rendezview.fusion.step import Snapshot, resumed, step, useless
+from rendezview.fusion.state import RING_GEOMETRY, FilterState, estimate_of, predict
 from rendezview.fusion.trust import Trust, Verdict
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 from rendezview.sensors.observation import Status
+from rendezview.sensors.protection import ESTIMATORS_DISAGREE, Protection
 
 _ROUNDING_S = 1e-9  # Source: by construction
+_ORDER_LEAD = 1.0  # by which the other order must be likelier, nats. Source: by construction
+# Probability of a rival, and readings of one sensor turned away in a row, that raise an alarm.
+_ALARM, _CONTRADICTS = 0.1, 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,12 +35,15 @@ class Estimate:
     status: Status
     reason: str | None
     pose: Pose | None  # camera_from_target; None: waiting or lost
-    rates: Array | None  # (6,) angular rate (rad/s), velocity of the target's origin (m/s)
+    # (6,) angular rate (rad/s), velocity of the target's origin (m/s); None: starting, too
+    rates: Array | None
     covariance: Array | None  # (12, 12) rotation vector, translation, angular rate, velocity
     ring_radius: float | None = None  # estimated true radius divided by the given one
     ring_depth_m: float | None = None  # estimated offset along its axis from the given place
     # (2, 2) of these two; 0 where one is known. None: neither is estimated.
     ring_covariance: Array | None = None
+    protection: Protection | None = None  # None: no pose
+    note: str | None = None  # why the filter last began anew
 
 
 class Fusion:
@@ -72,17 +83,51 @@ class Fusion:
         time_s = measurement.time_s
         if time_s < self._floor_s:
             reason = f"later than {self.options.history_s:g} s: no longer remembered"
-            return Verdict(measurement.sensor, time_s, False, reason)
+            return Verdict(measurement.sensor, time_s, False, reason, None, measurement.size)
         place = bisect.bisect_right(self._measurements, time_s, key=_time_of)
-        before = self._after[place - 1] if place else self._base
-        after, verdict = step(before, measurement, self.options)
-        self._measurements.insert(place, measurement)
-        self._after.insert(place, after)
-        for k in range(place + 1, len(self._measurements)):  # what came before it, but is later
-            after, _ = step(after, self._measurements[k], self.options)
-            self._after[k] = after
-        self._forget()
+        after, verdict = self._filtered(place, [measurement])
+        if not verdict.accepted:
+            # Of those that contradict each other at one time, the likelier order counts.
+            first = bisect.bisect_left(self._measurements, time_s, key=_time_of)
+            others = self._measurements[first:place]
+            if 0 < first < place:
+                own = after[-1].log_likelihood
+                own += sum(snapshot.log_likelihood for snapshot in self._after[first:place])
+                swapped, other_verdict = self._filtered(first, [measurement, *others])
+                if sum(one.log_likelihood for one in swapped) > own + _ORDER_LEAD:
+                    del self._measurements[first:place], self._after[first:place]
+                    measurements, place = [measurement, *others], first
+                    self._put(place, measurements, swapped)
+                    return other_verdict
+        self._put(place, [measurement], after)
         return verdict
+
+    def _filtered(
+        self, place: int, measurements: list[Measurement]
+    ) -> tuple[list[Snapshot], Verdict]:
+        """The snapshots after each of these, from the one before ``place``; the first's verdict."""
+        snapshot = self._after[place - 1] if place else self._base
+        snapshots: list[Snapshot] = []
+        verdicts: list[Verdict] = []
+        for measurement in measurements:
+            snapshot, verdict = step(snapshot, measurement, self.options)
+            snapshots.append(snapshot)
+            verdicts.append(verdict)
+        return snapshots, verdicts[0]
+
+    def _put(
+        self, place: int, measurements: list[Measurement], snapshots: list[Snapshot]
+    ) -> None:
+        """Insert them, and filter again what is later."""
+        later = self._measurements[place:]
+        del self._measurements[place:], self._after[place:]
+        self._measurements += measurements
+        self._after += snapshots
+        for measurement in later:
+            after, _ = step(self._after[-1], measurement, self.options)
+            self._measurements.append(measurement)
+            self._after.append(after)
+        self._forget()
 
     def resume(self, last: Estimate) -> None:
         """Go on from the last estimate of another filter; nothing may have been added yet.
@@ -94,7 +139,7 @@ class Fusion:
         if pose is None or rates is None or covariance is None:
             raise ValueError(f"an estimate without a pose ({last.status}) cannot be resumed")
         with self._lock:
-            if self._measurements or self._base.state is not None:
+            if self._measurements or self._base.main is not None:
                 raise ValueError("this filter has begun: resume a new one")
             start = PoseMeasurement(last.time_s, "before", pose, covariance[:6, :6])
             confirmed = last.status in (Status.TRACKING, Status.COASTING)
@@ -114,10 +159,10 @@ class Fusion:
         with self._lock:
             place = bisect.bisect_right(self._measurements, time_s, key=_time_of)
             snapshot = self._after[place - 1] if place else self._base
-        state = snapshot.state
-        if state is None:
+        if snapshot.main is None:
             reason = "no sensor has given a whole pose yet"
             return Estimate(time_s, Status.WAITING, reason, None, None, None)
+        state = snapshot.main.state
         ahead_s = time_s - state.time_s
         if ahead_s < -_ROUNDING_S:
             raise ValueError(
@@ -138,8 +183,8 @@ class Fusion:
     @property
     def time_s(self) -> float | None:
         """Time of the newest measurement that is part of the state."""
-        state = self._newest.state
-        return None if state is None else state.time_s
+        main = self._newest.main
+        return None if main is None else main.state.time_s
 
     @property
     def _newest(self) -> Snapshot:
@@ -147,34 +192,30 @@ class Fusion:
             return self._after[-1] if self._after else self._base
 
     def _estimate(self, snapshot: Snapshot, state: FilterState) -> Estimate:
-        options = self.options
+        options, main = self.options, snapshot.main
+        assert main is not None
         status, reason = Status.TRACKING, None
-        why = useless(state, options)
-        silent_s = state.time_s - snapshot.last_accepted_s
+        pose, rates, covariance = estimate_of(state)
+        limit_m = options.lost_range_fraction * math.sqrt(pose.translation_m @ pose.translation_m)
+        why = useless_covariance(covariance, limit_m, options.lost_rad)
+        silent_s = state.time_s - main.last_accepted_s
         if why is not None:
             return Estimate(state.time_s, Status.LOST, why, None, None, None)
-        if snapshot.agreed < options.start_with:
+        if main.accepted < options.start_with:
             status = Status.STARTING
-            reason = f"{snapshot.agreed} of {options.start_with} poses agree"
+            reason = f"{main.accepted} of {options.start_with} poses agree"
         elif silent_s > options.coasting_after_s:
             locked = [name for name, trust in snapshot.trusts.items() if trust.locked]
             status = Status.COASTING
             reason = f"nothing believed for {silent_s:.1f} s" + (
                 f"; locked out: {', '.join(locked)}" if locked else ""
             )
+        radius, depth_m, ring_covariance = _ring_geometry(state, options)
         return Estimate(
-            state.time_s,
-            status,
-            reason,
-            state.pose,
-            state.rates.copy(),
-            state.motion_covariance.copy(),
-            1.0 + float(state.extras[0]) if options.ring_radius_sigma > 0.0 else None,
-            float(state.extras[1]) if options.ring_depth_sigma_m > 0.0 else None,
-            state.covariance[RING, RING].copy()
-            if options.ring_radius_sigma > 0.0 or options.ring_depth_sigma_m > 0.0
-            else None,
-        )
+            state.time_s, status, reason, pose, None if status is Status.STARTING else rates,
+            covariance, radius, depth_m, ring_covariance,
+            _protection(pose, covariance, snapshot, state.time_s, options), snapshot.note,
+        )  # fmt: skip
 
     def _forget(self) -> None:
         """Drop snapshots older than the memory, except the last of them."""
@@ -186,6 +227,71 @@ class Fusion:
             self._base = self._after[count - 1]
             self._floor_s = self._measurements[count - 1].time_s
             del self._measurements[:count], self._after[:count]
+
+
+def _ring_geometry(
+    state: FilterState, options: FusionOptions
+) -> tuple[float | None, float | None, Array | None]:
+    """True radius over the given one, offset along the axis, and their (2, 2) covariance."""
+    slot = state.slots.get(RING_GEOMETRY)
+    if slot is None:
+        return None, None, None
+    sigmas = np.array([options.ring_radius_sigma, options.ring_depth_sigma_m])
+    rows = slice(slot.start, slot.start + 2)
+    means = sigmas * (state.weights @ state.deviations[:, rows])
+    spread = np.einsum("m,mij->ij", state.weights, state.covariances[:, rows, rows])
+    return (
+        1.0 + float(means[0]) if sigmas[0] > 0.0 else None,
+        float(means[1]) if sigmas[1] > 0.0 else None,
+        spread * np.outer(sigmas, sigmas),
+    )
+
+
+def _protection(
+    pose: Pose, covariance: Array, snapshot: Snapshot, time_s: float, options: FusionOptions
+) -> Protection:
+    """Levels that hold for the state and for every rival that is likelier than the risk.
+
+    Multiple hypothesis solution separation (Blanch et al., IEEE Trans. Aerospace and Electronic
+    Systems 51(1), 2015).
+    """
+    factor = math.sqrt(float(chdtri(3, options.risk)))
+    sigmas = np.sqrt(covariance[:6, :6].diagonal())
+    axes = factor * sigmas
+    attitude = factor * math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+    position_m = factor * math.sqrt(float(np.linalg.eigvalsh(covariance[3:6, 3:6])[-1]))
+    wrong = 0.0
+    for rival in snapshot.rivals:
+        likely = float(expit(rival.score))
+        wrong = max(wrong, likely)
+        if likely < options.risk:
+            continue
+        other, other_covariance = _at(rival, time_s, options)
+        turn = so3.between(np.array(pose.rotation), np.array(other.rotation))
+        off = np.abs(np.concatenate([turn, pose.translation_m - other.translation_m]))
+        spread = other_covariance[:6, :6]
+        axes = np.maximum(axes, off + factor * np.sqrt(spread.diagonal()))
+        attitude = max(attitude, _level(off[:3], spread[:3, :3], factor))
+        position_m = max(position_m, _level(off[3:], spread[3:, 3:], factor))
+    alarms = ()
+    if wrong > _ALARM or any(
+        trust.rejected >= _CONTRADICTS and time_s - trust.last_s < options.coasting_after_s
+        for trust in snapshot.trusts.values()
+    ):
+        alarms = (ESTIMATORS_DISAGREE,)
+    return Protection(
+        options.risk, min(attitude, math.pi), position_m, axes, wrong, 0.0, alarms
+    )  # fmt: skip
+
+
+def _at(rival: Rival, time_s: float, options: FusionOptions) -> tuple[Pose, Array]:
+    state = rival.hypothesis.state
+    pose, _, covariance = estimate_of(predict(state, max(time_s - state.time_s, 0.0), options))
+    return pose, covariance
+
+
+def _level(off: Array, covariance: Array, factor: float) -> float:
+    return float(np.linalg.norm(off)) + factor * math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
 
 
 def _time_of(measurement: Measurement) -> float:

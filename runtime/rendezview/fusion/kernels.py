@@ -1,238 +1,462 @@
-"""The loops of the filter, compiled: prediction in place, gain, and the turn of an attitude."""
+"""The loops of the filter, compiled: prediction, comparison with a measurement, correction.
+
+All models share one nominal state; each has its own deviation x (M, n), covariance P (M, n, n) and
+probability (M,). The state's layout is in `state`.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numba import njit
 
 from rendezview.estimation.linear_algebra import square_root
-from rendezview.estimation.motion import predict_covariance
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 
+MOTION = 18  # attitude, place, rate, velocity, jitter, acceleration. Source: by construction
+_LEAST_PROBABILITY = 1e-5  # of a model, so that it can return. Source: by construction
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def turned(vector: Array, rotation: Array) -> Array:
-    """exp([vector]×) rotation, orthonormalised, so that rounding does not add up."""
-    out = np.empty((3, 3))
-    so3.perturb_into(vector, rotation, out)
-    so3.orthonormalise(out)
+def transit(
+    row: Array, dt: float, jitter: float, lasting: float,
+    turn: Array, rotation: Array, place: Array, velocity: Array, fade: Array,
+) -> None:  # fmt: skip
+    """An error (n,) after ``dt``, in place: F of the filter.
+
+    Args:
+        jitter, lasting: what is left of the jitter and the acceleration.
+        turn: (3, 3) of the target's axes.
+        rotation, place, velocity: nominal state after ``dt``.
+        fade: (n - 18,) what is left of each bias.
+    """
+    tx = row[3] + dt * row[9] + 0.5 * dt * dt * row[15]
+    ty = row[4] + dt * row[10] + 0.5 * dt * dt * row[16]
+    tz = row[5] + dt * row[11] + 0.5 * dt * dt * row[17]
+    ux, uy, uz = row[9] + dt * row[15], row[10] + dt * row[16], row[11] + dt * row[17]
+    ax, ay, az = row[15], row[16], row[17]
+    wx, wy, wz = dt * row[6], dt * row[7], dt * row[8]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        w_j, w_k = dt * row[6 + j], dt * row[6 + k]
+        row[i] += (jitter - 1.0) * row[12 + i]
+        row[i] += rotation[i, 0] * wx + rotation[i, 1] * wy + rotation[i, 2] * wz
+        row[3 + i] = turn[i, 0] * tx + turn[i, 1] * ty + turn[i, 2] * tz
+        row[3 + i] += place[j] * w_k - place[k] * w_j
+        row[9 + i] = turn[i, 0] * ux + turn[i, 1] * uy + turn[i, 2] * uz
+        row[9 + i] += velocity[j] * w_k - velocity[k] * w_j
+        row[12 + i] *= jitter
+        row[15 + i] = lasting * (turn[i, 0] * ax + turn[i, 1] * ay + turn[i, 2] * az)
+    for i in range(len(fade)):
+        row[MOTION + i] *= fade[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mixed(
+    deviations: Array, covariances: Array, weights: Array, moves: Array
+) -> tuple[Array, Array, Array]:
+    """Deviations, covariances and probabilities before a step in which models may change.
+
+    Blom and Bar-Shalom, IEEE Trans. Automatic Control 33(8), 1988.
+
+    Args:
+        moves: (M, M) probability of a change from each model to each.
+    """
+    count, n = deviations.shape
+    later = np.zeros(count)
+    for i in range(count):
+        for j in range(count):
+            later[j] += weights[i] * moves[i, j]
+    x, p = np.zeros((count, n)), np.zeros((count, n, n))
+    for j in range(count):
+        for i in range(count):
+            share = weights[i] * moves[i, j] / later[j]
+            for a in range(n):
+                x[j, a] += share * deviations[i, a]
+        for i in range(count):
+            share = weights[i] * moves[i, j] / later[j]
+            if share < 1e-9:
+                continue
+            for a in range(n):
+                off = share * (deviations[i, a] - x[j, a])
+                for b in range(a + 1):
+                    p[j, a, b] += share * covariances[i, a, b]
+                    p[j, a, b] += off * (deviations[i, b] - x[j, b])
+        for a in range(n):
+            for b in range(a):
+                p[j, b, a] = p[j, a, b]
+    return x, p, later
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_noise(
+    covariance: Array, dt: float, rotation: Array, place: Array, velocity: Array, angular: float,
+    acceleration: float, lasting: float, jitter: float, slew: float,
+) -> None:  # fmt: skip
+    """Add the process noise of one model to P (n, n), in place.
+
+    Args:
+        angular, acceleration, slew: spectral densities.
+        lasting: variance that the lasting acceleration gains in ``dt``.
+        jitter: variance that the jitter gains.
+    """
+    arms = np.zeros((12, 3))  # a rate gained at the middle of the step
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        arms[3 + i, k], arms[3 + i, j] = 0.5 * dt * place[j], -0.5 * dt * place[k]
+        arms[9 + i, k], arms[9 + i, j] = 0.5 * dt * velocity[j], -0.5 * dt * velocity[k]
+        arms[6 + i, i] = 1.0
+        for j in range(3):
+            arms[i, j] = 0.5 * dt * rotation[i, j]
+    gained = angular * dt
+    for a in range(12):
+        for b in range(12):
+            s = arms[a, 0] * arms[b, 0] + arms[a, 1] * arms[b, 1] + arms[a, 2] * arms[b, 2]
+            covariance[a, b] += gained * s
+    pp = acceleration * dt**3 / 3.0 + lasting * dt**4 / 20.0
+    pv = acceleration * dt**2 / 2.0 + lasting * dt**3 / 8.0
+    vv = acceleration * dt + lasting * dt**2 / 3.0
+    for i in range(3):
+        covariance[i, i] += jitter + slew * dt
+        covariance[i, 12 + i] += jitter
+        covariance[12 + i, i] += jitter
+        covariance[12 + i, 12 + i] += jitter
+        covariance[3 + i, 3 + i] += pp
+        covariance[3 + i, 9 + i] += pv
+        covariance[9 + i, 3 + i] += pv
+        covariance[9 + i, 9 + i] += vv
+        covariance[3 + i, 15 + i] += lasting * dt**2 / 6.0
+        covariance[15 + i, 3 + i] += lasting * dt**2 / 6.0
+        covariance[9 + i, 15 + i] += lasting * dt / 2.0
+        covariance[15 + i, 9 + i] += lasting * dt / 2.0
+        covariance[15 + i, 15 + i] += lasting
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def changes(stays: Array, dt: float) -> Array:
+    """(K, K) probability to go from each of K models to each in ``dt``; ``stays`` (K,) s."""
+    count = len(stays)
+    out = np.ones((count, count))
+    for i in range(count):
+        left = 1.0 - math.exp(-dt / stays[i])
+        for j in range(count):
+            if count > 1:
+                out[i, j] = left / (count - 1) if i != j else 1.0 - left
     return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def craft_accelerations(
-    arm: Array, angular: float, linear: float, along: float, pointing: float
-) -> Array:
-    """(6, 6) spectral density of the accelerations of two craft.
-
-    The target rotates, one craft translates against the other, and the camera rotates: by w,
-    which rotates the target by w and moves it by w × arm.
-
-    Args:
-        arm: (3,) translation from the camera to the target, m.
-        angular, linear, along, pointing: squared `MotionOptions`.
-    """
-    density = np.zeros((6, 6))
-    swing = np.zeros((3, 3))  # w ↦ w × arm
-    swing[0, 1], swing[0, 2] = arm[2], -arm[1]
-    swing[1, 0], swing[1, 2] = -arm[2], arm[0]
-    swing[2, 0], swing[2, 1] = arm[1], -arm[0]
-    square = arm[0] ** 2 + arm[1] ** 2 + arm[2] ** 2
-    for i in range(3):
-        density[i, i] = angular + pointing
-        density[3 + i, 3 + i] = linear
-    for i in range(3):
-        for j in range(3):
-            density[3 + i, j] = density[j, 3 + i] = pointing * swing[i, j]
-            if square > 0.0:
-                density[3 + i, 3 + j] += along * arm[i] * arm[j] / square
-            for k in range(3):
-                density[3 + i, 3 + j] += pointing * swing[i, k] * swing[j, k]
-    return density
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def predicted(
-    rotation: Array,
-    translation: Array,
-    rates: Array,
-    extras: Array,
-    covariance: Array,
-    fading: Array,
-    dt: float,
-    angular: float,
-    linear: float,
-    along: float,
-    pointing: float,
-) -> tuple[Array, Array, Array, Array]:
-    """Rotation, translation, extras and covariance ``dt`` later.
+    rotation: Array, place: Array, rate: Array, velocity: Array, deviations: Array,
+    covariances: Array, weights: Array, fading: Array, dt: float, angular: float,
+    accelerations: Array, jitters: Array, jitter_stay_s: float,
+) -> tuple[Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    """Rotation, place, rate, velocity, deviations, covariances and weights ``dt`` later.
 
-    ``fading`` (n - 12, 2) is how fast each of the extras is forgotten: by time (1/s), and by
-    change of the logarithm of the range.
+    Args:
+        fading: (n - 18, 2) how fast each bias is forgotten: 1/s, and per ln of the range.
+        angular: rad/s² √s.
+        accelerations: (A, 4) m/s² √s, lasting σ, its correlation, mean stay.
+        jitters: (J, 3) σ rad, correlation s, slew rad/√s. Model a J + j has both.
     """
-    square, inwards = 0.0, 0.0
-    for i in range(3):
-        square += translation[i] * translation[i]
-        inwards += translation[i] * rates[3 + i]
-    speed = abs(inwards) / square if square > 0.0 else 0.0
-    fade = np.empty(len(extras))
-    for i in range(len(extras)):
-        fade[i] = np.exp(-dt * (fading[i, 0] + speed * fading[i, 1]))
-    turn = so3.exp(dt * rates[:3])
-    density = craft_accelerations(translation, angular, linear, along, pointing)
-    out = predict_covariance(covariance, turn, dt, density, fade)
-    later = np.empty((3, 3))
+    count, n = deviations.shape
+    kinds = len(jitters)
+    by_acceleration = changes(accelerations[:, 3].copy(), dt)
+    by_jitter = changes(np.full(kinds, jitter_stay_s), dt)
+    moves = np.empty((count, count))
+    for i in range(count):
+        for j in range(count):
+            change = by_acceleration[i // kinds, j // kinds] * by_jitter[i % kinds, j % kinds]
+            moves[i, j] = change
+    x, p, later = mixed(deviations, covariances, weights, moves)
+    turn = so3.exp(-dt * rate)
+    moved, sped, new_place, new_velocity = place + dt * velocity, velocity, place * 0.0, rate * 0.0
+    so3.rotate_into(turn, moved, new_place)
+    so3.rotate_into(turn, sped, new_velocity)
+    new_rotation = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
-            later[i, j] = (
-                turn[i, 0] * rotation[0, j]
-                + turn[i, 1] * rotation[1, j]
-                + turn[i, 2] * rotation[2, j]
+            new_rotation[i, j] = (
+                rotation[i, 0] * turn[j, 0]
+                + rotation[i, 1] * turn[j, 1]
+                + rotation[i, 2] * turn[j, 2]
             )
-    so3.orthonormalise(later)
-    return later, translation + dt * rates[3:], fade * extras, out
+    so3.orthonormalise(new_rotation)
+    before, after = 1e-6, 1e-6
+    for i in range(3):
+        before += place[i] * place[i]
+        after += new_place[i] * new_place[i]
+    neared = abs(0.5 * math.log(after / before))
+    fade = np.empty(n - MOTION)
+    for i in range(len(fade)):
+        fade[i] = math.exp(-dt * fading[i, 0] - neared * fading[i, 1])
+    for m in range(count):
+        white, sigma, tau, _ = accelerations[m // kinds]
+        swing, swing_s, slew = jitters[m % kinds]
+        jitter, lasting = math.exp(-dt / swing_s), math.exp(-dt / tau)
+        transit(
+            x[m], dt, jitter, lasting, turn, new_rotation, new_place, new_velocity, fade
+        )  # fmt: skip
+        for _ in range(2):  # F (P Fᵀ): rows, then those of the transpose
+            for i in range(n):
+                transit(
+                    p[m, i], dt, jitter, lasting, turn, new_rotation, new_place, new_velocity, fade
+                )  # fmt: skip
+            for i in range(n):
+                for j in range(i):
+                    p[m, i, j], p[m, j, i] = p[m, j, i], p[m, i, j]
+        add_noise(
+            p[m], dt, new_rotation, new_place, new_velocity, angular**2, white**2,
+            sigma**2 * (1.0 - lasting**2), swing**2 * (1.0 - jitter**2), slew**2,
+        )  # fmt: skip
+        for i in range(len(fade)):
+            p[m, MOTION + i, MOTION + i] += 1.0 - fade[i] ** 2
+    return new_rotation, new_place, rate.copy(), new_velocity, x, p, later
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def whitened(
-    covariance: Array, design: Array, noise: Array, residual: Array
-) -> tuple[bool, float, float, Array, Array, Array]:
-    """A residual in units of its covariance S = H P Hᵀ + R = L Lᵀ.
+def compared(
+    deviations: Array, covariances: Array, weights: Array, design: Array, noise: Array,
+    residual: Array,
+) -> tuple[bool, float, float, float, Array, Array, Array, Array, Array]:  # fmt: skip
+    """A residual beside every model: its innovation in units of S = H P Hᵀ + R = L Lᵀ.
 
     Args:
-        covariance: (n, n) P.
-        design: (m, n) H, of the measurement's slope by every state.
-        noise: (m, m) R, white.
-        residual: (m,) measured − expected.
+        design: (k, n) H, slope of the measurement by every state.
+        noise: (k, k) R, white.
+        residual: (k,) measured − expected at the nominal state.
 
     Returns:
-        Whether S is positive; NIS; ln|S|; (n, m) P Hᵀ; (m, m) L; (m,) L⁻¹ residual.
+        Whether every S is positive; log-likelihood over all models; the mean of its largest value,
+        at no deviation; mean NIS; (k,) mean innovation; (M,) log-likelihoods; (M, n, k) P Hᵀ;
+        (M, k, k) L; (M, k) L⁻¹ innovation.
     """
-    m, n = design.shape
-    across = np.zeros((n, m))
-    for k in range(m):
-        for j in range(n):
-            h = design[k, j]
-            if h != 0.0:
-                for i in range(n):
-                    across[i, k] += covariance[j, i] * h  # symmetric: along the row
-    spread = np.empty((m, m))
-    for i in range(m):
-        for j in range(i + 1):
-            s = 0.5 * (noise[i, j] + noise[j, i])
-            for k in range(n):
-                if design[i, k] != 0.0:
-                    s += design[i, k] * across[k, j]
-            spread[i, j] = spread[j, i] = s
-    lower = square_root(spread)
-    white = residual.copy()
-    nis, logarithm = 0.0, 0.0
-    for i in range(m):
-        if not lower[i, i] > 0.0:
-            return False, np.inf, np.inf, across, lower, white
-        for k in range(i):
-            white[i] -= lower[i, k] * white[k]
-        white[i] /= lower[i, i]
-        nis += white[i] * white[i]
-        logarithm += 2.0 * np.log(lower[i, i])
-    return True, nis, logarithm, across, lower, white
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def gain(
-    covariance: Array, design: Array, noise: Array, residual: Array
-) -> tuple[bool, float, float, Array, Array]:
-    """Whether S of `whitened` is positive; NIS; ln|S|; (n,) correction; (n, n) P after it."""
-    m, n = design.shape
-    fits, nis, logarithm, across, lower, white = whitened(covariance, design, noise, residual)
-    correction = np.zeros(n)
-    if not fits:
-        return False, nis, logarithm, correction, covariance
-    # P Hᵀ L⁻ᵀ, so that P falls by its square and stays symmetric.
-    for r in range(n):
-        for i in range(m):
-            s = across[r, i]
-            for k in range(i):
-                s -= lower[i, k] * across[r, k]
-            across[r, i] = s / lower[i, i]
-    after = np.empty((n, n))
-    for i in range(n):
-        for k in range(m):
-            correction[i] += across[i, k] * white[k]
-        for j in range(i + 1):
-            s = 0.5 * (covariance[i, j] + covariance[j, i])
-            for k in range(m):
-                s -= across[i, k] * across[j, k]
-            after[i, j] = s
-            after[j, i] = s
-    return True, nis, logarithm, correction, after
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def with_bias(
-    extras: Array, slope: Array, root: Array, start: int, measured: Array
-) -> tuple[Array, Array]:
-    """(m, n) slope by every state, and (m,) residual less the bias at ``start``.
-
-    Args:
-        extras: (n - 12,) all states but those of motion.
-        slope: (m, 14) by motion, ring radius and depth.
-        root: (m, b) by the bias.
-        measured: (m,) measured − expected, the bias left out.
-    """
-    m = len(measured)
-    design = np.zeros((m, 12 + len(extras)))
-    residual = measured.copy()
-    for i in range(m):
-        for j in range(slope.shape[1]):
-            design[i, j] = slope[i, j]
-        for j in range(root.shape[1]):
-            design[i, start + j] = root[i, j]
-            residual[i] -= root[i, j] * extras[start - 12 + j]
-    return design, residual
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def corrected(
-    rotation: Array,
-    translation: Array,
-    rates: Array,
-    extras: Array,
-    covariance: Array,
-    slope: Array,
-    root: Array,
-    start: int,
-    white: Array,
-    measured: Array,
-) -> tuple[bool, float, float, Array, Array, Array, Array, Array, Array]:
-    """The state after a measurement: arguments of `with_bias`, ``white`` (m, m) the white noise.
-
-    Returns:
-        Whether it can be used; NIS; ln|S|; (m,) residual less the bias; rotation,
-        translation, rates, extras and covariance after it.
-    """
-    design, residual = with_bias(extras, slope, root, start, measured)
-    fits, nis, logarithm, step, after = gain(covariance, design, white, residual)
-    for i in range(len(step)):
-        fits = fits and np.isfinite(step[i])
+    count, n = deviations.shape
+    k = len(residual)
+    across, lowers = np.zeros((count, n, k)), np.zeros((count, k, k))
+    whites, logs, mean = np.empty((count, k)), np.empty(count), np.zeros(k)
+    spread = np.empty((k, k))
+    fits, peak, squared = True, 0.0, 0.0
+    for m in range(count):
+        for r in range(k):
+            off = residual[r]
+            for j in range(n):
+                h = design[r, j]
+                if h != 0.0:
+                    off -= h * deviations[m, j]
+                    for i in range(n):
+                        across[m, i, r] += covariances[m, j, i] * h
+            whites[m, r] = off
+            mean[r] += weights[m] * off
+        for r in range(k):
+            for c in range(r + 1):
+                s = 0.5 * (noise[r, c] + noise[c, r])
+                for j in range(n):
+                    if design[r, j] != 0.0:
+                        s += design[r, j] * across[m, j, c]
+                spread[r, c] = spread[c, r] = s
+        lower = square_root(spread)
+        nis, volume = 0.0, 0.0
+        for r in range(k):
+            if not lower[r, r] > 0.0:
+                fits = False
+                lower[r, r] = np.inf
+            for c in range(r):
+                whites[m, r] -= lower[r, c] * whites[m, c]
+            whites[m, r] /= lower[r, r]
+            nis += whites[m, r] ** 2
+            volume += 2.0 * math.log(lower[r, r])
+        lowers[m] = lower
+        height = -0.5 * (volume + k * math.log(2.0 * math.pi))
+        logs[m] = height - 0.5 * nis
+        peak += weights[m] * height
+        squared += weights[m] * nis
+    best = -np.inf
+    for m in range(count):
+        best = max(best, logs[m])
+    total = 0.0
+    for m in range(count):
+        total += weights[m] * math.exp(logs[m] - best)
     return (
-        fits, nis, logarithm, residual, turned(step[:3], rotation), translation + step[3:6],
-        rates + step[6:12], extras + step[12:], after,
+        fits, best + math.log(max(total, 1e-300)), peak, squared, mean, logs, across, lowers,
+        whites,
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def distance(
-    extras: Array,
-    covariance: Array,
-    slope: Array,
-    root: Array,
-    start: int,
-    white: Array,
-    measured: Array,
-) -> tuple[bool, float, float]:
-    """As `corrected`, but only whether it can be used, NIS and ln|S|."""
-    design, residual = with_bias(extras, slope, root, start, measured)
-    fits, nis, logarithm, _, _, _ = whitened(covariance, design, white, residual)
-    return fits, nis, logarithm
+def corrected(
+    rotation: Array, place: Array, rate: Array, velocity: Array, deviations: Array,
+    covariances: Array, weights: Array, logs: Array, across: Array, lowers: Array, whites: Array,
+) -> tuple[Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    """Rotation, place, rate, velocity, deviations, covariances, weights after a measurement.
+
+    The last four arguments are those that `compared` returns. The mean deviation goes into the
+    nominal state; jitter and acceleration stay deviations, since each model has its own.
+    """
+    count, n, k = across.shape
+    x, p, after = deviations.copy(), np.empty((count, n, n)), np.empty(count)
+    best, total = -np.inf, 0.0
+    for m in range(count):
+        best = max(best, logs[m])
+    for m in range(count):
+        after[m] = max(weights[m] * math.exp(logs[m] - best), 1e-300)
+        total += after[m]
+    rest = 0.0
+    for m in range(count):
+        after[m] = max(after[m] / total, _LEAST_PROBABILITY)
+        rest += after[m]
+    gains = np.empty((n, k))
+    mean = np.zeros(12)
+    for m in range(count):
+        after[m] /= rest
+        # P Hᵀ L⁻ᵀ, so that P falls by its square and stays symmetric.
+        for i in range(n):
+            for r in range(k):
+                s = across[m, i, r]
+                for c in range(r):
+                    s -= lowers[m, r, c] * gains[i, c]
+                gains[i, r] = s / lowers[m, r, r]
+                x[m, i] += gains[i, r] * whites[m, r]
+        for i in range(n):
+            for j in range(i + 1):
+                s = 0.5 * (covariances[m, i, j] + covariances[m, j, i])
+                for r in range(k):
+                    s -= gains[i, r] * gains[j, r]
+                p[m, i, j] = s
+                p[m, j, i] = s
+        for i in range(12):
+            mean[i] += after[m] * x[m, i]
+    for m in range(count):
+        for i in range(12):
+            x[m, i] -= mean[i]
+    turned = np.empty((3, 3))
+    so3.perturb_into(mean[:3], rotation, turned)
+    so3.orthonormalise(turned)
+    return turned, place + mean[3:6], rate + mean[6:9], velocity + mean[9:12], x, p, after
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def white_share(
+    shares: Array, root: Array, weights: Array, lowers: Array, whites: Array
+) -> Array:
+    """(k,) how much larger the white share of each component seems than it was taken.
+
+    One step of expectation and maximisation: w² ((Aᵀ S⁻¹ y)² − diag Aᵀ S⁻¹ A), where A Aᵀ is the
+    sensor's covariance; the mean of the first three components, and of the others.
+
+    Args:
+        shares: (k,) as taken.
+        root: (k, k) A.
+        lowers, whites: (M, k, k) and (M, k) of `compared`.
+    """
+    count, k = whites.shape
+    out = np.zeros(k)
+    column = np.empty(k)
+    for m in range(count):
+        for c in range(k):
+            along, size = 0.0, 0.0
+            for r in range(k):
+                s = root[r, c]
+                for q in range(r):
+                    s -= lowers[m, r, q] * column[q]
+                column[r] = s / lowers[m, r, r]
+                along += column[r] * whites[m, r]
+                size += column[r] ** 2
+            # An outlier within the gate must not teach more than five σ.
+            seen = min(along**2, 25.0 * size)
+            out[c] += weights[m] * (seen - size) * shares[c] ** 2
+    for first, last in ((0, min(k, 3)), (3, k)):
+        mean = 0.0
+        for c in range(first, last):
+            mean += out[c] / (last - first)
+        for c in range(first, last):
+            out[c] = mean
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def jitter_step(
+    tilts: Array, weights: Array, lowers: Array, whites: Array, gained: float
+) -> float:
+    """Fisher's scoring step of the jitter's variance, rad².
+
+    Args:
+        tilts: (k, 3) slope of the measurement by the attitude.
+        gained: share of the jitter's variance that is new since the last pose.
+    """
+    count, k = whites.shape
+    slope, curvature = 0.0, 0.0
+    column = np.empty((k, 3))
+    for m in range(count):
+        for c in range(3):
+            along, size = 0.0, 0.0
+            for r in range(k):
+                s = tilts[r, c]
+                for q in range(r):
+                    s -= lowers[m, r, q] * column[q, c]
+                column[r, c] = s / lowers[m, r, r]
+                along += column[r, c] * whites[m, r]
+                size += column[r, c] ** 2
+            slope += weights[m] * gained * (along**2 - size)
+        for c in range(3):
+            for d in range(3):
+                dot = 0.0
+                for r in range(k):
+                    dot += column[r, c] * column[r, d]
+                curvature += weights[m] * (gained * dot) ** 2
+    return slope / curvature if curvature > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def moments(
+    rotation: Array, place: Array, rate: Array, velocity: Array, deviations: Array,
+    covariances: Array, weights: Array,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """What the models say together, camera frame.
+
+    Returns:
+        (3, 3) camera_from_target; (3,) translation; (6,) rates; (12, 12) covariance of rotation
+        vector, translation, angular rate, velocity, perturbation on the left.
+    """
+    count = len(weights)
+    mean, spread = np.zeros(12), np.zeros((12, 12))
+    for m in range(count):
+        for i in range(12):
+            mean[i] += weights[m] * deviations[m, i]
+    for m in range(count):
+        for i in range(12):
+            for j in range(12):
+                off = (deviations[m, i] - mean[i]) * (deviations[m, j] - mean[j])
+                spread[i, j] += weights[m] * (covariances[m, i, j] + off)
+    turned = np.empty((3, 3))
+    so3.perturb_into(mean[:3], rotation, turned)
+    minus_place = -(place + mean[3:6])
+    translation, rates = np.empty(3), np.empty(6)
+    so3.rotate_into(turned, minus_place, translation)
+    so3.rotate_into(turned, rate + mean[6:9], rates[:3])
+    so3.rotate_into(turned, -(velocity + mean[9:12]), rates[3:])
+    # From (attitude, place, rate, velocity) in the target's axes to those of the camera.
+    into = np.zeros((12, 12))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        into[i, i] = 1.0
+        into[3 + i, j], into[3 + i, k] = translation[k], -translation[j]
+        into[6 + i, j], into[6 + i, k] = rates[k], -rates[j]
+        into[9 + i, j], into[9 + i, k] = rates[3 + k], -rates[3 + j]
+        for j in range(3):
+            into[3 + i, 3 + j] = -turned[i, j]
+            into[6 + i, 6 + j] = turned[i, j]
+            into[9 + i, 9 + j] = -turned[i, j]
+    half, out = np.zeros((12, 12)), np.zeros((12, 12))
+    for i in range(12):
+        for j in range(12):
+            for k in range(12):
+                half[i, j] += into[i, k] * spread[k, j]
+    for i in range(12):
+        for j in range(i + 1):
+            for k in range(12):
+                out[i, j] += half[i, k] * into[j, k]
+            out[j, i] = out[i, j]
+    return turned, translation, rates, out

@@ -1,141 +1,207 @@
-"""Measurement models: the predicted value of each kind, and its Jacobian by the state.
+"""Measurement models: what each kind of reading should be at a state, and its Jacobian.
 
-Slopes are of the error state: R_true = exp([w]×) R, t_true = t + v (docs/conventions.md).
+A reading may mean several things: either circle of a ring's ellipse, or another edge than the
+ring's. Each is a `Forecast`; the likeliest counts. Slopes are of the error state (`state`):
+R_true = exp([θ]×) R, p_true = p + δp (docs/conventions.md).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
-from scipy.special import chdtri
 
-from rendezview.fusion.model_kernels import pose_model, ring_expected
-from rendezview.fusion.options import SensorOptions
-from rendezview.fusion.state import FilterState
+from rendezview.fusion.options import FusionOptions, SensorOptions
+from rendezview.fusion.state import (
+    RING_GEOMETRY,
+    FilterState,
+    pose_covariance,
+    sensor_options,
+)
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import (
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
     RingMeasurement,
+    tangents,
 )
 
-_COLUMNS = 14  # twelve of motion, ring radius and depth. Source: by construction
 # σ of the place by which a spot must lie within its surface. Source: normal distribution, 95 %
 _INSIDE = 2.0
 # Cosine of beam and surface normal below which a range is not used. Source: by construction, 3°: 1
 # mm of relief is 2 cm of range
 _GRAZING = 0.05
+# Of another edge than the ring's, beside the ring's own errors: σ of its bearing (rad), range
+# (relative) and axis (rad). Source: ring's edge at docking-ring radii of 0.8 to 1.2
+_OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD = 0.01, 0.3, 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Expected:
-    """A measurement linearised at a state."""
+class Forecast:
+    """A reading beside one of its meanings, linearised at a state."""
 
-    residual: Array  # (m,) measured − expected, the bias left out
-    slope: Array  # (m, 14) slope by motion, ring radius and depth
-    white: Array  # (m, m) covariance of the white noise
-    bias_root: Array  # (m, b) slope by the bias, which has unit variance
-    loose: bool = False  # little information: another edge than the ring's was taken
-
-
-@cache
-def gate_of(size: int, chance: float) -> float:
-    """Squared distance that a good measurement exceeds by chance."""
-    return float(chdtri(size, chance))
+    residual: Array  # (k,) measured − expected, the bias left out
+    design: Array  # (k, n) slope by every state, the bias's included
+    noise: Array  # (k, k) covariance of the white noise
+    root: Array  # (k, k) of the whole covariance that the sensor reports
+    shares: Array  # (k,) white share of it
+    teaches: bool = True  # the shares are learnt from it
+    log_prior: float = 0.0
+    other_edge: bool = False
 
 
-def expected(
-    state: FilterState,
-    measurement: Measurement,
-    sensor: SensorOptions,
-    chance_of_other: float = 0.0,
-    start: int = _COLUMNS,
-) -> Expected | str:
-    """The measurement beside the state; words where the two cannot be compared.
-
-    ``start`` is the index of the sensor's bias in the state. The bias gives the likelihood
-    of each candidate.
-    """
+def forecasts(
+    state: FilterState, measurement: Measurement, options: FusionOptions
+) -> list[Forecast] | str:
+    """Each meaning of a reading beside the state; words where the two cannot be compared."""
+    sensor = sensor_options(measurement, options)
     if isinstance(measurement, PoseMeasurement):
-        return _pose(state, measurement, sensor)
+        return [_pose(state, measurement, sensor)]
     if isinstance(measurement, RingMeasurement):
-        return _ring(state, measurement, sensor, chance_of_other, start)
+        return _ring(state, measurement, sensor, options)
     return _range(state, measurement)
 
 
-def _pose(state: FilterState, measurement: PoseMeasurement, sensor: SensorOptions) -> Expected:
-    pose = measurement.pose
-    residual, white, root = pose_model(
-        pose.rotation, pose.translation_m, measurement.covariance, state.rotation,
-        state.translation_m, sensor.inflation, sensor.floor_rad, sensor.floor_range,
-        sensor.bias_share,
+def _forecast(
+    state: FilterState, measurement: Measurement, residual: Array, motion: Array, whole: Array,
+    shares: Array, *, bias: int = 0, teaches: bool = True, log_prior: float = 0.0,
+) -> Forecast | None:  # fmt: skip
+    """With the bias's columns; None where the covariance cannot be used."""
+    try:
+        root = np.linalg.cholesky(whole)
+    except np.linalg.LinAlgError:
+        return None
+    size = len(residual)
+    start = state.slots[measurement.sensor].start + bias
+    design = np.zeros((size, state.deviations.shape[1]))
+    design[:, : motion.shape[1]] = motion
+    design[:, start : start + size] = root * np.sqrt(np.clip(1.0 - shares, 0.0, 1.0))
+    noise = (root * shares) @ root.T
+    return Forecast(
+        residual, design, noise, root, shares, teaches, log_prior, bias > 0
     )  # fmt: skip
-    return Expected(residual, _POSE_SLOPE, white, root)
+
+
+def _pose(state: FilterState, measurement: PoseMeasurement, sensor: SensorOptions) -> Forecast:
+    pose, rotation = measurement.pose, state.rotation
+    away = -rotation @ state.place_m
+    residual = np.empty(6)
+    residual[:3] = so3.between(np.array(pose.rotation), rotation)
+    residual[3:] = pose.translation_m - away
+    motion = np.zeros((6, 6))
+    motion[:3, :3] = _UNIT
+    motion[3:, :3] = -so3.hat(away)
+    motion[3:, 3:] = -rotation
+    whole = pose_covariance(measurement, sensor)
+    forecast = _forecast(
+        state, measurement, residual, motion, whole, state.white[measurement.sensor]
+    )
+    assert forecast is not None  # the measurement checks its covariance
+    return forecast
 
 
 def _ring(
-    state: FilterState,
-    measurement: RingMeasurement,
-    sensor: SensorOptions,
-    chance_of_other: float,
-    start: int,
-) -> Expected | str:
-    if state.extras[0] <= -0.9:
+    state: FilterState, measurement: RingMeasurement, sensor: SensorOptions, options: FusionOptions
+) -> list[Forecast] | str:
+    ring, rotation = measurement.ring, state.rotation
+    radius, depth_m, geometry = 1.0, 0.0, state.slots.get(RING_GEOMETRY)
+    if geometry is not None:
+        radius += options.ring_radius_sigma * state.mean(geometry.start)
+        depth_m += options.ring_depth_sigma_m * state.mean(geometry.start + 1)
+    if radius <= 0.1:
         return "the ring's radius is lost"
-    ring = measurement.ring
-    # Copies: for read-only arrays numba would compile the loop a second time.
-    centre_m, axis = np.array(ring.centre_m), np.array(ring.axis)
-    before, loose, residual, slope, white, root = ring_expected(
-        measurement.centres_m, measurement.axes, measurement.covariances, centre_m, axis,
-        state.rotation, state.translation_m, state.extras, state.covariance, start,
-        sensor.inflation, sensor.floor_rad, sensor.floor_range, sensor.bias_share, chance_of_other,
-    )  # fmt: skip
-    if not before:
+    # The radius that the sensor takes is too small by this factor: so is its centre's distance.
+    axis = rotation @ ring.axis
+    centre = rotation @ (ring.centre_m + depth_m * np.array(ring.axis) - state.place_m) / radius
+    if centre[2] <= 0.0:
         return "the ring would be behind the camera"
-    return Expected(residual, slope, white, root, loose)
+    width = 6 if geometry is None else geometry.start + 2
+    basis = tangents(axis)
+    motion = np.zeros((5, width))
+    motion[:3, :3] = -so3.hat(centre)
+    motion[:3, 3:6] = -rotation / radius
+    motion[3:, :3] = -basis.T @ so3.hat(axis)
+    if geometry is not None:
+        motion[:3, geometry.start] = -options.ring_radius_sigma / radius * centre
+        motion[:3, geometry.start + 1] = options.ring_depth_sigma_m / radius * axis
+    other = options.ring_other_edge
+    found = []
+    for candidate in measurement.candidates[:2]:
+        sign = 1.0 if candidate.axis @ axis >= 0.0 else -1.0  # a circle has no front
+        place = candidate.centre_m - centre
+        residual = np.concatenate([place, basis.T @ (sign * candidate.axis - axis)])
+        if geometry is not None:  # the design's columns have the mean already
+            residual = residual + motion[:, width - 2 :] @ (
+                np.array([state.mean(geometry.start), state.mean(geometry.start + 1)])
+            )
+        flat = np.zeros((5, 6))
+        flat[:3, :3], flat[3:, 3:] = _UNIT, sign * basis.T
+        whole = sensor.inflation * (flat @ candidate.covariance @ flat.T)
+        square = candidate.centre_m @ candidate.centre_m
+        whole[:3, :3] += sensor.floor_range**2 * square * _UNIT
+        whole[3:, 3:] += sensor.floor_rad**2 * np.eye(2)
+        shares = state.white[measurement.sensor]
+        edge = _forecast(
+            state, measurement, residual, motion, whole, shares, log_prior=math.log1p(-other)
+        )
+        if edge is not None:
+            found.append(edge)
+        if other > 0.0:
+            # A concentric edge, or one of a shadow: the line of sight is nearly right, the size
+            # not. It is the same edge again and again, so most of its error is bias.
+            wide = whole.copy()
+            along = candidate.centre_m
+            wide[:3, :3] += _OTHER_RANGE**2 * np.outer(along, along)
+            wide[:3, :3] += _OTHER_BEARING**2 * square * _UNIT
+            wide[3:, 3:] += _OTHER_RAD**2 * np.eye(2)
+            beside = _forecast(
+                state, measurement, residual, motion, wide, np.full(5, 1.0 - sensor.bias_share),
+                bias=5, teaches=False, log_prior=math.log(other),
+            )  # fmt: skip
+            if beside is not None:
+                found.append(beside)
+    return found or "its covariance cannot be used"
 
 
-def _range(state: FilterState, measurement: RangeMeasurement) -> Expected | str:
-    beam = measurement.direction
-    from_origin = state.translation_m - measurement.origin_m
+def _range(state: FilterState, measurement: RangeMeasurement) -> list[Forecast] | str:
+    beam, rotation = measurement.direction, state.rotation
+    origin = -rotation @ state.place_m - measurement.origin_m  # of the target, from the ranger
+    place = (state.weights[:, None, None] * state.covariances[:, 3:6, 3:6]).sum(axis=0)
     reason = "no surface"
     for surface in measurement.surfaces:
-        normal = state.rotation @ surface.normal
-        arm = state.rotation @ surface.point_m
+        normal, arm = rotation @ surface.normal, rotation @ surface.point_m
         slant = float(normal @ beam)
         if abs(slant) < _GRAZING:
             reason = "the beam grazes the surface"
             continue
-        distance = float(normal @ (arm + from_origin)) / slant
+        distance = float(normal @ (arm + origin)) / slant
         if not distance > 0.0:
             reason = "the surface would be behind the ranger"
             continue
-        if surface.inner_m > 0.0 or surface.outer_m < np.inf:
-            spot = distance * beam - from_origin - arm
+        if surface.inner_m > 0.0 or surface.outer_m < math.inf:
+            spot = distance * beam - origin - arm
             from_point = float(np.sqrt(spot @ spot))
             # Only where the spot is on it with confidence.
-            margin_m = _INSIDE * float(np.sqrt(max(state.covariance[3, 3], state.covariance[4, 4])))
+            margin_m = _INSIDE * float(np.sqrt(place.diagonal().max()))
             if not surface.inner_m + margin_m <= from_point <= surface.outer_m - margin_m:
                 reason = f"the beam may miss the surface: {from_point:.2g} m from its middle"
                 continue
-        slope = np.zeros((1, _COLUMNS))
-        # d(n·(p − o)/(n·d)), with n and p − t turned by w: n × (t − o − distance d) over n·d.
-        away = from_origin - distance * beam
-        slope[0, 0] = (normal[1] * away[2] - normal[2] * away[1]) / slant
-        slope[0, 1] = (normal[2] * away[0] - normal[0] * away[2]) / slant
-        slope[0, 2] = (normal[0] * away[1] - normal[1] * away[0]) / slant
-        slope[0, 3:6] = normal / slant
-        return Expected(
-            np.array([measurement.range_m - distance]),
-            slope,
-            np.array([[measurement.sigma_m**2]]),
-            np.array([[surface.relief_m]]),
-        )
+        motion = np.zeros((1, 6))
+        # d(n·(q − o)/(n·d)), with n and q − t turned by θ: n × (t − o − distance d) over n·d,
+        # and t = −R p turned, too.
+        away = origin - distance * beam
+        motion[0, :3] = np.cross(normal, away) / slant
+        motion[0, :3] += np.cross(-rotation @ state.place_m, normal) / slant
+        motion[0, 3:] = -(normal @ rotation) / slant
+        whole = np.array([[measurement.sigma_m**2 + surface.relief_m**2]])
+        white = measurement.sigma_m**2 / whole[0]
+        residual = np.array([measurement.range_m - distance])
+        found = _forecast(state, measurement, residual, motion, whole, white, teaches=False)
+        return reason if found is None else [found]
     return reason
 
 
-# Source: by construction, the pose stands first
-_POSE_SLOPE = np.hstack([np.eye(6), np.zeros((6, _COLUMNS - 6))])
+_UNIT = np.eye(3)

@@ -1,9 +1,11 @@
-"""The state of the filter and its two functions: `predict` and `update`.
+"""The state of the filter: relative motion under several models, and the sensors' biases.
 
-Error state, perturbation on the left in the camera frame as in every covariance here:
-attitude (rad), place of the target's origin (m), angular rate (rad/s), velocity (m/s); then the
-ring's radius (relative) and depth (m) where they are not known; then one block for each sensor,
-its bias in its own σ (Gauss–Markov of unit variance; Schmidt's bias, but estimated).
+The camera's place in the target's axes does not turn when the camera swings, its attitude does:
+so the state is camera_from_target's rotation R, the camera's place p = −Rᵀ t, the target's rate and
+the camera's velocity, both against inertial space, all in the target's axes. The error state has
+18 entries of motion: attitude (rad, on the left, camera frame: R_true = exp(θ) R), place (m), rate
+(rad/s), velocity (m/s), jitter of the camera's attitude (rad, camera frame), acceleration (m/s²).
+Then one block for each sensor, its bias in its own σ (Gauss–Markov of unit variance).
 The joint covariance remembers what of the pose came from which sensor, so that a hundred frames
 with one common error do not count as a hundred.
 """
@@ -11,21 +13,21 @@ with one common error do not count as a hundred.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rendezview.estimation.linear_algebra import square_root
-from rendezview.fusion.kernels import predicted
-from rendezview.fusion.model_kernels import pose_covariance
-from rendezview.fusion.options import FusionOptions, SensorOptions
+from rendezview.fusion.kernels import MOTION, moments, predicted
+from rendezview.fusion.options import FusionOptions, MotionOptions, SensorOptions
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
-MOTION = 12  # attitude, place, angular rate, velocity. Source: by construction
-RADIUS, DEPTH = 12, 13  # of the ring
-RING = slice(RADIUS, DEPTH + 1)  # Source: by construction
-FIRST_BIAS = 14  # Source: by construction
+_LONGEST_STEP_S = 10.0  # of a prediction: the noise of a step is exact for a short one
+RING_GEOMETRY = "ring's radius and depth"  # a block of the state, of no sensor
+# Of a start until it is confirmed: σ of a rate times a step, rad and ranges. Source: linearisation
+_MOST_TURN, _MOST_WAY = 0.5, 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,39 +37,33 @@ class Slot:
     sensor: str
     start: int
     size: int
-    bias_s: float
-    bias_range: float
+    per_s: float  # how fast it is forgotten: 1/s
+    per_range: float  # and per ln of the range
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterState:
-    """Relative pose and rates at a time, with the estimates of the sensors' biases."""
+    """Relative motion at a time by M models, with the sensors' biases; n states in all."""
 
     time_s: float
     rotation: Array  # (3, 3) camera from target
-    translation_m: Array  # (3,)
-    rates: Array  # (6,) rotation vector rad/s, velocity of the target's origin m/s; camera frame
-    extras: Array  # (n - 12,) ring radius (relative error), ring depth (m), biases (σ)
-    covariance: Array  # (n, n)
-    fading: Array  # (n - 12, 2) how fast the extras are forgotten: 1/s, and per ln of the range
-    slots: tuple[Slot, ...] = ()
+    place_m: Array  # (3,) of the camera, target's axes
+    rate: Array  # (3,) of the target, rad/s, target's axes
+    velocity: Array  # (3,) of the camera, m/s, target's axes
+    deviations: Array  # (M, n) of each model from these; jitter, acceleration and biases
+    covariances: Array  # (M, n, n)
+    weights: Array  # (M,) probability of each model
+    slots: Mapping[str, Slot]
+    white: Mapping[str, Array]  # white share of each sensor's variance, by component
+    readings: Mapping[str, int]  # number of readings that taught it
+    jitter: float  # σ of the first jitter, rad
+    jitter_readings: int = 0
+    pose_s: float = -math.inf  # time of the last pose
+    confirmed: bool = False
 
-    @property
-    def pose(self) -> Pose:
-        """camera_from_target."""
-        return Pose(self.rotation, self.translation_m)
-
-    @property
-    def motion_covariance(self) -> Array:
-        """(12, 12) of (rotation vector, translation, angular rate, velocity)."""
-        return self.covariance[:MOTION, :MOTION]
-
-    def slot(self, sensor: str) -> Slot | None:
-        """The place of a sensor's bias; ``None`` before its first measurement."""
-        for slot in self.slots:
-            if slot.sensor == sensor:
-                return slot
-        return None
+    def mean(self, entry: int) -> float:
+        """Mean deviation of one entry over all models."""
+        return float(self.weights @ self.deviations[:, entry])
 
 
 def sensor_options(measurement: Measurement, options: FusionOptions) -> SensorOptions:
@@ -80,47 +76,74 @@ def sensor_options(measurement: Measurement, options: FusionOptions) -> SensorOp
     return options.range if measurement.size == 1 else options.ring
 
 
+def pose_covariance(measurement: PoseMeasurement, options: SensorOptions) -> Array:
+    """(6, 6) covariance that the filter uses for a pose."""
+    whole = options.inflation * measurement.covariance
+    if options.floor_rad or options.floor_range:
+        away = measurement.pose.translation_m
+        floor = np.full(6, options.floor_rad**2)
+        floor[3:] = options.floor_range**2 * (away @ away)
+        whole[np.arange(6), np.arange(6)] += floor
+    return whole
+
+
 def begin(
-    measurement: PoseMeasurement, options: FusionOptions, rates: Array | None = None
+    measurement: PoseMeasurement,
+    options: FusionOptions,
+    rates: tuple[Array, Array] | None = None,
+    sigmas: tuple[float, float] | None = None,
 ) -> FilterState:
     """The state at a first pose, whose bias is known to be in it.
 
     Args:
-        rates: (6,) where they are known better than zero.
+        rates: (3,) of the target and (3,) velocity, where they are known better than zero.
+        sigmas: of them, rad/s and m/s.
     """
-    sensor = sensor_options(measurement, options)
-    motion = options.motion
-    covariance = np.zeros((FIRST_BIAS + 6, FIRST_BIAS + 6))
-    first = pose_covariance(
-        measurement.pose.translation_m, measurement.covariance, sensor.inflation,
-        sensor.floor_rad, sensor.floor_range,
-    )  # fmt: skip
-    covariance[:6, :6] = first
-    for i in range(3):
-        covariance[6 + i, 6 + i] = motion.first_rate**2
-        covariance[9 + i, 9 + i] = motion.first_velocity**2
-    covariance[RADIUS, RADIUS] = options.ring_radius_sigma**2
-    covariance[DEPTH, DEPTH] = options.ring_depth_sigma_m**2
+    motion, sensor = options.motion, sensor_options(measurement, options)
+    count = len(motion.accelerations) * len(motion.jitters)
+    rotation = np.array(measurement.pose.rotation)
+    away = np.array(measurement.pose.translation_m)
+    slots: dict[str, Slot] = {}
+    geometry = 2 if options.ring_radius_sigma > 0.0 or options.ring_depth_sigma_m > 0.0 else 0
+    if geometry:
+        slots[RING_GEOMETRY] = Slot(RING_GEOMETRY, MOTION, geometry, 0.0, 0.0)
+    start = MOTION + geometry
+    slots[measurement.sensor] = _slot(measurement.sensor, start, 6, sensor)
+    n = start + 6
+    # From (rotation, translation) to (attitude, place): p = −Rᵀ t.
+    into = np.zeros((6, 6))
+    into[:3, :3] = np.eye(3)
+    into[3:, :3] = -rotation.T @ so3.hat(away)
+    into[3:, 3:] = -rotation.T
+    covariance = np.zeros((n, n))
+    whole = pose_covariance(measurement, sensor)
+    covariance[:6, :6] = into @ whole @ into.T
+    rate_sigma, velocity_sigma = sigmas or (motion.first_rate, motion.first_velocity)
+    entries = np.arange(n)
+    covariance[entries[6:9], entries[6:9]] = rate_sigma**2
+    covariance[entries[9:12], entries[9:12]] = velocity_sigma**2
+    covariance[entries[MOTION:], entries[MOTION:]] = 1.0
     # The error of the estimate is −(A b + white), where b is the bias.
-    root = square_root(sensor.bias_share * first)
-    bias = slice(FIRST_BIAS, FIRST_BIAS + 6)
-    covariance[bias, bias] = np.eye(6)
-    covariance[:6, bias], covariance[bias, :6] = -root, -root.T
-    slot = Slot(measurement.sensor, FIRST_BIAS, 6, sensor.bias_s, sensor.bias_range)
+    white = np.full(6, 1.0 - sensor.bias_share)
+    root = into @ np.linalg.cholesky(whole) * np.sqrt(1.0 - white)
+    covariance[:6, start:], covariance[start:, :6] = -root, -root.T
+    covariances = np.repeat(covariance[None], count, axis=0)
+    for model in range(count):
+        acceleration, jitter = divmod(model, len(motion.jitters))
+        for i in range(3):
+            covariances[model, 12 + i, 12 + i] = motion.jitters[jitter] ** 2
+            lasting = motion.lasting_accelerations[acceleration]
+            covariances[model, 15 + i, 15 + i] = lasting**2
+    turning, moving = rates if rates is not None else (np.zeros(3), np.zeros(3))
     return FilterState(
-        measurement.time_s,
-        np.array(measurement.pose.rotation),
-        np.array(measurement.pose.translation_m),
-        np.zeros(6) if rates is None else rates.copy(),
-        np.zeros(FIRST_BIAS - MOTION + 6),
-        covariance,
-        np.vstack([np.zeros((2, 2)), fading_of(slot)]),  # radius and depth are constants
-        (slot,),
-    )
+        measurement.time_s, rotation, -rotation.T @ away, turning, moving, np.zeros((count, n)),
+        covariances, np.full(count, 1.0 / count), slots, {measurement.sensor: white}, {},
+        motion.jitters[0], 0, measurement.time_s,
+    )  # fmt: skip
 
 
 def predict(state: FilterState, dt_s: float, options: FusionOptions) -> FilterState:
-    """The state ``dt_s`` later: rates go on, white accelerations widen it.
+    """The state ``dt_s`` later: rates go on, accelerations and jitter widen it.
 
     Raises:
         ValueError: the step is negative or not finite.
@@ -130,17 +153,92 @@ def predict(state: FilterState, dt_s: float, options: FusionOptions) -> FilterSt
     if dt_s == 0.0:
         return state
     motion = options.motion
-    rotation, translation, extras, covariance = predicted(
-        state.rotation, state.translation_m, state.rates, state.extras, state.covariance,
-        state.fading, dt_s, motion.angular**2, motion.linear**2, motion.along**2,
-        motion.pointing**2,
+    time_s = state.time_s + dt_s
+    if not state.confirmed:
+        state = _with_slow_rates(state, dt_s)
+    accelerations, jitters = models_of(motion, state.jitter)
+    fading = np.zeros((state.deviations.shape[1] - MOTION, 2))
+    for slot in state.slots.values():
+        rows = slice(slot.start - MOTION, slot.start - MOTION + slot.size)
+        fading[rows] = slot.per_s, slot.per_range
+    steps = max(math.ceil(dt_s / _LONGEST_STEP_S), 1)
+    now = (
+        state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
+        state.covariances, state.weights,
     )  # fmt: skip
-    return FilterState(
-        state.time_s + dt_s, rotation, translation, state.rates, extras, covariance, state.fading,
-        state.slots,
+    for _ in range(min(steps, _MOST_STEPS)):
+        now = predicted(
+            *now, fading, dt_s / min(steps, _MOST_STEPS), motion.angular, accelerations, jitters,
+            motion.jitter_stay_s,
+        )  # fmt: skip
+    rotation, place, rate, velocity, deviations, covariances, weights = now
+    return replace(
+        state, time_s=time_s, rotation=rotation, place_m=place, rate=rate, velocity=velocity,
+        deviations=deviations, covariances=covariances, weights=weights,
     )  # fmt: skip
 
 
-def fading_of(slot: Slot) -> Array:
-    """(size, 2) how fast a bias is forgotten: 1/s, and per ln of the range."""
-    return np.tile([1.0 / slot.bias_s, 1.0 / slot.bias_range], (slot.size, 1))
+_MOST_STEPS = 100  # of a prediction: a state that old is lost anyway
+
+
+def models_of(motion: MotionOptions, jitter: float) -> tuple[Array, Array]:
+    """(A, 4) accelerations and (J, 3) jitters, as `kernels.predicted` takes them."""
+    accelerations = np.column_stack(
+        [
+            motion.accelerations,
+            motion.lasting_accelerations,
+            np.full(len(motion.accelerations), motion.acceleration_s),
+            motion.stays_s,
+        ]
+    )
+    jitters = np.column_stack([motion.jitters, motion.jitters_s, motion.slews])
+    jitters[0, 0] = jitter
+    return accelerations, jitters
+
+
+def with_slot(state: FilterState, measurement: Measurement, sensor: SensorOptions) -> FilterState:
+    """The state with room for the bias of a sensor that it has not met before."""
+    name = measurement.sensor
+    if name in state.slots:
+        return state
+    count, n = state.deviations.shape
+    size = measurement.bias_size
+    covariances = np.zeros((count, n + size, n + size))
+    covariances[:, :n, :n] = state.covariances
+    covariances[:, np.arange(n, n + size), np.arange(n, n + size)] = 1.0
+    return replace(
+        state,
+        deviations=np.hstack([state.deviations, np.zeros((count, size))]),
+        covariances=covariances,
+        slots={**state.slots, name: _slot(name, n, size, sensor)},
+        white={**state.white, name: np.full(measurement.size, 1.0 - sensor.bias_share)},
+    )
+
+
+def estimate_of(state: FilterState) -> tuple[Pose, Array, Array]:
+    """camera_from_target; (6,) rates and (12, 12) covariance, camera frame."""
+    rotation, translation, rates, covariance = moments(
+        state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
+        state.covariances, state.weights,
+    )  # fmt: skip
+    return Pose(rotation, translation), rates, covariance
+
+
+def _slot(name: str, start: int, size: int, sensor: SensorOptions) -> Slot:
+    return Slot(name, start, size, 1.0 / sensor.bias_s, 1.0 / sensor.bias_range)
+
+
+def _with_slow_rates(state: FilterState, dt_s: float) -> FilterState:
+    """The state with rates that a step can still be linearised with."""
+    scale = np.ones(state.deviations.shape[1])
+    away = math.sqrt(state.place_m @ state.place_m)
+    for rows, most in ((slice(6, 9), _MOST_TURN), (slice(9, 12), _MOST_WAY * away)):
+        block = np.diagonal(state.covariances[:, rows, rows], axis1=1, axis2=2)
+        sigma = math.sqrt(block.max())
+        if sigma * dt_s > most:
+            scale[rows] = most / (sigma * dt_s)
+    if scale.min() == 1.0:
+        return state
+    covariances = state.covariances * scale[:, None] * scale
+    return replace(state, covariances=covariances)
+

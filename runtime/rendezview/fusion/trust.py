@@ -1,9 +1,7 @@
-"""Trust in a sensor: gate, lock-out, and readmission.
+"""Trust in a sensor: a chain of two states, healthy and faulty, and what it has said so far.
 
-A sensor is locked out when several measurements in a row fail the gate, or when its NIS stays too
-high although each measurement passes. It is readmitted when it agrees with the forecast. The
-agreement counts only if the forecast is sharp or the residual has left its earlier outlier: a
-forecast that has coasted for long agrees with every outlier.
+A faulty sensor stays with its last offset: while the offset lasts, its readings are likelier from
+the fault than from chance, and it is not believed.
 """
 
 from __future__ import annotations
@@ -13,23 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rendezview.fusion.models import gate_of
-from rendezview.fusion.options import SensorOptions
-from rendezview.fusion.update import Innovation
 from rendezview.geometry.pose import Array
 
-# Of a forecast: mean variance of an innovation over the sensor's own. Source: by construction,
-# three times the σ
-_SHARP = math.log(9.0)
-# s without a measurement, after which a sensor returns. Source: by construction, as
-# coasting_after_s
-_SILENT_S = 5.0
-_WHOLE = 6  # degrees of freedom of a pose. Source: by construction
-# Squared distance of a place, in σ of another edge. Source: χ² distribution, mean of three degrees
-_BESIDE = 3.0
-# Weight of the latest residual in the running mean of an outlier. Source: by hand; uncritical
-# halved or doubled
-_FOLLOW = 0.5
+_STAYS = 0.95  # probability that a fault lasts to the next reading. Source: by construction
+_BLOW = 10.0  # σ of an outlier over that of the innovation. Source: by construction
+_OFFSET_SCATTER = 4.0  # variance of a fault's offset over the sensor's own. Source: by construction
+_SAME = 0.9  # probability that a faulty sensor's offset is as it was. Source: by construction
+LOCK_AFTER = 3  # turned away in a row: locked out. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,18 +25,21 @@ class Trust:
     """How far one sensor is believed; a value, replaced at each measurement."""
 
     sensor: str
-    locked: bool = False
+    fault: float = 0.0  # probability that it is faulty; 0: as often as an outlier
+    offset: Array | None = None  # (k,) its innovation when it was turned away
     received: int = 0  # measurements in all
     accepted: int = 0
     rejected: int = 0  # in a row
-    agreed: int = 0  # in a row, while locked out
     mean_nis: float = 1.0  # over degrees of freedom; 1 is as it should be
     last_s: float = -math.inf  # of its last measurement
     last_accepted_s: float = -math.inf
-    fault: Array | None = None  # (m,) its residual when it was rejected
     lockouts: int = 0
-    returned: bool = False  # it was silent before, so the forecast may be wrong
-    loose: int = 0  # in a row: neither the ring's edge nor about it
+    poses: bool = False  # it gives whole poses
+
+    @property
+    def locked(self) -> bool:
+        """Whether it has been turned away several times in a row."""
+        return self.rejected >= LOCK_AFTER
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,110 +55,62 @@ class Verdict:
     began: bool = False  # the filter started or restarted here
 
 
+def outlier_log(peak: float, size: int) -> float:
+    """Log-likelihood of any reading that is an outlier.
+
+    Args:
+        peak: log-likelihood of a reading at the forecast.
+    """
+    return peak - size * math.log(_BLOW)
+
+
 def judge(
-    trust: Trust, found: Innovation, time_s: float, options: SensorOptions
-) -> tuple[Trust, str | None]:
-    """The sensor's trust after a measurement, and why it is not taken (``None``: it is)."""
-    gate = gate_of(found.size, options.gate)
-    passes = found.nis <= gate
+    trust: Trust, outliers: float, log_likelihood: float, peak: float, innovation: Array,
+    covariance: Array,
+) -> tuple[bool, float, Array | None]:  # fmt: skip
+    """Whether a reading is believed; probability of a fault; the fault's offset.
+
+    Args:
+        outliers: how often a healthy sensor gives one.
+        log_likelihood, peak: of the reading at the state, and at its forecast.
+        innovation: (k,) mean over all models.
+        covariance: (k, k) that the sensor reports.
+    """
+    size = len(innovation)
+    before, offset = max(trust.fault, outliers), trust.offset
+    faulty = outlier_log(peak, size)
+    if offset is not None and len(offset) == size:
+        spread = _OFFSET_SCATTER * covariance
+        away = innovation - offset
+        lower = np.linalg.cholesky(spread)
+        scaled = np.linalg.solve(lower, away)
+        same = -0.5 * float(scaled @ scaled) - float(np.log(lower.diagonal()).sum())
+        same -= 0.5 * size * math.log(2.0 * math.pi)
+        faulty = float(np.logaddexp(faulty, math.log(_SAME) + same))
+    healthy = math.log1p(-before) + log_likelihood
+    ill = math.log(before) + faulty
+    after = 1.0 / (1.0 + math.exp(min(50.0, max(-50.0, healthy - ill))))
+    believed = healthy > ill
+    if believed:
+        offset = None
+    elif offset is None or len(offset) != size:
+        offset = innovation
+    else:
+        offset = 0.5 * (offset + innovation)
+    return believed, after * _STAYS + (1.0 - after) * outliers, offset
+
+
+def after_reading(trust: Trust, time_s: float, believed: bool, level: float, size: int) -> Trust:
+    """The counts after a reading; ``level`` is its NIS per degree of freedom."""
     count = trust.received + 1
-    level = trust.mean_nis + (found.nis / found.size - trust.mean_nis) / min(count, options.window)
-    loose = trust.loose + 1 if found.loose and _beside(found) else 0
-    noisy = count > options.window and level > options.nis_limit
-    if passes and not trust.locked and not noisy and loose < options.loose_after:
-        return (
-            Trust(
-                trust.sensor, False, count, trust.accepted + 1, 0, 0, level, time_s, time_s,
-                lockouts=trust.lockouts, loose=loose,
-            ),
-            None,
-        )  # fmt: skip
-    returned = trust.returned or time_s - trust.last_s > _SILENT_S
-    after = replace(trust, received=count, last_s=time_s, returned=returned)
-    if after.locked:
-        return _locked(after, found, passes and not found.loose, time_s, options)
-    if passes and loose >= options.loose_after:
-        reason = f"an edge beside the ring, {loose} times in a row: locked out"
-        return _lock(replace(after, fault=found.raw, loose=0)), reason
-    if passes:
-        return (
-            _lock(replace(after, mean_nis=level, fault=found.raw)),
-            f"mean NIS {level:.1f} of a degree of freedom, at most {options.nis_limit:g}: "
-            "locked out",
-        )
-    row = after.rejected + 1
-    after = replace(after, rejected=row, fault=_followed(after.fault, found.raw))
-    away = f"{math.sqrt(found.nis):.1f} σ away, the gate is at {math.sqrt(gate):.1f}"
-    if row >= options.lock_after:
-        return _lock(after), f"{away}, {row} times in a row: locked out"
-    return after, away
-
-
-def _lock(trust: Trust) -> Trust:
-    return replace(trust, locked=True, agreed=0, lockouts=trust.lockouts + 1)
-
-
-def _locked(
-    trust: Trust,
-    found: Innovation,
-    passes: bool,
-    time_s: float,
-    options: SensorOptions,
-) -> tuple[Trust, str | None]:
-    total = found.white + found.bias
-    same = trust.fault is not None and _still(trust.fault, found, total, options)
-    sharp = is_sharp(found)
-    if not passes or (same and not sharp):
-        fault = _followed(trust.fault if same else None, found.raw)
-        reason = "locked out, and still off" if not passes else (
-            "locked out: it agrees only because the forecast is wide"
-        )  # fmt: skip
-        return replace(trust, agreed=0, rejected=trust.rejected + 1, fault=fault), reason
-    agreed = trust.agreed + 1
-    if agreed < options.unlock_after:
-        reason = f"locked out, agrees {agreed} of {options.unlock_after} times"
-        return replace(trust, agreed=agreed, rejected=0), reason
-    return (
-        replace(
-            trust, locked=False, agreed=0, rejected=0, fault=None, mean_nis=1.0, returned=False,
-            accepted=trust.accepted + 1, last_accepted_s=time_s,
-        ),
-        None,
+    mean = trust.mean_nis + (level - trust.mean_nis) / min(count, _WINDOW)
+    rejected = 0 if believed else trust.rejected + 1
+    return replace(
+        trust, received=count, accepted=trust.accepted + believed, rejected=rejected,
+        mean_nis=mean if believed else trust.mean_nis, last_s=time_s,
+        last_accepted_s=time_s if believed else trust.last_accepted_s,
+        lockouts=trust.lockouts + (rejected == LOCK_AFTER), poses=size == 6,
     )  # fmt: skip
 
 
-def _followed(fault: Array | None, residual: Array) -> Array:
-    return residual if fault is None else fault + _FOLLOW * (residual - fault)
-
-
-def is_sharp(found: Innovation) -> bool:
-    """Whether the forecast is nearly as precise as the sensor."""
-    total = found.white + found.bias
-    return bool(found.log_volume - _log_volume(total) < _SHARP * found.size)
-
-
-def _beside(found: Innovation) -> bool:
-    """Whether an edge taken for another edge of the ring is too far from the ring to be one."""
-    total = found.white + found.bias
-    place = found.raw[:3]
-    return bool(place @ np.linalg.solve(total[:3, :3], place) > _BESIDE)
-
-
-def _still(fault: Array, found: Innovation, total: Array, options: SensorOptions) -> bool:
-    """Whether the sensor still has the fault that it was rejected for.
-
-    A constant offset of a whole pose stays within its noise. The fault of a ring or a range
-    changes with the mistaken feature: it has ended when the residual halves at once. A forecast
-    that drifts towards a fault takes many measurements for that; the fault is updated meanwhile.
-    """
-    if found.size == _WHOLE:
-        away = found.raw - fault
-        spread = 2.0 * found.white + 0.2 * found.bias
-        return bool(away @ np.linalg.pinv(spread) @ away <= gate_of(found.size, options.gate))
-    weight = np.linalg.pinv(total)
-    return bool(found.raw @ weight @ found.raw > 0.25 * (fault @ weight @ fault))
-
-
-def _log_volume(matrix: Array) -> float:
-    sign, value = np.linalg.slogdet(matrix)
-    return float(value) if sign > 0 else -math.inf
+_WINDOW = 20  # measurements over which NIS is averaged. Source: their mean scatters by 0.3
