@@ -173,12 +173,12 @@ def step(
     if before.main is None:
         if isinstance(measurement, PoseMeasurement):
             return _start(before, measurement, options, "begun")
-        reason = "no sensor has given a whole pose yet"
-        return before, Verdict(name, time_s, False, reason, None, size)
+        none = "no sensor has given a whole pose yet"
+        return before, Verdict(name, time_s, False, none, None, size)
     main = _moved(before.main, time_s, options)
     if isinstance(measurement, PoseMeasurement) and _blind(main.state):
-        why = useless(main.state, options) or "the forecast is too wide"
-        return _start(before, measurement, options, f"restarted: {why}")
+        lost = useless(main.state, options) or "the forecast is too wide"
+        return _start(before, measurement, options, f"restarted: {lost}")
     found = _look(main.state, measurement, options)
     rivals = tuple(
         replace(rival, hypothesis=_moved(rival.hypothesis, time_s, options))
@@ -209,7 +209,7 @@ def step(
         few = sum(rival.heard.values()) < _HEARD_LEAST
         if score > _LOSE and (score >= 0.0 or patient or few):
             kept.append(rival)
-    reason = None
+    reason: str | None = None
     if not believed:
         reason = f"{math.sqrt(max(found.nis, 0.0)):.1f} σ away"
         if main.trusts[name].locked:
@@ -241,9 +241,7 @@ def _start(
     return after, Verdict(pose.sensor, pose.time_s, True, reason, None, 6, began=True)
 
 
-def _begun(
-    state: FilterState, pose: PoseMeasurement, trusts: Mapping[str, Trust]
-) -> Hypothesis:
+def _begun(state: FilterState, pose: PoseMeasurement, trusts: Mapping[str, Trust]) -> Hypothesis:
     trust = trusts.get(pose.sensor) or Trust(pose.sensor)
     own = after_reading(trust, pose.time_s, True, 1.0, 6)
     return Hypothesis(state, {**trusts, pose.sensor: own}, 1, pose.time_s, pose.time_s)
@@ -281,7 +279,7 @@ def _look(state: FilterState, measurement: Measurement, options: FusionOptions) 
         return meanings
     best: _Found | None = None
     for forecast in meanings:
-        fits, total, peak, nis, innovation, *comparison = compared(
+        fits, total, peak, nis, innovation, logs, across, lowers, whites = compared(
             state.deviations, state.covariances, state.weights, forecast.design, forecast.noise,
             forecast.residual,
         )  # fmt: skip
@@ -289,17 +287,14 @@ def _look(state: FilterState, measurement: Measurement, options: FusionOptions) 
         if not fits or not math.isfinite(total):
             continue
         if best is None or total > best.log_likelihood:
-            best = _Found(
-                state, forecast, total, peak, nis, innovation, tuple(comparison)
-            )  # fmt: skip
+            comparison = logs, across, lowers, whites
+            best = _Found(state, forecast, total, peak, nis, innovation, comparison)
     return best or "its covariance cannot be used"
 
 
 def _mixture(outliers: float, log_likelihood: float, chance: float) -> float:
     """Log-likelihood of a reading that may be an outlier."""
-    return float(
-        np.logaddexp(math.log1p(-outliers) + log_likelihood, math.log(outliers) + chance)
-    )
+    return float(np.logaddexp(math.log1p(-outliers) + log_likelihood, math.log(outliers) + chance))
 
 
 def _heard(trusts: Mapping[str, Trust], name: str, time_s: float) -> Mapping[str, Trust]:
@@ -319,7 +314,9 @@ def _judged(
         found.innovation, root @ root.T,
     )  # fmt: skip
     level = found.nis / found.size
-    trust = replace(after_reading(trust, time_s, believed, level, found.size), fault=fault, offset=offset)
+    trust = replace(
+        after_reading(trust, time_s, believed, level, found.size), fault=fault, offset=offset
+    )
     trusts = {**before.trusts, name: trust}
     if not believed:
         return replace(before, trusts=trusts), False

@@ -115,9 +115,7 @@ class Fusion:
             verdicts.append(verdict)
         return snapshots, verdicts[0]
 
-    def _put(
-        self, place: int, measurements: list[Measurement], snapshots: list[Snapshot]
-    ) -> None:
+    def _put(self, place: int, measurements: list[Measurement], snapshots: list[Snapshot]) -> None:
         """Insert them, and filter again what is later."""
         later = self._measurements[place:]
         del self._measurements[place:], self._after[place:]
@@ -136,14 +134,16 @@ class Fusion:
             ValueError: the estimate has no pose, or this filter has measurements.
         """
         pose, rates, covariance = last.pose, last.rates, last.covariance
-        if pose is None or rates is None or covariance is None:
+        if pose is None or covariance is None:
             raise ValueError(f"an estimate without a pose ({last.status}) cannot be resumed")
         with self._lock:
             if self._measurements or self._base.main is not None:
                 raise ValueError("this filter has begun: resume a new one")
             start = PoseMeasurement(last.time_s, "before", pose, covariance[:6, :6])
             confirmed = last.status in (Status.TRACKING, Status.COASTING)
-            self._base = resumed(start, rates, covariance, confirmed, self.options)
+            self._base = resumed(
+                start, np.zeros(6) if rates is None else rates, covariance, confirmed, self.options
+            )
             self._floor_s = last.time_s
 
     def state_at(self, time_s: float) -> Estimate:
@@ -179,6 +179,11 @@ class Fusion:
     def starts(self) -> int:
         """How often the filter began, the first time included."""
         return self._newest.starts
+
+    @property
+    def note(self) -> str | None:
+        """Why it last began anew."""
+        return self._newest.note
 
     @property
     def time_s(self) -> float | None:
@@ -273,7 +278,7 @@ def _protection(
         axes = np.maximum(axes, off + factor * np.sqrt(spread.diagonal()))
         attitude = max(attitude, _level(off[:3], spread[:3, :3], factor))
         position_m = max(position_m, _level(off[3:], spread[3:, 3:], factor))
-    alarms = ()
+    alarms: tuple[str, ...] = ()
     if wrong > _ALARM or any(
         trust.rejected >= _CONTRADICTS and time_s - trust.last_s < options.coasting_after_s
         for trust in snapshot.trusts.values()
@@ -291,7 +296,9 @@ def _at(rival: Rival, time_s: float, options: FusionOptions) -> tuple[Pose, Arra
 
 
 def _level(off: Array, covariance: Array, factor: float) -> float:
-    return float(np.linalg.norm(off)) + factor * math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
+    return float(np.linalg.norm(off)) + factor * math.sqrt(
+        float(np.linalg.eigvalsh(covariance)[-1])
+    )
 
 
 def _time_of(measurement: Measurement) -> float:

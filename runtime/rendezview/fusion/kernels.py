@@ -217,6 +217,37 @@ def predicted(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def with_bias(
+    motion: Array, whole: Array, shares: Array, start: int, count: int
+) -> tuple[bool, Array, Array, Array]:
+    """A measurement's slope by every state and its noise, split from its covariance.
+
+    Args:
+        motion: (k, c) slope by the first c states.
+        whole: (k, k) covariance that the sensor reports, A Aᵀ.
+        shares: (k,) white share of it, by column of A; what is left to 1 is bias.
+        start, count: index of the bias, number of states.
+
+    Returns:
+        Whether the covariance is positive; (k, n) slope; (k, k) white covariance; (k, k) A.
+    """
+    k = len(whole)
+    root = square_root(whole)
+    design, noise = np.zeros((k, count)), np.zeros((k, k))
+    fits = True
+    for i in range(k):
+        fits = fits and root[i, i] > 0.0
+        for j in range(motion.shape[1]):
+            design[i, j] = motion[i, j]
+        for j in range(i + 1):
+            design[i, start + j] = root[i, j] * math.sqrt(max(1.0 - shares[j], 0.0))
+        for j in range(k):
+            for c in range(min(i, j) + 1):
+                noise[i, j] += root[i, c] * shares[c] * root[j, c]
+    return fits, design, noise, root
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def compared(
     deviations: Array, covariances: Array, weights: Array, design: Array, noise: Array,
     residual: Array,
@@ -338,9 +369,7 @@ def corrected(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def white_share(
-    shares: Array, root: Array, weights: Array, lowers: Array, whites: Array
-) -> Array:
+def white_share(shares: Array, root: Array, weights: Array, lowers: Array, whites: Array) -> Array:
     """(k,) how much larger the white share of each component seems than it was taken.
 
     One step of expectation and maximisation: w² ((Aᵀ S⁻¹ y)² − diag Aᵀ S⁻¹ A), where A Aᵀ is the
@@ -377,9 +406,7 @@ def white_share(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def jitter_step(
-    tilts: Array, weights: Array, lowers: Array, whites: Array, gained: float
-) -> float:
+def jitter_step(tilts: Array, weights: Array, lowers: Array, whites: Array, gained: float) -> float:
     """Fisher's scoring step of the jitter's variance, rad².
 
     Args:

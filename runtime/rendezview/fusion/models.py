@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rendezview.fusion.kernels import with_bias
 from rendezview.fusion.options import FusionOptions, SensorOptions
 from rendezview.fusion.state import (
     RING_GEOMETRY,
@@ -70,19 +71,13 @@ def _forecast(
     shares: Array, *, bias: int = 0, teaches: bool = True, log_prior: float = 0.0,
 ) -> Forecast | None:  # fmt: skip
     """With the bias's columns; None where the covariance cannot be used."""
-    try:
-        root = np.linalg.cholesky(whole)
-    except np.linalg.LinAlgError:
-        return None
-    size = len(residual)
     start = state.slots[measurement.sensor].start + bias
-    design = np.zeros((size, state.deviations.shape[1]))
-    design[:, : motion.shape[1]] = motion
-    design[:, start : start + size] = root * np.sqrt(np.clip(1.0 - shares, 0.0, 1.0))
-    noise = (root * shares) @ root.T
-    return Forecast(
-        residual, design, noise, root, shares, teaches, log_prior, bias > 0
+    fits, design, noise, root = with_bias(
+        motion, whole, shares, start, state.deviations.shape[1]
     )  # fmt: skip
+    if not fits:
+        return None
+    return Forecast(residual, design, noise, root, shares, teaches, log_prior, bias > 0)
 
 
 def _pose(state: FilterState, measurement: PoseMeasurement, sensor: SensorOptions) -> Forecast:
@@ -190,11 +185,10 @@ def _range(state: FilterState, measurement: RangeMeasurement) -> list[Forecast] 
                 reason = f"the beam may miss the surface: {from_point:.2g} m from its middle"
                 continue
         motion = np.zeros((1, 6))
-        # d(n·(q − o)/(n·d)), with n and q − t turned by θ: n × (t − o − distance d) over n·d,
-        # and t = −R p turned, too.
+        # d(n·(q − o)/(n·d)), with n and q = R (point − p) turned by θ: n × (q − o − distance d)
+        # and q × n over n·d, together n × (−o − distance d).
         away = origin - distance * beam
-        motion[0, :3] = np.cross(normal, away) / slant
-        motion[0, :3] += np.cross(-rotation @ state.place_m, normal) / slant
+        motion[0, :3] = so3.hat(normal) @ (away + rotation @ state.place_m) / slant
         motion[0, 3:] = -(normal @ rotation) / slant
         whole = np.array([[measurement.sigma_m**2 + surface.relief_m**2]])
         white = measurement.sigma_m**2 / whole[0]

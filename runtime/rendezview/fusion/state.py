@@ -241,4 +241,3 @@ def _with_slow_rates(state: FilterState, dt_s: float) -> FilterState:
         return state
     covariances = state.covariances * scale[:, None] * scale
     return replace(state, covariances=covariances)
-

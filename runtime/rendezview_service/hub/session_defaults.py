@@ -11,9 +11,10 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from rendezview.errors import RendezviewError
+from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import checked, read_text
-from rendezview.io.target import DockingRing, Reflector, Target
+from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance import ViewModel
 from rendezview.trajectory import Plan, Shape, plan_of, read_plan
 from rendezview_service.hub.model_store import StoredModel
@@ -194,7 +195,7 @@ def _known_of(ring: DockingRing | None, reflectors: tuple[Reflector, ...]) -> Fu
 
 
 def _known_of_file(path: Path) -> FusionRequest:
-    target = Target.load(path)
+    target = find_target(str(path))
     if target.docking_ring is None and not target.reflectors:
         raise RendezviewError(
             f"{path}: this target has neither docking_ring nor reflectors: add one, or do not give "

@@ -33,6 +33,7 @@ class SessionEvents:
         self._recording: RecordingState | None = None
         self._alarms: dict[tuple[str, str], tuple[str, float]] = {}  # text, last seen
         self._fault: str | None = None
+        self._restarts = 0
 
     @property
     def alarms(self) -> list[str]:
@@ -72,6 +73,12 @@ class SessionEvents:
             if now_s - seen_s > _CLEAR_S:
                 del self._alarms[key]
                 self.add("alarm", Level.INFO, f"no longer: {text}")
+
+    def restarted(self, starts: int, reason: str | None) -> None:
+        """How often the filter has started, and why it last did so anew."""
+        if starts > max(self._restarts, 1):
+            self.add("fusion", Level.WARNING, reason or "restarted")
+        self._restarts = starts
 
     def recording(self, recording: Recording) -> None:
         """The state of the log."""

@@ -231,6 +231,7 @@ class Session:
         now_s = time.monotonic()
         self.events.phase(self.progress.phase, header["frame"], header["status"])
         self.events.limits(header.get("alarms", []), now_s)
+        self.events.restarted(*header["starts"])
         self.events.fault(None)
         if "recording" in header:
             self._recorded(header)

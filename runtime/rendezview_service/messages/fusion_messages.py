@@ -15,6 +15,7 @@ from rendezview_service.messages.message_parts import (
     Message,
     Name,
     PoseMessage,
+    ProtectionLevels,
     Three,
     Two,
 )
@@ -177,7 +178,7 @@ class Fused(Message):
     )
     reason: str | None
     pose: PoseMessage | None = Field(description="camera_from_target")
-    rates: FusedRates | None
+    rates: FusedRates | None = Field(description="null while starting, too")
     covariance: Matrix12 | None = Field(
         description="rotation vector (rad), translation (m), angular rate (rad/s), velocity (m/s); "
         "camera frame, perturbation left"
@@ -187,7 +188,11 @@ class Fused(Message):
     ring_covariance: list[list[float]] | None = Field(
         default=None, description="2 × 2, of the radius (relative) and the offset (m)"
     )
+    protection: ProtectionLevels | None = Field(
+        default=None, description="how far off the pose may be, and whether sensors contradict it"
+    )
     starts: int = Field(description="how often the filter has started")
+    note: str | None = Field(default=None, description="why it last started anew")
 
 
 class Verdict(Message):

@@ -31,3 +31,18 @@ class PoseMessage(Message):
 
     quat_wxyz: Four
     translation_m: Three
+
+
+class ProtectionLevels(Message):
+    """Levels that the errors of a pose exceed with the session's risk, and alarms."""
+
+    risk: float
+    attitude_rad: float = Field(description="π: any attitude is possible")
+    position_m: float | None = Field(description="of the translation; null: no level")
+    axes: list[float | None] = Field(
+        description="rotation vector rad, translation m; camera frame", min_length=6, max_length=6
+    )
+    wrong: float = Field(description="probability that another answer is the truth")
+    drift: float = Field(description="largest cumulative sum of the innovations, σ")
+    alarm: bool = Field(description="the pose must not be used")
+    alarms: list[str] = Field(description="why: attitude, position, witnesses, drift")

@@ -20,7 +20,14 @@ from rendezview_service.messages.frame_sensor_messages import (
     Trajectory,
 )
 from rendezview_service.messages.fusion_messages import Fused, FusionRequest, Marks
-from rendezview_service.messages.message_parts import Matrix6, Message, Name, PoseMessage, Three
+from rendezview_service.messages.message_parts import (
+    Matrix6,
+    Message,
+    Name,
+    PoseMessage,
+    ProtectionLevels,
+    Three,
+)
 
 # Opening a session
 
@@ -233,21 +240,6 @@ class ObservationMessage(Message):
     stage_ms: dict[str, float]
 
 
-class ProtectionLevels(Message):
-    """Levels that the errors of a pose exceed with the session's risk, and alarms."""
-
-    risk: float
-    attitude_rad: float = Field(description="π: any attitude is possible")
-    position_m: float | None = Field(description="of the translation; null: no level")
-    axes: list[float | None] = Field(
-        description="rotation vector rad, translation m; camera frame", min_length=6, max_length=6
-    )
-    wrong: float = Field(description="probability that another answer is the truth")
-    drift: float = Field(description="largest cumulative sum of the innovations, σ")
-    alarm: bool = Field(description="the pose must not be used")
-    alarms: list[str] = Field(description="why: attitude, position, witnesses, drift")
-
-
 class State(ObservationMessage):
     """The result of one frame. Without a pose it has a status and a reason."""
 
@@ -338,7 +330,7 @@ class Event(Message):
     number: int = Field(description="in the session, from 0")
     unix_s: float
     level: Level
-    kind: str = Field(description="phase, alarm, recording, worker, source, session")
+    kind: str = Field(description="phase, alarm, fusion, recording, worker, source, session")
     text: str
 
 

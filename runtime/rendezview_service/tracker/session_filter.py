@@ -1,8 +1,8 @@
 """The filter of one session: fuses its camera's poses and other sensors' lines into one state.
 
-The worker and replay run it beside the tracker; it does not influence the tracker. The filter
-starts at the first measurement of another sensor, with the camera's pose just before it. Before
-that, a session has no fused state.
+The worker and replay run it beside the tracker, from the first frame. A session has a fused state
+from the first measurement of another sensor on; before that, the filter only gives the rates of
+the camera's motion, and does not influence the tracker.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from rendezview.fusion import Fusion, FusionOptions, Measurement, Verdict
 from rendezview.fusion.fusion import Estimate
 from rendezview.fusion.logs import kind_of
 from rendezview.geometry.pose import Array, Pose
+from rendezview.io.results import json_value
 from rendezview.sensors.observation import Observation, Status
 from rendezview_service.messages.fusion_messages import MOST_REMEMBERED, FusionRequest
 from rendezview_service.messages.message_parts import CAMERA, MOST_TIME_S
@@ -58,14 +59,14 @@ class SessionFilter:
         own: Sequence[str] = (),
         at_once: bool = False,
     ) -> None:
-        """A filter that has not started.
+        """A filter without measurements.
 
         Args:
             request: data on the sensors.
             most_sensors: beside the camera and its own; None: any number.
-            forgotten: the session had a filter whose process ended; this one starts at once.
+            forgotten: the session had a filter whose process ended; this one fuses at once.
             own: names of the sensors that the session reads itself.
-            at_once: it starts with the first frame, not with another sensor's first line.
+            at_once: a fused state from the first frame on, not from another sensor's first line.
         """
         asked = request or FusionRequest()
         self._context = context_of(asked)
@@ -79,25 +80,29 @@ class SessionFilter:
         self._lines = 0
         self._measured_s = -math.inf  # of the newest measurement
         self._own = (CAMERA, *own)
-        self._fusion: Fusion | None = None
-        self._before: Observation | None = None  # of the camera, before the filter runs
-        if forgotten or at_once:
-            self._start("its process ended" if forgotten else None)
+        self._fuses = forgotten or at_once
+        self._start("its process ended" if forgotten else None)
 
     @property
-    def running(self) -> bool:
-        """Whether it has started."""
-        return self._fusion is not None
+    def fuses(self) -> bool:
+        """Whether there is another sensor than the camera, so that the session has its state."""
+        return self._fuses
 
     def resume(self, kept: Json) -> None:
         """Go on from the last `Fused` state of a process that ended."""
         self._start("its process ended")
-        assert self._fusion is not None
+        self._fuses = True
         pose = Pose.from_quat_wxyz(kept["pose"]["quat_wxyz"], kept["pose"]["translation_m"])
-        rates = np.array([*kept["rates"]["angular_rad_s"], *kept["rates"]["linear_m_s"]])
-        status, covariance = Status(kept["status"]), np.array(kept["covariance"])
+        rates, status, covariance = None, Status(kept["status"]), np.array(kept["covariance"])
+        if kept["rates"] is not None:
+            rates = np.array([*kept["rates"]["angular_rad_s"], *kept["rates"]["linear_m_s"]])
         self._fusion.resume(Estimate(kept["time_s"], status, None, pose, rates, covariance))
         self._newest_s = kept["time_s"]
+
+    @property
+    def starts(self) -> tuple[int, str | None]:
+        """How often it has started, and why it last did so anew."""
+        return self._fusion.starts, self._fusion.note
 
     @property
     def measured_s(self) -> float:
@@ -173,20 +178,14 @@ class SessionFilter:
         if line.measurement is None:
             counts.silent += 1
         else:
-            if self._fusion is None:
-                self._start(None)
-                self._recall(line.measurement.time_s)
+            self._fuses = True
             verdict = self._add(line.measurement, counts)
-        return verdict, None if self._fusion is None else self._state(self._newest_s)
+        return verdict, self._state(self._newest_s) if self._fuses else None
 
     # The camera
 
-    def remember(self, observation: Observation) -> None:
-        """Keep a frame's pose for the start. The filter must not be running."""
-        self._before = observation
-
     def track(self, observation: Observation) -> Json:
-        """The `Fused` state at a frame, with the frame's pose. The filter must be running."""
+        """The `Fused` state at a frame, with the frame's pose."""
         time_s = observation.time_s
         assert time_s is not None
         apart_s = time_s - self._newest_s
@@ -197,21 +196,21 @@ class SessionFilter:
         return self._state(time_s)
 
     def state_at(self, time_s: float) -> Json:
-        """The `Fused` state at a time. The filter must be running."""
+        """The `Fused` state at a time."""
         return self._state(time_s)
 
     def expected(self, time_s: float) -> tuple[Pose, Array] | None:
         """camera_from_target at a time and its covariance (6, 6); None where it is not known."""
-        return None if self._fusion is None else pose_of_fused(self._state(time_s))
+        return pose_of_fused(self._state(time_s)) if self._fuses else None
 
     def add(self, sensor: str, kind: str, measurement: Measurement | None) -> Json | None:
         """Give a reading of the session's own sensor to the filter: the `Verdict`.
 
-        None: nothing was measured, or the filter does not run.
+        None: nothing was measured.
         """
         counts = self._counts.setdefault(sensor, SensorCounts(kind))
         counts.lines += 1
-        if measurement is None or self._fusion is None:
+        if measurement is None:
             counts.silent += 1
             return None
         try:
@@ -224,7 +223,7 @@ class SessionFilter:
 
     def health(self) -> dict[str, Json]:
         """Counts and trust of each sensor, by name: a `SensorTrust` and more."""
-        trusts = {} if self._fusion is None else self._fusion.trusts
+        trusts = self._fusion.trusts
         found = {}
         for name, counts in self._counts.items():
             trust = trusts.get(name)
@@ -246,14 +245,6 @@ class SessionFilter:
         self._newest_s = self._measured_s = -math.inf
         self._note = note
 
-    def _recall(self, time_s: float) -> None:
-        """Begin with the camera's last pose, if its time is near."""
-        before, self._before = self._before, None
-        if before is None or before.time_s is None:
-            return
-        if abs(time_s - before.time_s) <= self._options.history_s:
-            self._see(before, before.time_s)
-
     def _see(self, observation: Observation, time_s: float) -> None:
         """Give a frame's pose to the filter."""
         if observation.pose is None or observation.covariance is None:
@@ -274,7 +265,6 @@ class SessionFilter:
             self._add(measurement, counts)
 
     def _add(self, measurement: Measurement, counts: SensorCounts) -> Json:
-        assert self._fusion is not None
         counts.measurements += 1
         self._measured_s = max(self._measured_s, measurement.time_s)
         newest_s = max(self._newest_s, measurement.time_s)
@@ -303,7 +293,6 @@ class SessionFilter:
 
     def _state(self, time_s: float) -> Json:
         """The `Fused` state at a time."""
-        assert self._fusion is not None
         at_s = time_s if math.isfinite(time_s) else 0.0
         estimate: Estimate | None
         reason: str | None
@@ -342,7 +331,11 @@ class SessionFilter:
             "ring_radius": None if estimate is None else estimate.ring_radius,
             "ring_depth_m": None if estimate is None else estimate.ring_depth_m,
             "ring_covariance": ring_covariance,
+            "protection": None
+            if estimate is None or estimate.protection is None
+            else json_value(estimate.protection.record()),
             "starts": self._fusion.starts,
+            "note": None if estimate is None else estimate.note,
         }
 
     def _check_clock(

@@ -32,7 +32,6 @@ from rendezview_service.messages.messages import (
     SessionRequest,
 )
 from rendezview_service.tracker.approach import ApproachMonitor
-from rendezview_service.tracker.camera_filter import CameraFilter
 from rendezview_service.tracker.frame_sensors import FrameSensors
 from rendezview_service.tracker.frame_sensors import warm_up as warm_up_sensors
 from rendezview_service.tracker.session_filter import SessionFilter
@@ -133,9 +132,9 @@ class SessionTracker:
         self.tracker = Tracker(recognizer, prior, integrity=integrity_of(request.integrity))
         self._nodes = model.geodesic.nodes.tolist()
         self._sensors = FrameSensors(request, self.camera)
-        self._fuses = request.sensors is not None and bool(request.sensors.fusion)
+        fuses = request.sensors is not None and bool(request.sensors.fusion)
         self.filter = SessionFilter(
-            request.fusion, most_sensors, forgotten, self._sensors.names, self._fuses
+            request.fusion, most_sensors, forgotten, self._sensors.names, fuses
         )
         if handover is not None:
             self.filter.resume(handover)
@@ -143,7 +142,6 @@ class SessionTracker:
         ring = None if request.fusion is None else request.fusion.ring
         centre_m = model.centre_m if ring is None else np.array(ring.centre_m)
         self._path = None if fits is None else SessionPath(fits, centre_m)
-        self._alone: CameraFilter | None = CameraFilter(request.fusion)
         self._approach = ApproachMonitor(request.approach, request.fusion, model.centre_m)
         self._frames = 0
         self._last_s = -math.inf
@@ -188,30 +186,18 @@ class SessionTracker:
             state["stage_ms"][stage] = 1e3 * (now - clock)
             clock = now
 
-        if self.filter.running and not self._fuses:  # another sensor's line has started it
-            self._alone = None
-        by_camera = None if self._alone is None else self._alone.track(observation)
-        if self.filter.running:
-            fused = self.filter.track(observation)
-        else:
-            assert by_camera is not None
-            self.filter.remember(observation)
-            fused = by_camera
+        fused = self.filter.track(observation)
         lap("filter")
         if self._sensors.names:
             number = self._frames + drops
             state |= self._sensors.look(image, time_s, number, fused, self.filter)
-            if self.filter.running:
-                fused = self.filter.state_at(time_s)
+            fused = self.filter.state_at(time_s)
             lap("sensors")
-        if self.filter.running:
+        if self.filter.fuses:
             state["fused"] = fused
         if self._path is not None:
             state["trajectory"] = self._fitted(time_s, fused, observation)
             lap("trajectory")
-        # The filter of all sensors expects slow turns, the camera's own takes any.
-        if by_camera and by_camera["status"] == Status.TRACKING != fused["status"]:
-            fused = by_camera
         state["motion"], covariance = _motion(fused)
         state["approach"] = self._approach.state(time_s, state["motion"], covariance)
         self._frames += 1
@@ -274,7 +260,7 @@ class SessionTracker:
     ) -> StateDict | None:
         """The path, with a fused state only where it is more than a prediction."""
         assert self._path is not None
-        if not self.filter.running:
+        if not self.filter.fuses:
             return self._path.update(time_s, None, observation)
         if self.filter.measured_s < time_s:
             fused = {"pose": None, "covariance": None}

@@ -180,8 +180,9 @@ class WorkerProcess:
             **{name: state[name] for name in _HEADER_KEYS},
             "done": not more,
             "alarms": [] if state["approach"] is None else state["approach"]["alarms"],
+            "starts": tracker.filter.starts,
         }
-        if tracker.filter.running:
+        if tracker.filter.fuses:
             answer["sensors"] = tracker.filter.health()
             answer["own"] = tracker.own_sensors
         if session.log is not None:
