@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.observation import Observation, Status
 from rendezview_service.messages.fusion_messages import FusionRequest
-from rendezview_service.tracker.camera_filter import CameraFilter
+from rendezview_service.tracker.session_filter import SessionFilter
 
 WHITE = np.sqrt(0.1)
 SIGMA = np.array([4e-4] * 3 + [1e-3, 1e-3, 3e-3])
@@ -23,7 +23,7 @@ def run(count: int, step_s: float, turn_rad, move_m, seed: int = 0, turns_at: in
     """
     rng = np.random.default_rng(seed)
     lasting = rng.normal(size=6) * SIGMA
-    one = CameraFilter(None)
+    one = SessionFilter(None)
     states, turned, place = [], np.zeros(3), np.array([0.0, 0.0, 9.0])
     for k in range(count):
         way = 1.0 if k < turns_at else -1.0
@@ -95,7 +95,7 @@ def test_without_poses_the_prediction_goes_on_and_widens():
 
 def test_options_of_the_session_are_kept():
     asked = FusionRequest.model_validate({"options": {"motion": {"first_rate": 0.001}}})
-    one = CameraFilter(asked)
+    one = SessionFilter(asked)
     pose = Pose(np.eye(3), np.array([0.0, 0.0, 9.0]))
     seen = Observation(Status.OK, time_s=0.0, pose=pose, covariance=np.diag(SIGMA**2))
     state = one.track(seen)

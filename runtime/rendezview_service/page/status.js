@@ -117,9 +117,15 @@ export function showFused(fused) {
     entries.push(["position ±", `${[3, 4, 5].map((k) => sigma(k).toFixed(3)).join(" ")} m`]);
     entries.push(["q wxyz", pose.quat_wxyz.map((value) => fixed(value, 3)).join(" ")]);
     entries.push(["attitude ±", `${[0, 1, 2].map((k) => (DEGREES * sigma(k)).toFixed(2)).join(" ")} °`]);
-    const turning = (DEGREES * Math.hypot(...rates.angular_rad_s)).toFixed(2);
-    entries.push(["rates", `${turning} °/s · ${Math.hypot(...rates.linear_m_s).toFixed(3)} m/s`]);
+    const turning = rates && (DEGREES * Math.hypot(...rates.angular_rad_s)).toFixed(2);
+    entries.push(["rates", rates ? `${turning} °/s · ${Math.hypot(...rates.linear_m_s).toFixed(3)} m/s` : "–"]);
   }
+  if (fused.protection) {
+    const { position_m: place, attitude_rad: turn, alarm, risk } = fused.protection;
+    const text = `${place === null ? "–" : place.toFixed(3)} m · ${(DEGREES * turn).toFixed(2)} ° at a risk of ${risk}`;
+    entries.push(["protection", alarm ? `${text}: sensors contradict it` : text, alarm ? "warn wrap" : ""]);
+  }
+  if (fused.note) entries.push(["last restart", fused.note, "warn wrap"]);
   rows(table.tBodies[0], entries);
 }
 
