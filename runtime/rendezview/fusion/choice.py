@@ -15,23 +15,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
-from rendezview.fusion.kernels import compared, corrected, jitter_step, white_share
-from rendezview.fusion.models import Forecast, forecasts
-from rendezview.fusion.options import FusionOptions, MotionOptions
+from rendezview.fusion.hypothesis import Found, Hypothesis, judged, look, mixture, moved
+from rendezview.fusion.options import FusionOptions
 from rendezview.fusion.state import (
     FilterState,
     begin,
     estimate_of,
-    predict,
     sensor_options,
-    with_slot,
 )
-from rendezview.fusion.trust import Trust, Verdict, after_reading, judge, outlier_log
+from rendezview.fusion.trust import Trust, Verdict, after_reading, outlier_log
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
@@ -46,10 +44,6 @@ _RECENT_S = 5.0  # a sensor that spoke so lately must be heard, twice, before a 
 _JUMP_M_S, _JUMP_S = 0.1, 0.7  # σ of a manoeuvre's velocity, and how long ago it may have been
 _NEW_RATE, _NEW_VELOCITY = 0.03, 0.5  # σ of the rates that a new start takes over
 _PRESUMED = 0.9  # probability that a new start gives to a fault of the others
-# Readings over which the white share and the jitter are learnt: at first, and at last.
-_SHARE_FIRST, _SHARE_LAST, _JITTER_FIRST, _JITTER_LAST = 8.0, 40.0, 4.0, 30.0
-_LEAST_SHARE, _MOST_SHARE = 0.05, 4.0
-_LEAST_JITTER, _MOST_JITTER = 3e-5, 2e-2  # rad
 _WIDER = 4.0  # of the variance of rates that another filter has left. Source: twice the σ
 
 
@@ -69,27 +63,15 @@ _PATIENCE_S = {Kind.FAST: 5.0, Kind.MANOEUVRE: 5.0, Kind.START: 30.0}
 _HEARD_LEAST = 3  # readings before it goes
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis:
-    """A state, and which sensors are to be believed if it is true."""
-
-    state: FilterState
-    trusts: Mapping[str, Trust]
-    accepted: int = 1  # readings that fit
-    seen_s: float = -math.inf  # time of the last pose or ring that fits
-    last_accepted_s: float = -math.inf
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rival:
+class Rival(NamedTuple):
     """A hypothesis beside the main one."""
 
     kind: Kind
     hypothesis: Hypothesis
     prior: float
     born_s: float
-    ratios: Mapping[str, float] = field(default_factory=dict)  # by sensor
-    heard: Mapping[str, int] = field(default_factory=dict)
+    ratios: Mapping[str, float] = MappingProxyType({})  # by sensor
+    heard: Mapping[str, int] = MappingProxyType({})
 
     @property
     def score(self) -> float:
@@ -97,13 +79,12 @@ class Rival:
         return self.prior + sum(self.ratios.values())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Snapshot:
+class Snapshot(NamedTuple):
     """The filter after a measurement."""
 
     main: Hypothesis | None = None
     rivals: tuple[Rival, ...] = ()
-    heard_s: Mapping[str, float] = field(default_factory=dict)  # last pose or ring of each sensor
+    heard_s: Mapping[str, float] = MappingProxyType({})  # last pose or ring of each sensor
     starts: int = 0
     log_likelihood: float = 0.0  # of the last measurement
     note: str | None = None  # what last began it anew, or was decided
@@ -112,23 +93,6 @@ class Snapshot:
     def trusts(self) -> Mapping[str, Trust]:
         """Trust in each sensor."""
         return {} if self.main is None else self.main.trusts
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """The likeliest meaning of a reading at a state."""
-
-    state: FilterState
-    forecast: Forecast
-    log_likelihood: float
-    peak: float
-    nis: float
-    innovation: Array
-    comparison: tuple[Array, Array, Array, Array]  # logs, across, lowers, whites
-
-    @property
-    def size(self) -> int:
-        return len(self.innovation)
 
 
 def useless(state: FilterState, options: FusionOptions) -> str | None:
@@ -158,9 +122,10 @@ def _within(block: Array, sigma: float) -> bool:
 
 def _blind(state: FilterState) -> bool:
     """Whether the forecast is so wide that nothing can contradict it: start at the next pose."""
-    spread = np.einsum("m,mii->i", state.weights, state.covariances)
     place_m2 = float(state.place_m @ state.place_m)
-    return bool(spread[:3].sum() > 1.0 or spread[3:6].sum() > place_m2)
+    likeliest = state.covariances[int(state.weights.argmax())]
+    variances = [float(likeliest[i, i]) for i in range(6)]
+    return sum(variances[:3]) > 1.0 or sum(variances[3:]) > place_m2
 
 
 def step(
@@ -169,42 +134,42 @@ def step(
     """The filter after a measurement that is not earlier than those before."""
     name, time_s, size = measurement.sensor, measurement.time_s, measurement.size
     if size > 1:
-        before = replace(before, heard_s={**before.heard_s, name: time_s})
+        before = before._replace(heard_s={**before.heard_s, name: time_s})
     if before.main is None:
         if isinstance(measurement, PoseMeasurement):
             return _start(before, measurement, options, "begun")
         none = "no sensor has given a whole pose yet"
         return before, Verdict(name, time_s, False, none, None, size)
-    main = _moved(before.main, time_s, options)
+    main = moved(before.main, time_s, options)
     if isinstance(measurement, PoseMeasurement) and _blind(main.state):
         lost = useless(main.state, options) or "the forecast is too wide"
         return _start(before, measurement, options, f"restarted: {lost}")
-    found = _look(main.state, measurement, options)
+    found = look(main.state, measurement, options)
     rivals = tuple(
-        replace(rival, hypothesis=_moved(rival.hypothesis, time_s, options))
+        rival._replace(hypothesis=moved(rival.hypothesis, time_s, options))
         for rival in before.rivals
     )
     if isinstance(found, str):
-        main = replace(main, trusts=_heard(main.trusts, name, time_s))
-        after = replace(before, main=main, rivals=rivals, log_likelihood=0.0)
+        main = main._replace(trusts=_heard(main.trusts, name, time_s))
+        after = before._replace(main=main, rivals=rivals, log_likelihood=0.0)
         return after, Verdict(name, time_s, False, found, None, size)
-    looks = [_look(rival.hypothesis.state, measurement, options) for rival in rivals]
+    views = [look(rival.hypothesis.state, measurement, options) for rival in rivals]
     outliers = sensor_options(measurement, options).outliers
-    peaks = [look.peak for look in looks if not isinstance(look, str)]
+    peaks = [seen.peak for seen in views if not isinstance(seen, str)]
     chance = outlier_log(min([found.peak, *peaks]), size)
-    own = _mixture(outliers, found.log_likelihood, chance)
+    own = mixture(outliers, found.log_likelihood, chance)
     forecast = main
-    main, believed = _judged(main, measurement, found, options)
+    main, believed = judged(main, measurement, found, options)
     kept: list[Rival] = []
-    for rival, look in zip(rivals, looks, strict=True):
-        if isinstance(look, str):
+    for rival, seen in zip(rivals, views, strict=True):
+        if isinstance(seen, str):
             kept.append(rival)
             continue
-        ratio = _mixture(outliers, look.log_likelihood, chance) - own
-        rival, fits = _scored(rival, measurement, look, ratio, options)
+        ratio = mixture(outliers, seen.log_likelihood, chance) - own
+        rival, fits = _scored(rival, measurement, seen, ratio, options)
         score = rival.score + _relief(rival, main, time_s)
         if score > _WIN and _may_win(rival, before, time_s):
-            return _won(before, rival, measurement, look, fits)
+            return _won(before, rival, measurement, seen, fits)
         patient = time_s - rival.born_s <= _PATIENCE_S[rival.kind]
         few = sum(rival.heard.values()) < _HEARD_LEAST
         if score > _LOSE and (score >= 0.0 or patient or few):
@@ -215,8 +180,8 @@ def step(
         if main.trusts[name].locked:
             reason += f", {main.trusts[name].rejected} times in a row: locked out"
         kept += _new_rivals(before, forecast, kept, measurement, options)
-    alone = _mixture(outliers, found.log_likelihood, outlier_log(found.peak, size))
-    after = replace(before, main=main, rivals=tuple(kept), log_likelihood=alone)
+    alone = mixture(outliers, found.log_likelihood, outlier_log(found.peak, size))
+    after = before._replace(main=main, rivals=tuple(kept), log_likelihood=alone)
     if believed and found.forecast.other_edge:
         reason = "another edge than the ring's: for its bearing only"
     return after, Verdict(name, time_s, believed, reason, found.nis, size)
@@ -228,7 +193,7 @@ def _start(
     """Begin at a pose: a slow target, and a fast one beside it."""
     motion = options.motion
     trusts = {
-        name: replace(trust, fault=0.0, offset=None, rejected=0)
+        name: trust._replace(fault=0.0, offset=None, rejected=0)
         for name, trust in before.trusts.items()
     }
     slow = _begun(begin(pose, options), pose, trusts)
@@ -260,131 +225,26 @@ def resumed(
         for rows in (slice(6, 9), slice(9, 12))
     )
     state = begin(pose, options, (turn @ rates[:3], -turn @ rates[3:]), (sigmas[0], sigmas[1]))
-    state = replace(state, confirmed=confirmed)
+    state = state._replace(confirmed=confirmed)
     accepted = options.start_with if confirmed else 1
     main = Hypothesis(state, {}, accepted, pose.time_s, pose.time_s)
     return Snapshot(main, (), {}, 1)
 
 
-def _moved(hypothesis: Hypothesis, time_s: float, options: FusionOptions) -> Hypothesis:
-    ahead_s = max(time_s - hypothesis.state.time_s, 0.0)
-    return replace(hypothesis, state=predict(hypothesis.state, ahead_s, options))
-
-
-def _look(state: FilterState, measurement: Measurement, options: FusionOptions) -> _Found | str:
-    """The likeliest meaning of a reading at a state; words where there is none."""
-    state = with_slot(state, measurement, sensor_options(measurement, options))
-    meanings = forecasts(state, measurement, options)
-    if isinstance(meanings, str):
-        return meanings
-    best: _Found | None = None
-    for forecast in meanings:
-        fits, total, peak, nis, innovation, logs, across, lowers, whites = compared(
-            state.deviations, state.covariances, state.weights, forecast.design, forecast.noise,
-            forecast.residual,
-        )  # fmt: skip
-        total += forecast.log_prior
-        if not fits or not math.isfinite(total):
-            continue
-        if best is None or total > best.log_likelihood:
-            comparison = logs, across, lowers, whites
-            best = _Found(state, forecast, total, peak, nis, innovation, comparison)
-    return best or "its covariance cannot be used"
-
-
-def _mixture(outliers: float, log_likelihood: float, chance: float) -> float:
-    """Log-likelihood of a reading that may be an outlier."""
-    return float(np.logaddexp(math.log1p(-outliers) + log_likelihood, math.log(outliers) + chance))
-
-
 def _heard(trusts: Mapping[str, Trust], name: str, time_s: float) -> Mapping[str, Trust]:
     trust = trusts.get(name) or Trust(name)
-    return {**trusts, name: replace(trust, received=trust.received + 1, last_s=time_s)}
-
-
-def _judged(
-    before: Hypothesis, measurement: Measurement, found: _Found, options: FusionOptions
-) -> tuple[Hypothesis, bool]:
-    """The hypothesis after a reading that it may believe."""
-    name, time_s = measurement.sensor, measurement.time_s
-    trust = before.trusts.get(name) or Trust(name)
-    root = found.forecast.root
-    believed, fault, offset = judge(
-        trust, sensor_options(measurement, options).outliers, found.log_likelihood, found.peak,
-        found.innovation, root @ root.T,
-    )  # fmt: skip
-    level = found.nis / found.size
-    trust = replace(
-        after_reading(trust, time_s, believed, level, found.size), fault=fault, offset=offset
-    )
-    trusts = {**before.trusts, name: trust}
-    if not believed:
-        return replace(before, trusts=trusts), False
-    whole = found.size > 1
-    accepted = before.accepted + (1 if whole and not found.forecast.other_edge else 0)
-    state = _taken(found, measurement, options.motion)
-    if accepted >= options.start_with and not state.confirmed:
-        state = replace(state, confirmed=True)
-    seen_s = time_s if whole else before.seen_s
-    return Hypothesis(state, trusts, accepted, seen_s, time_s), True
-
-
-def _taken(found: _Found, measurement: Measurement, motion: MotionOptions) -> FilterState:
-    """The state after a reading, and what it teaches about noise and jitter."""
-    state, forecast, name = found.state, found.forecast, measurement.sensor
-    logs, across, lowers, whites = found.comparison
-    rotation, place, rate, velocity, deviations, covariances, weights = corrected(
-        state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
-        state.covariances, state.weights, logs, across, lowers, whites,
-    )  # fmt: skip
-    white, readings = state.white, state.readings
-    if forecast.teaches:
-        count = readings.get(name, 0)
-        gained = white_share(forecast.shares, forecast.root, weights, lowers, whites)
-        span = min(_SHARE_LAST, _SHARE_FIRST + count)
-        share = np.clip(forecast.shares + gained / span, _LEAST_SHARE, _MOST_SHARE)
-        white, readings = {**white, name: share}, {**readings, name: count + 1}
-    jitter, taught, pose_s = state.jitter, state.jitter_readings, state.pose_s
-    if isinstance(measurement, PoseMeasurement):
-        since_s = measurement.time_s - pose_s
-        if since_s > 1e-3:
-            jitter = _learnt_jitter(state, forecast, weights, lowers, whites, since_s, motion)
-            taught += 1
-        pose_s = measurement.time_s
-    return replace(
-        state, rotation=rotation, place_m=place, rate=rate, velocity=velocity,
-        deviations=deviations, covariances=covariances, weights=weights, white=white,
-        readings=readings, jitter=jitter, jitter_readings=taught, pose_s=pose_s,
-    )  # fmt: skip
-
-
-def _learnt_jitter(
-    state: FilterState, forecast: Forecast, weights: Array, lowers: Array, whites: Array,
-    since_s: float, motion: MotionOptions,
-) -> float:  # fmt: skip
-    kinds = len(motion.jitters)
-    first = weights.copy()
-    first[np.arange(len(weights)) % kinds != 0] = 0.0
-    if first.sum() < 0.2:
-        first = weights
-    gained = 1.0 - math.exp(-2.0 * min(since_s, 10.0) / motion.jitters_s[0])
-    step_rad2 = jitter_step(
-        forecast.design[:, :3].copy(), first / first.sum(), lowers, whites, gained
-    )
-    span = min(_JITTER_LAST, _JITTER_FIRST + 1.0 + state.jitter_readings)
-    square = state.jitter**2 + step_rad2 / span
-    return math.sqrt(min(max(square, _LEAST_JITTER**2), _MOST_JITTER**2))
+    return {**trusts, name: trust._replace(received=trust.received + 1, last_s=time_s)}
 
 
 def _scored(
-    rival: Rival, measurement: Measurement, look: _Found, ratio: float, options: FusionOptions
+    rival: Rival, measurement: Measurement, seen: Found, ratio: float, options: FusionOptions
 ) -> tuple[Rival, bool]:
     name = measurement.sensor
-    hypothesis, fits = _judged(rival.hypothesis, measurement, look, options)
+    hypothesis, fits = judged(rival.hypothesis, measurement, seen, options)
     total = _FORGETS * rival.ratios.get(name, 0.0) + ratio
     ratios = {**rival.ratios, name: max(-_CAP, min(_CAP, total))}
     heard = {**rival.heard, name: rival.heard.get(name, 0) + 1}
-    return replace(rival, hypothesis=hypothesis, ratios=ratios, heard=heard), fits
+    return rival._replace(hypothesis=hypothesis, ratios=ratios, heard=heard), fits
 
 
 def _relief(rival: Rival, main: Hypothesis, time_s: float) -> float:
@@ -408,19 +268,19 @@ def _may_win(rival: Rival, before: Snapshot, time_s: float) -> bool:
 
 
 def _won(
-    before: Snapshot, rival: Rival, measurement: Measurement, look: _Found, fits: bool
+    before: Snapshot, rival: Rival, measurement: Measurement, seen: Found, fits: bool
 ) -> tuple[Snapshot, Verdict]:
     """The rival takes over; only a new start is another state, and begins the filter anew."""
     restarted = rival.kind is Kind.START
     agree = sum(ratio > 0.0 for ratio in rival.ratios.values())
     said = f"{agree} sensor{'s' * (agree != 1)} speak for {rival.kind}"
     reason = f"restarted: {said}" if restarted else said
-    after = replace(
-        before, main=rival.hypothesis, rivals=(), starts=before.starts + restarted,
+    after = before._replace(
+        main=rival.hypothesis, rivals=(), starts=before.starts + restarted,
         log_likelihood=0.0, note=reason if restarted else before.note,
     )  # fmt: skip
     verdict = Verdict(
-        measurement.sensor, measurement.time_s, fits, reason, look.nis, look.size, restarted
+        measurement.sensor, measurement.time_s, fits, reason, seen.nis, seen.size, restarted
     )
     return after, verdict
 
@@ -433,29 +293,29 @@ def _new_rivals(
     kinds, found = {rival.kind for rival in rivals}, []
     time_s, name = measurement.time_s, measurement.sensor
     if Kind.MANOEUVRE not in kinds:
-        opened = replace(main, state=_with_jump(main.state))
-        look = _look(opened.state, measurement, options)
-        if not isinstance(look, str):
+        opened = main._replace(state=_with_jump(main.state))
+        seen = look(opened.state, measurement, options)
+        if not isinstance(seen, str):
             trust = opened.trusts.get(name)
             if trust is not None:
-                trusts = {**opened.trusts, name: replace(trust, fault=0.0, offset=None)}
-                opened = replace(opened, trusts=trusts)
-            after, fits = _judged(opened, measurement, look, options)
+                trusts = {**opened.trusts, name: trust._replace(fault=0.0, offset=None)}
+                opened = opened._replace(trusts=trusts)
+            after, fits = judged(opened, measurement, seen, options)
             if fits:
                 prior = _PRIOR[Kind.MANOEUVRE]
-                found.append(Rival(Kind.MANOEUVRE, replace(after, accepted=1), prior, time_s))
+                found.append(Rival(Kind.MANOEUVRE, after._replace(accepted=1), prior, time_s))
     if Kind.START not in kinds and isinstance(measurement, PoseMeasurement):
         state = begin(
             measurement, options, (main.state.rate.copy(), main.state.velocity.copy()),
             (_NEW_RATE, _NEW_VELOCITY),
         )  # fmt: skip
         trusts = {
-            other: replace(
-                trust, fault=_PRESUMED, offset=_off(main.state, measurement), rejected=0
+            other: trust._replace(
+                fault=_PRESUMED, offset=_off(main.state, measurement), rejected=0
             )
             if trust.sensor in before.heard_s and other != name and trust.fault < 0.5
             and trust.poses
-            else replace(trust, fault=0.0, offset=None, rejected=0)
+            else trust._replace(fault=0.0, offset=None, rejected=0)
             for other, trust in main.trusts.items()
         }  # fmt: skip
         confirmed = main.accepted >= _CONFIRMED
@@ -473,7 +333,7 @@ def _with_jump(state: FilterState) -> FilterState:
         covariances[:, 3 + i, 3 + i] += (_JUMP_M_S * _JUMP_S) ** 2
         covariances[:, 3 + i, 9 + i] += _JUMP_M_S**2 * _JUMP_S
         covariances[:, 9 + i, 3 + i] += _JUMP_M_S**2 * _JUMP_S
-    return replace(state, covariances=covariances)
+    return state._replace(covariances=covariances)
 
 
 def _off(state: FilterState, pose: PoseMeasurement) -> Array:

@@ -12,14 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendezview.fusion.kernels import with_bias
+from rendezview.fusion.model_kernels import circle_parts, of_other_edge, pose_parts, ring_parts
 from rendezview.fusion.options import FusionOptions, SensorOptions
 from rendezview.fusion.state import (
     RING_GEOMETRY,
     FilterState,
+    Slot,
     pose_covariance,
     sensor_options,
 )
+from rendezview.fusion.update_kernels import with_bias
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import (
@@ -27,7 +29,6 @@ from rendezview.sensors.measurement import (
     PoseMeasurement,
     RangeMeasurement,
     RingMeasurement,
-    tangents,
 )
 
 # σ of the place by which a spot must lie within its surface. Source: normal distribution, 95 %
@@ -81,19 +82,14 @@ def _forecast(
 
 
 def _pose(state: FilterState, measurement: PoseMeasurement, sensor: SensorOptions) -> Forecast:
-    pose, rotation = measurement.pose, state.rotation
-    away = -rotation @ state.place_m
-    residual = np.empty(6)
-    residual[:3] = so3.between(np.array(pose.rotation), rotation)
-    residual[3:] = pose.translation_m - away
-    motion = np.zeros((6, 6))
-    motion[:3, :3] = _UNIT
-    motion[3:, :3] = -so3.hat(away)
-    motion[3:, 3:] = -rotation
-    whole = pose_covariance(measurement, sensor)
-    forecast = _forecast(
-        state, measurement, residual, motion, whole, state.white[measurement.sensor]
+    pose = measurement.pose
+    # Copies: for read-only arrays numba would compile the loop a second time.
+    residual, motion = pose_parts(
+        np.array(pose.rotation), np.array(pose.translation_m), state.rotation, state.place_m
     )
+    whole = pose_covariance(measurement, sensor)
+    shares = state.white[measurement.sensor]
+    forecast = _forecast(state, measurement, residual, motion, whole, shares)
     assert forecast is not None  # the measurement checks its covariance
     return forecast
 
@@ -101,57 +97,37 @@ def _pose(state: FilterState, measurement: PoseMeasurement, sensor: SensorOption
 def _ring(
     state: FilterState, measurement: RingMeasurement, sensor: SensorOptions, options: FusionOptions
 ) -> list[Forecast] | str:
-    ring, rotation = measurement.ring, state.rotation
-    radius, depth_m, geometry = 1.0, 0.0, state.slots.get(RING_GEOMETRY)
+    ring, geometry, means = measurement.ring, state.slots.get(RING_GEOMETRY), np.zeros(2)
+    sigmas = np.array([options.ring_radius_sigma, options.ring_depth_sigma_m])
     if geometry is not None:
-        radius += options.ring_radius_sigma * state.mean(geometry.start)
-        depth_m += options.ring_depth_sigma_m * state.mean(geometry.start + 1)
+        means = np.array([state.mean(geometry.start), state.mean(geometry.start + 1)])
+    radius, depth_m = 1.0 + sigmas[0] * means[0], sigmas[1] * means[1]
     if radius <= 0.1:
         return "the ring's radius is lost"
-    # The radius that the sensor takes is too small by this factor: so is its centre's distance.
-    axis = rotation @ ring.axis
-    centre = rotation @ (ring.centre_m + depth_m * np.array(ring.axis) - state.place_m) / radius
+    centre, axis, basis, motion = ring_parts(
+        np.array(ring.centre_m), np.array(ring.axis), state.rotation, state.place_m, radius, depth_m
+    )
     if centre[2] <= 0.0:
         return "the ring would be behind the camera"
-    width = 6 if geometry is None else geometry.start + 2
-    basis = tangents(axis)
-    motion = np.zeros((5, width))
-    motion[:3, :3] = -so3.hat(centre)
-    motion[:3, 3:6] = -rotation / radius
-    motion[3:, :3] = -basis.T @ so3.hat(axis)
-    if geometry is not None:
-        motion[:3, geometry.start] = -options.ring_radius_sigma / radius * centre
-        motion[:3, geometry.start + 1] = options.ring_depth_sigma_m / radius * axis
-    other = options.ring_other_edge
+    motion[:, 6:] *= sigmas
+    known, motion = motion[:, 6:] @ means, _spread_out(motion, geometry)
+    other, shares = options.ring_other_edge, state.white[measurement.sensor]
     found = []
-    for candidate in measurement.candidates[:2]:
-        sign = 1.0 if candidate.axis @ axis >= 0.0 else -1.0  # a circle has no front
-        place = candidate.centre_m - centre
-        residual = np.concatenate([place, basis.T @ (sign * candidate.axis - axis)])
-        if geometry is not None:  # the design's columns have the mean already
-            residual = residual + motion[:, width - 2 :] @ (
-                np.array([state.mean(geometry.start), state.mean(geometry.start + 1)])
-            )
-        flat = np.zeros((5, 6))
-        flat[:3, :3], flat[3:, 3:] = _UNIT, sign * basis.T
-        whole = sensor.inflation * (flat @ candidate.covariance @ flat.T)
-        square = candidate.centre_m @ candidate.centre_m
-        whole[:3, :3] += sensor.floor_range**2 * square * _UNIT
-        whole[3:, 3:] += sensor.floor_rad**2 * np.eye(2)
-        shares = state.white[measurement.sensor]
+    for place, normal, covariance in zip(
+        measurement.centres_m, measurement.axes, measurement.covariances, strict=True
+    ):
+        residual, whole = circle_parts(
+            place, normal, covariance, centre, axis, basis, sensor.inflation, sensor.floor_rad,
+            sensor.floor_range,
+        )  # fmt: skip
+        residual += known  # the columns of radius and depth have it
         edge = _forecast(
             state, measurement, residual, motion, whole, shares, log_prior=math.log1p(-other)
         )
         if edge is not None:
             found.append(edge)
         if other > 0.0:
-            # A concentric edge, or one of a shadow: the line of sight is nearly right, the size
-            # not. It is the same edge again and again, so most of its error is bias.
-            wide = whole.copy()
-            along = candidate.centre_m
-            wide[:3, :3] += _OTHER_RANGE**2 * np.outer(along, along)
-            wide[:3, :3] += _OTHER_BEARING**2 * square * _UNIT
-            wide[3:, 3:] += _OTHER_RAD**2 * np.eye(2)
+            wide = of_other_edge(whole, place, _OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD)
             beside = _forecast(
                 state, measurement, residual, motion, wide, np.full(5, 1.0 - sensor.bias_share),
                 bias=5, teaches=False, log_prior=math.log(other),
@@ -159,6 +135,15 @@ def _ring(
             if beside is not None:
                 found.append(beside)
     return found or "its covariance cannot be used"
+
+
+def _spread_out(motion: Array, geometry: Slot | None) -> Array:
+    """The slope of a ring by the states in their order: radius and depth where they stand."""
+    if geometry is None:
+        return motion[:, :6].copy()
+    wide = np.zeros((5, geometry.start + 2))
+    wide[:, :6], wide[:, geometry.start :] = motion[:, :6], motion[:, 6:]
+    return wide
 
 
 def _range(state: FilterState, measurement: RangeMeasurement) -> list[Forecast] | str:
@@ -196,6 +181,3 @@ def _range(state: FilterState, measurement: RangeMeasurement) -> list[Forecast] 
         found = _forecast(state, measurement, residual, motion, whole, white, teaches=False)
         return reason if found is None else [found]
     return reason
-
-
-_UNIT = np.eye(3)

@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,19 +31,14 @@ RING_GEOMETRY = "ring's radius and depth"  # a block of the state, of no sensor
 _MOST_TURN, _MOST_WAY = 0.5, 0.4
 
 
-@dataclass(frozen=True, slots=True)
-class Slot:
+class Slot(NamedTuple):
     """The place of a sensor's bias in the state."""
 
-    sensor: str
     start: int
     size: int
-    per_s: float  # how fast it is forgotten: 1/s
-    per_range: float  # and per ln of the range
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FilterState:
+class FilterState(NamedTuple):
     """Relative motion at a time by M models, with the sensors' biases; n states in all."""
 
     time_s: float
@@ -54,6 +50,7 @@ class FilterState:
     covariances: Array  # (M, n, n)
     weights: Array  # (M,) probability of each model
     slots: Mapping[str, Slot]
+    fading: Array  # (n - 18, 2) how fast each bias is forgotten: 1/s, and per ln of the range
     white: Mapping[str, Array]  # white share of each sensor's variance, by component
     readings: Mapping[str, int]  # number of readings that taught it
     jitter: float  # σ of the first jitter, rad
@@ -106,9 +103,10 @@ def begin(
     slots: dict[str, Slot] = {}
     geometry = 2 if options.ring_radius_sigma > 0.0 or options.ring_depth_sigma_m > 0.0 else 0
     if geometry:
-        slots[RING_GEOMETRY] = Slot(RING_GEOMETRY, MOTION, geometry, 0.0, 0.0)
+        slots[RING_GEOMETRY] = Slot(MOTION, geometry)
     start = MOTION + geometry
-    slots[measurement.sensor] = _slot(measurement.sensor, start, 6, sensor)
+    slots[measurement.sensor] = Slot(start, 6)
+    fading = np.vstack([np.zeros((geometry, 2)), _fading(6, sensor)])  # the ring's is constant
     n = start + 6
     # From (rotation, translation) to (attitude, place): p = −Rᵀ t.
     into = np.zeros((6, 6))
@@ -137,7 +135,7 @@ def begin(
     turning, moving = rates if rates is not None else (np.zeros(3), np.zeros(3))
     return FilterState(
         measurement.time_s, rotation, -rotation.T @ away, turning, moving, np.zeros((count, n)),
-        covariances, np.full(count, 1.0 / count), slots, {measurement.sensor: white}, {},
+        covariances, np.full(count, 1.0 / count), slots, fading, {measurement.sensor: white}, {},
         motion.jitters[0], 0, measurement.time_s,
     )  # fmt: skip
 
@@ -157,23 +155,19 @@ def predict(state: FilterState, dt_s: float, options: FusionOptions) -> FilterSt
     if not state.confirmed:
         state = _with_slow_rates(state, dt_s)
     accelerations, jitters = models_of(motion, state.jitter)
-    fading = np.zeros((state.deviations.shape[1] - MOTION, 2))
-    for slot in state.slots.values():
-        rows = slice(slot.start - MOTION, slot.start - MOTION + slot.size)
-        fading[rows] = slot.per_s, slot.per_range
-    steps = max(math.ceil(dt_s / _LONGEST_STEP_S), 1)
+    steps = min(max(math.ceil(dt_s / _LONGEST_STEP_S), 1), _MOST_STEPS)
     now = (
         state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
         state.covariances, state.weights,
     )  # fmt: skip
-    for _ in range(min(steps, _MOST_STEPS)):
+    for _ in range(steps):
         now = predicted(
-            *now, fading, dt_s / min(steps, _MOST_STEPS), motion.angular, accelerations, jitters,
+            *now, state.fading, dt_s / steps, motion.angular, accelerations, jitters,
             motion.jitter_stay_s,
         )  # fmt: skip
     rotation, place, rate, velocity, deviations, covariances, weights = now
-    return replace(
-        state, time_s=time_s, rotation=rotation, place_m=place, rate=rate, velocity=velocity,
+    return state._replace(
+        time_s=time_s, rotation=rotation, place_m=place, rate=rate, velocity=velocity,
         deviations=deviations, covariances=covariances, weights=weights,
     )  # fmt: skip
 
@@ -183,6 +177,14 @@ _MOST_STEPS = 100  # of a prediction: a state that old is lost anyway
 
 def models_of(motion: MotionOptions, jitter: float) -> tuple[Array, Array]:
     """(A, 4) accelerations and (J, 3) jitters, as `kernels.predicted` takes them."""
+    accelerations, jitters = _models(motion)
+    jitters = jitters.copy()
+    jitters[0, 0] = jitter
+    return accelerations, jitters
+
+
+@lru_cache(maxsize=8)
+def _models(motion: MotionOptions) -> tuple[Array, Array]:
     accelerations = np.column_stack(
         [
             motion.accelerations,
@@ -191,9 +193,7 @@ def models_of(motion: MotionOptions, jitter: float) -> tuple[Array, Array]:
             motion.stays_s,
         ]
     )
-    jitters = np.column_stack([motion.jitters, motion.jitters_s, motion.slews])
-    jitters[0, 0] = jitter
-    return accelerations, jitters
+    return accelerations, np.column_stack([motion.jitters, motion.jitters_s, motion.slews])
 
 
 def with_slot(state: FilterState, measurement: Measurement, sensor: SensorOptions) -> FilterState:
@@ -206,11 +206,11 @@ def with_slot(state: FilterState, measurement: Measurement, sensor: SensorOption
     covariances = np.zeros((count, n + size, n + size))
     covariances[:, :n, :n] = state.covariances
     covariances[:, np.arange(n, n + size), np.arange(n, n + size)] = 1.0
-    return replace(
-        state,
+    return state._replace(
         deviations=np.hstack([state.deviations, np.zeros((count, size))]),
         covariances=covariances,
-        slots={**state.slots, name: _slot(name, n, size, sensor)},
+        slots={**state.slots, name: Slot(n, size)},
+        fading=np.vstack([state.fading, _fading(size, sensor)]),
         white={**state.white, name: np.full(measurement.size, 1.0 - sensor.bias_share)},
     )
 
@@ -224,8 +224,8 @@ def estimate_of(state: FilterState) -> tuple[Pose, Array, Array]:
     return Pose(rotation, translation), rates, covariance
 
 
-def _slot(name: str, start: int, size: int, sensor: SensorOptions) -> Slot:
-    return Slot(name, start, size, 1.0 / sensor.bias_s, 1.0 / sensor.bias_range)
+def _fading(size: int, sensor: SensorOptions) -> Array:
+    return np.tile([1.0 / sensor.bias_s, 1.0 / sensor.bias_range], (size, 1))
 
 
 def _with_slow_rates(state: FilterState, dt_s: float) -> FilterState:
@@ -240,4 +240,4 @@ def _with_slow_rates(state: FilterState, dt_s: float) -> FilterState:
     if scale.min() == 1.0:
         return state
     covariances = state.covariances * scale[:, None] * scale
-    return replace(state, covariances=covariances)
+    return state._replace(covariances=covariances)

@@ -7,7 +7,8 @@ the fault than from chance, and it is not believed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +21,7 @@ _SAME = 0.9  # probability that a faulty sensor's offset is as it was. Source: b
 LOCK_AFTER = 3  # turned away in a row: locked out. Source: by construction
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trust:
+class Trust(NamedTuple):
     """How far one sensor is believed; a value, replaced at each measurement."""
 
     sensor: str
@@ -66,7 +66,7 @@ def outlier_log(peak: float, size: int) -> float:
 
 def judge(
     trust: Trust, outliers: float, log_likelihood: float, peak: float, innovation: Array,
-    covariance: Array,
+    root: Array,
 ) -> tuple[bool, float, Array | None]:  # fmt: skip
     """Whether a reading is believed; probability of a fault; the fault's offset.
 
@@ -74,15 +74,14 @@ def judge(
         outliers: how often a healthy sensor gives one.
         log_likelihood, peak: of the reading at the state, and at its forecast.
         innovation: (k,) mean over all models.
-        covariance: (k, k) that the sensor reports.
+        root: (k, k) of the covariance that the sensor reports, lower.
     """
     size = len(innovation)
     before, offset = max(trust.fault, outliers), trust.offset
     faulty = outlier_log(peak, size)
     if offset is not None and len(offset) == size:
-        spread = _OFFSET_SCATTER * covariance
         away = innovation - offset
-        lower = np.linalg.cholesky(spread)
+        lower = math.sqrt(_OFFSET_SCATTER) * root
         scaled = np.linalg.solve(lower, away)
         same = -0.5 * float(scaled @ scaled) - float(np.log(lower.diagonal()).sum())
         same -= 0.5 * size * math.log(2.0 * math.pi)
@@ -105,8 +104,8 @@ def after_reading(trust: Trust, time_s: float, believed: bool, level: float, siz
     count = trust.received + 1
     mean = trust.mean_nis + (level - trust.mean_nis) / min(count, _WINDOW)
     rejected = 0 if believed else trust.rejected + 1
-    return replace(
-        trust, received=count, accepted=trust.accepted + believed, rejected=rejected,
+    return trust._replace(
+        received=count, accepted=trust.accepted + believed, rejected=rejected,
         mean_nis=mean if believed else trust.mean_nis, last_s=time_s,
         last_accepted_s=time_s if believed else trust.last_accepted_s,
         lockouts=trust.lockouts + (rejected == LOCK_AFTER), poses=size == 6,

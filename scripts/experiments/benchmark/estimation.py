@@ -15,13 +15,11 @@ from experiments.timing import Way
 from rendezview.fusion import (
     BeamSurface,
     Fusion,
-    FusionOptions,
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
     RingCandidate,
     RingMeasurement,
-    SensorOptions,
 )
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import Target
@@ -30,8 +28,6 @@ from rendezview.trajectory.relative_orbit import transition
 from rendezview.trajectory.shapes import code_of
 from rendezview.trajectory.simplex import RESIDUALS, cost, downhill_simplex, gauss_newton
 
-WHITE = SensorOptions(bias_share=0.1)  # the measurements are made without biases
-OPTIONS = FusionOptions(pose=WHITE, ring=WHITE, range=WHITE)
 STEPS = 101  # of each kind
 POINTS, SPAN_S, RANGE_M, NOISE = 100, 200.0, 30.0, 0.001
 MEAN_MOTION_RAD_S = 0.0011
@@ -88,7 +84,7 @@ def fusion(bench: Bench) -> Iterator[Row]:
 
     def added(kind: str) -> Way:
         def add() -> None:
-            state = Fusion(OPTIONS)  # all three have reported: the state has its full size
+            state = Fusion()  # all three have reported: the state has its full size
             for each in kinds.values():
                 state.add(each[0])
             for measurement in kinds[kind][1:]:

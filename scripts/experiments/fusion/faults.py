@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from experiments.frame import nees, show, table_of
-from experiments.fusion.drawn import FAULTS, RING, STEP_S, Draw, Flight, faulty, grid
+from experiments.fusion.drawn import FAULTS, RING, STEP_S, Draw, faulty, grid
 from rendezview.fusion import Fusion, Measurement, PoseMeasurement
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose

@@ -18,14 +18,10 @@ from scipy.spatial.transform import Rotation
 from experiments.frame import CLIENT, nees
 from rendezview.errors import RendezviewError
 from rendezview.fusion import (
-    BeamSurface,
     Fusion,
-    FusionOptions,
     Measurement,
-    MotionOptions,
     PoseMeasurement,
     RingMeasurement,
-    SensorOptions,
 )
 from rendezview.fusion.logs import LogContext, merged, read_log
 from rendezview.geometry import so3
@@ -51,30 +47,7 @@ LASER_SIGMA_M = 0.02
 LASER_ORIGIN_M = (0.3, 0.0, 0.0)  # beside the camera, along its boresight
 SUN_PHASE_DEG = (10.0, 40.0)
 PRIOR_ERROR_DEG = 8.0  # of the attitude that the recognizer is given at the start
-# Surfaces the beam can hit, as given to the filter: the heat shield between nozzle and adapter, the
-# bus's face around the adapter, and, where neither is certain, something near them.
-SURFACES = (
-    BeamSurface(np.array([-1.43, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.02, 0.17, 0.43),
-    BeamSurface(np.array([-1.40, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.04, 0.73, 1.05),
-    BeamSurface(np.array([-1.50, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.15),
-)
 SILENT_FRAMES = 5  # without a pose, where the body overflows: then the recognizer is switched off
-# Chosen on seeds 100 to 109; tables are of seeds 0 to 49.
-OPTIONS = FusionOptions(
-    # The wander of ApproachOptions, its rotation twice: the recognizer knows more of it than steady
-    # rates do; along has the braking, which the filter does not know.
-    motion=MotionOptions(angular=3.4e-4, linear=6e-4, along=5e-3, pointing=6e-5),
-    pose=SensorOptions(
-        # As exact as the recognizer is on the fast simulator's frames: seeds 100 to 105.
-        inflation=0.4, floor_range=2e-5, bias_share=0.8, bias_s=60.0, bias_range=0.25
-    ),
-    ring=SensorOptions(
-        inflation=4.0, floor_rad=math.radians(0.25), floor_range=5e-4, bias_share=0.8,
-        bias_s=60.0, bias_range=0.35, gate=1e-3,
-    ),
-    range=SensorOptions(bias_s=10.0, bias_range=0.5),
-    ring_radius_sigma=1e-3,  # the ring's edge as drawn has 72 corners
-)  # fmt: skip
 
 
 def render_run(folder: Path, seed: int) -> None:
@@ -130,7 +103,7 @@ def ring_run(folder: Path) -> None:
     Its prior of a frame is the forecast of the filter, as on board: the filter runs along, with the
     recognizer, the ranger, and the rings found so far.
     """
-    ring, fusion = ring_of_client(), Fusion(OPTIONS)
+    ring, fusion = ring_of_client(), Fusion()
     pending = measurements_of(folder, ("appearance", "laser"))
 
     def prior(frame: Frame) -> RingPrior | None:
@@ -192,7 +165,7 @@ def load_run(folder: Path) -> Run:
 
 def measurements_of(folder: Path, sensors: tuple[str, ...]) -> list[Measurement]:
     """The logs of some sensors, in the order of their times."""
-    context = LogContext(ring_of_client(), SURFACES)
+    context = LogContext(ring_of_client())
     return list(merged([read_log(folder / f"{name}.jsonl", name, context) for name in sensors]))
 
 
@@ -234,7 +207,7 @@ def _angle(one: Array, other: Array) -> float:
 
 def fly(run: Run) -> Flight:
     """All measurements through the filter in order of arrival, judged at the camera's frames."""
-    ring, fusion, pending = ring_of_client(), Fusion(OPTIONS), list(run.measurements)
+    ring, fusion, pending = ring_of_client(), Fusion(), list(run.measurements)
     samples: list[Sample] = []
     for time_s in sorted(run.truth)[::FRAME_EVERY]:
         spoke: dict[str, Measurement] = {}
@@ -274,9 +247,8 @@ def _sample(
             single[name] = np.array([np.linalg.norm(off), abs(off[2]), angles[best], np.nan])
         else:
             # That ranger's word on the ring: where the beam meets another thing, wrong by that.
-            surface = SURFACES[0]
-            normal = truth.rotation @ surface.normal
-            distance = normal @ (truth.apply(surface.point_m) - measurement.origin_m)
+            normal = truth.rotation @ ring.axis
+            distance = normal @ (truth.apply(ring.centre_m) - measurement.origin_m)
             off_m = abs(measurement.range_m - distance / (normal @ measurement.direction))
             single[name] = np.array([np.nan, off_m, np.nan, np.nan])
     return Sample(time_s, float(truth.apply(ring.centre_m)[2]), fused, single, squared)

@@ -1,0 +1,152 @@
+"""A hypothesis: a state, and which sensors are to be believed if it is true.
+
+`look` compares a reading with its state, `judged` believes the reading or not, and learns from it
+how much of the sensor's noise is white and how much the camera swings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from rendezview.fusion.models import Forecast, forecasts
+from rendezview.fusion.options import FusionOptions, MotionOptions
+from rendezview.fusion.state import FilterState, predict, sensor_options, with_slot
+from rendezview.fusion.trust import Trust, after_reading, judge
+from rendezview.fusion.update_kernels import compared, corrected, jitter_step, white_share
+from rendezview.geometry.pose import Array
+from rendezview.sensors.measurement import Measurement, PoseMeasurement
+
+# Readings over which the white share and the jitter are learnt: at first, and at last.
+_SHARE_FIRST, _SHARE_LAST, _JITTER_FIRST, _JITTER_LAST = 8.0, 40.0, 4.0, 30.0
+_LEAST_SHARE, _MOST_SHARE = 0.05, 4.0
+_LEAST_JITTER, _MOST_JITTER = 3e-5, 2e-2  # rad
+
+
+class Hypothesis(NamedTuple):
+    """A state, and which sensors are to be believed if it is true."""
+
+    state: FilterState
+    trusts: Mapping[str, Trust]
+    accepted: int = 1  # readings that fit
+    seen_s: float = -math.inf  # time of the last pose or ring that fits
+    last_accepted_s: float = -math.inf
+
+
+class Found(NamedTuple):
+    """The likeliest meaning of a reading at a state."""
+
+    state: FilterState
+    forecast: Forecast
+    log_likelihood: float
+    peak: float
+    nis: float
+    innovation: Array
+    comparison: tuple[Array, Array, Array, Array]  # logs, across, lowers, whites
+
+    @property
+    def size(self) -> int:
+        return len(self.innovation)
+
+
+def moved(hypothesis: Hypothesis, time_s: float, options: FusionOptions) -> Hypothesis:
+    ahead_s = max(time_s - hypothesis.state.time_s, 0.0)
+    return hypothesis._replace(state=predict(hypothesis.state, ahead_s, options))
+
+
+def look(state: FilterState, measurement: Measurement, options: FusionOptions) -> Found | str:
+    """The likeliest meaning of a reading at a state; words where there is none."""
+    state = with_slot(state, measurement, sensor_options(measurement, options))
+    meanings = forecasts(state, measurement, options)
+    if isinstance(meanings, str):
+        return meanings
+    best: Found | None = None
+    for forecast in meanings:
+        fits, total, peak, nis, innovation, logs, across, lowers, whites = compared(
+            state.deviations, state.covariances, state.weights, forecast.design, forecast.noise,
+            forecast.residual,
+        )  # fmt: skip
+        total += forecast.log_prior
+        if not fits or not math.isfinite(total):
+            continue
+        if best is None or total > best.log_likelihood:
+            comparison = logs, across, lowers, whites
+            best = Found(state, forecast, total, peak, nis, innovation, comparison)
+    return best or "its covariance cannot be used"
+
+
+def mixture(outliers: float, log_likelihood: float, chance: float) -> float:
+    """Log-likelihood of a reading that may be an outlier."""
+    return float(np.logaddexp(math.log1p(-outliers) + log_likelihood, math.log(outliers) + chance))
+
+
+def judged(
+    before: Hypothesis, measurement: Measurement, found: Found, options: FusionOptions
+) -> tuple[Hypothesis, bool]:
+    """The hypothesis after a reading that it may believe."""
+    name, time_s = measurement.sensor, measurement.time_s
+    trust = before.trusts.get(name) or Trust(name)
+    root = found.forecast.root
+    believed, fault, offset = judge(
+        trust, sensor_options(measurement, options).outliers, found.log_likelihood, found.peak,
+        found.innovation, root,
+    )  # fmt: skip
+    level = found.nis / found.size
+    trust = after_reading(trust, time_s, believed, level, found.size)._replace(
+        fault=fault, offset=offset
+    )
+    trusts = {**before.trusts, name: trust}
+    if not believed:
+        return before._replace(trusts=trusts), False
+    whole = found.size > 1
+    accepted = before.accepted + (1 if whole and not found.forecast.other_edge else 0)
+    state = _taken(found, measurement, options.motion)
+    if accepted >= options.start_with and not state.confirmed:
+        state = state._replace(confirmed=True)
+    seen_s = time_s if whole else before.seen_s
+    return Hypothesis(state, trusts, accepted, seen_s, time_s), True
+
+
+def _taken(found: Found, measurement: Measurement, motion: MotionOptions) -> FilterState:
+    """The state after a reading, and what it teaches about noise and jitter."""
+    state, forecast, name = found.state, found.forecast, measurement.sensor
+    logs, across, lowers, whites = found.comparison
+    rotation, place, rate, velocity, deviations, covariances, weights = corrected(
+        state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
+        state.covariances, state.weights, logs, across, lowers, whites,
+    )  # fmt: skip
+    white, readings = state.white, state.readings
+    if forecast.teaches:
+        count = readings.get(name, 0)
+        gained = white_share(forecast.shares, forecast.root, weights, lowers, whites)
+        span = min(_SHARE_LAST, _SHARE_FIRST + count)
+        share = np.clip(forecast.shares + gained / span, _LEAST_SHARE, _MOST_SHARE)
+        white, readings = {**white, name: share}, {**readings, name: count + 1}
+    jitter, taught, pose_s = state.jitter, state.jitter_readings, state.pose_s
+    if isinstance(measurement, PoseMeasurement):
+        since_s = measurement.time_s - pose_s
+        if since_s > 1e-3:
+            jitter = _learnt_jitter(state, forecast, weights, lowers, whites, since_s, motion)
+            taught += 1
+        pose_s = measurement.time_s
+    return state._replace(
+        rotation=rotation, place_m=place, rate=rate, velocity=velocity,
+        deviations=deviations, covariances=covariances, weights=weights, white=white,
+        readings=readings, jitter=jitter, jitter_readings=taught, pose_s=pose_s,
+    )  # fmt: skip
+
+
+def _learnt_jitter(
+    state: FilterState, forecast: Forecast, weights: Array, lowers: Array, whites: Array,
+    since_s: float, motion: MotionOptions,
+) -> float:  # fmt: skip
+    gained = 1.0 - math.exp(-2.0 * min(since_s, 10.0) / motion.jitters_s[0])
+    step_rad2 = jitter_step(
+        forecast.design, weights, lowers, whites, gained, len(motion.jitters)
+    )  # fmt: skip
+    span = min(_JITTER_LAST, _JITTER_FIRST + 1.0 + state.jitter_readings)
+    square = state.jitter**2 + step_rad2 / span
+    return math.sqrt(min(max(square, _LEAST_JITTER**2), _MOST_JITTER**2))
