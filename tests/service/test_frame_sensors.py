@@ -188,9 +188,10 @@ def test_a_pair_of_frames_is_a_reading_and_a_dropped_frame_costs_one_pair(refini
             assert reading["verdict"]["time_s"] == one.time_s
     assert given[-1]["pose"]["translation_m"] == pytest.approx(pose.translation_m, rel=0.01)
     State.model_validate(states[-1])
-    assert states[-1]["fused"]["pose"]["translation_m"] == pytest.approx(
-        pose.translation_m, rel=0.01
-    )
+    fused = states[-1]["fused"]  # half a second after the last reading
+    off = np.array(fused["pose"]["translation_m"]) - pose.translation_m
+    assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(fused["covariance"]))[3:6])
+    assert np.abs(off).max() < 0.01
     assert "ring" not in states[-1]
 
 
@@ -222,14 +223,11 @@ def test_frames_that_come_fast_are_not_all_fitted(refining_model, camera, tour):
     assert fitted == [0.0, 50.0, 50.0, 50.0, 50.0, 50.6]
 
 
-def test_a_target_that_turns_fast_is_followed_by_the_cameras_own_filter(
-    refining_model, camera, tour
-):
+def test_a_target_that_turns_fast_is_followed(refining_model, camera, tour):
     request = filled(camera, prior=tour[0][1].as_dict(), sensors={"fusion": True})
     tracker = SessionTracker("one", refining_model, request)
     states = [tracker.track(image, time_s, 0.0)[0] for time_s, _, image in tour[:8]]  # 19°/s
-    assert states[-1]["fused"]["status"] != "tracking"
-    assert states[-1]["motion"]["status"] == "tracking"
+    assert states[-1]["fused"]["status"] == "tracking"
     slow = SessionTracker("one", refining_model, request)
     states = [slow.track(image, 20.0 * time_s, 0.0)[0] for time_s, _, image in tour[:8]]
     assert states[-1]["fused"]["status"] == "tracking"

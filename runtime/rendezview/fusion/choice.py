@@ -41,10 +41,14 @@ _FORGETS = 0.9  # of a sensor's earlier ratio at each reading
 # speak for it, or so many s have passed without one that agrees.
 _CONFIRMED, _CONTEST_S = 10, 20.0
 _RECENT_S = 5.0  # a sensor that spoke so lately must be heard, twice, before a new start wins
-_JUMP_M_S, _JUMP_S = 0.1, 0.7  # σ of a manoeuvre's velocity, and how long ago it may have been
+# σ of the velocity and the rate that have jumped, and how long ago that is at least.
+_JUMP_S = 0.7
 _NEW_RATE, _NEW_VELOCITY = 0.03, 0.5  # σ of the rates that a new start takes over
 _PRESUMED = 0.9  # probability that a new start gives to a fault of the others
 _WIDER = 4.0  # of the variance of rates that another filter has left. Source: twice the σ
+
+
+_UNIT = np.eye(3)
 
 
 class Kind(StrEnum):
@@ -52,14 +56,16 @@ class Kind(StrEnum):
 
     FAST = "a fast target"
     MANOEUVRE = "a manoeuvre"
+    TURN = "a sudden turn"
     START = "a new start"
 
 
 # Of each: prior, least number of readings that fit, s after which a rival without a lead goes.
-_PRIOR = {Kind.FAST: -2.0, Kind.MANOEUVRE: -3.0, Kind.START: -4.0}
+_PRIOR = {Kind.FAST: -2.0, Kind.MANOEUVRE: -3.0, Kind.TURN: -4.0, Kind.START: -4.0}
+_JUMPS = {Kind.MANOEUVRE: (0.1, 0.0), Kind.TURN: (0.5, 0.2)}  # m/s, rad/s
 _CONFIRMED_PRIOR = -8.0  # of a new start
-_FITTING = {Kind.FAST: 2, Kind.MANOEUVRE: 2, Kind.START: 3}
-_PATIENCE_S = {Kind.FAST: 5.0, Kind.MANOEUVRE: 5.0, Kind.START: 30.0}
+_FITTING = {Kind.FAST: 2, Kind.MANOEUVRE: 2, Kind.TURN: 3, Kind.START: 3}
+_PATIENCE_S = {Kind.FAST: 5.0, Kind.MANOEUVRE: 5.0, Kind.TURN: 5.0, Kind.START: 30.0}
 _HEARD_LEAST = 3  # readings before it goes
 
 
@@ -292,18 +298,20 @@ def _new_rivals(
     """Rivals that would explain a reading that the main hypothesis turns away."""
     kinds, found = {rival.kind for rival in rivals}, []
     time_s, name = measurement.time_s, measurement.sensor
-    if Kind.MANOEUVRE not in kinds:
-        opened = main._replace(state=_with_jump(main.state))
+    ago_s = max(time_s - main.last_accepted_s, _JUMP_S)
+    for kind, sigmas in _JUMPS.items():
+        if kind in kinds:
+            continue
+        trust = (main.trusts.get(name) or Trust(name))._replace(fault=0.0, offset=None)
+        opened = main._replace(
+            state=_with_jump(main.state, ago_s, *sigmas), trusts={**main.trusts, name: trust}
+        )
         seen = look(opened.state, measurement, options)
-        if not isinstance(seen, str):
-            trust = opened.trusts.get(name)
-            if trust is not None:
-                trusts = {**opened.trusts, name: trust._replace(fault=0.0, offset=None)}
-                opened = opened._replace(trusts=trusts)
-            after, fits = judged(opened, measurement, seen, options)
-            if fits:
-                prior = _PRIOR[Kind.MANOEUVRE]
-                found.append(Rival(Kind.MANOEUVRE, after._replace(accepted=1), prior, time_s))
+        if isinstance(seen, str):
+            continue
+        after, fits = judged(opened, measurement, seen, options)
+        if fits:
+            found.append(Rival(kind, after._replace(accepted=1), _PRIOR[kind], time_s))
     if Kind.START not in kinds and isinstance(measurement, PoseMeasurement):
         state = begin(
             measurement, options, (main.state.rate.copy(), main.state.velocity.copy()),
@@ -325,15 +333,13 @@ def _new_rivals(
     return found
 
 
-def _with_jump(state: FilterState) -> FilterState:
-    """The state if the velocity has jumped a moment ago."""
-    covariances = state.covariances.copy()
-    for i in range(3):
-        covariances[:, 9 + i, 9 + i] += _JUMP_M_S**2
-        covariances[:, 3 + i, 3 + i] += (_JUMP_M_S * _JUMP_S) ** 2
-        covariances[:, 3 + i, 9 + i] += _JUMP_M_S**2 * _JUMP_S
-        covariances[:, 9 + i, 3 + i] += _JUMP_M_S**2 * _JUMP_S
-    return state._replace(covariances=covariances)
+def _with_jump(state: FilterState, ago_s: float, velocity: float, rate: float) -> FilterState:
+    """The state if velocity (σ, m/s) and rate (σ, rad/s) have jumped so long ago."""
+    moves = np.zeros((state.deviations.shape[1], 6))
+    moves[3:6, :3], moves[9:12, :3] = ago_s * velocity * _UNIT, velocity * _UNIT
+    moves[:3, 3:], moves[6:9, 3:] = ago_s * rate * state.rotation, rate * _UNIT
+    moves[3:6, 3:] = ago_s * rate * so3.hat(state.place_m)
+    return state._replace(covariances=state.covariances + moves @ moves.T)
 
 
 def _off(state: FilterState, pose: PoseMeasurement) -> Array:
