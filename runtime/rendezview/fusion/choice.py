@@ -41,6 +41,7 @@ _FORGETS = 0.9  # of a sensor's earlier ratio at each reading
 # speak for it, or so many s have passed without one that agrees.
 _CONFIRMED, _CONTEST_S = 10, 20.0
 _RECENT_S = 5.0  # a sensor that spoke so lately must be heard, twice, before a new start wins
+_CONTRADICTS = 2  # readings of one sensor turned away in a row. Source: one may be an outlier
 # σ of the velocity and the rate that have jumped, and how long ago that is at least.
 _JUMP_S = 0.7
 _NEW_RATE, _NEW_VELOCITY = 0.03, 0.5  # σ of the rates that a new start takes over
@@ -93,7 +94,8 @@ class Snapshot(NamedTuple):
     heard_s: Mapping[str, float] = MappingProxyType({})  # last pose or ring of each sensor
     starts: int = 0
     log_likelihood: float = 0.0  # of the last measurement
-    note: str | None = None  # what last began it anew, or was decided
+    note: str | None = None  # why it last began anew
+    contested_s: float = -math.inf  # when a sensor last contradicted it, or a rival won
 
     @property
     def trusts(self) -> Mapping[str, Trust]:
@@ -183,6 +185,8 @@ def step(
     reason: str | None = None
     if not believed:
         reason = f"{math.sqrt(max(found.nis, 0.0)):.1f} σ away"
+        if main.trusts[name].rejected >= _CONTRADICTS:
+            before = before._replace(contested_s=time_s)
         if main.trusts[name].locked:
             reason += f", {main.trusts[name].rejected} times in a row: locked out"
         kept += _new_rivals(before, forecast, kept, measurement, options)
@@ -283,6 +287,7 @@ def _won(
     reason = f"restarted: {said}" if restarted else said
     after = before._replace(
         main=rival.hypothesis, rivals=(), starts=before.starts + restarted,
+        contested_s=before.contested_s if rival.kind is Kind.FAST else measurement.time_s,
         log_likelihood=0.0, note=reason if restarted else before.note,
     )  # fmt: skip
     verdict = Verdict(

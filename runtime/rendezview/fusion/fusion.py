@@ -23,8 +23,7 @@ from rendezview.sensors.protection import ESTIMATORS_DISAGREE, Protection
 
 _ROUNDING_S = 1e-9  # Source: by construction
 _ORDER_LEAD = 1.0  # by which the other order must be likelier, nats. Source: by construction
-# Probability of a rival, and readings of one sensor turned away in a row, that raise an alarm.
-_ALARM, _CONTRADICTS = 0.1, 2
+_ALARM = 0.1  # probability of a rival that raises an alarm. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -279,10 +278,7 @@ def _protection(
         attitude = max(attitude, _level(off[:3], spread[:3, :3], factor))
         position_m = max(position_m, _level(off[3:], spread[3:, 3:], factor))
     alarms: tuple[str, ...] = ()
-    if wrong > _ALARM or any(
-        trust.rejected >= _CONTRADICTS and time_s - trust.last_s < options.coasting_after_s
-        for trust in snapshot.trusts.values()
-    ):
+    if wrong > _ALARM or time_s - snapshot.contested_s < options.coasting_after_s:
         alarms = (ESTIMATORS_DISAGREE,)
     return Protection(
         options.risk, min(attitude, math.pi), position_m, axes, wrong, 0.0, alarms
