@@ -9,8 +9,10 @@ from rendezview.sensors.measurement import (
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
+    RateMeasurement,
     RingCandidate,
     RingMeasurement,
+    ThrustMeasurement,
 )
 
 __all__ = [
@@ -23,9 +25,11 @@ __all__ = [
     "MotionOptions",
     "PoseMeasurement",
     "RangeMeasurement",
+    "RateMeasurement",
     "RingCandidate",
     "RingMeasurement",
     "SensorOptions",
+    "ThrustMeasurement",
     "Trust",
     "Verdict",
     "predict",

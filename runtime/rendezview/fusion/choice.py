@@ -27,12 +27,19 @@ from rendezview.fusion.state import (
     FilterState,
     begin,
     estimate_of,
+    pushed,
     sensor_options,
+    turned,
 )
 from rendezview.fusion.trust import Trust, Verdict, after_reading, outlier_log
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
-from rendezview.sensors.measurement import Measurement, PoseMeasurement
+from rendezview.sensors.measurement import (
+    Measurement,
+    PoseMeasurement,
+    RateMeasurement,
+    ThrustMeasurement,
+)
 
 # Logarithms of likelihood ratios: the most that one sensor may say, and what it takes to win.
 _CAP, _WIN, _LOSE = 12.0, 6.0, -40.0
@@ -148,6 +155,8 @@ def step(
             return _start(before, measurement, options, "begun")
         none = "no sensor has given a whole pose yet"
         return before, Verdict(name, time_s, False, none, None, size)
+    if isinstance(measurement, RateMeasurement | ThrustMeasurement):
+        return _told(before, before.main, measurement, options)
     main = moved(before.main, time_s, options)
     if isinstance(measurement, PoseMeasurement) and _blind(main.state):
         lost = useless(main.state, options) or "the forecast is too wide"
@@ -195,6 +204,26 @@ def step(
     if believed and found.forecast.other_edge:
         reason = "another edge than the ring's: for its bearing only"
     return after, Verdict(name, time_s, believed, reason, found.nis, size)
+
+
+def _told(
+    before: Snapshot, main: Hypothesis, known: RateMeasurement | ThrustMeasurement,
+    options: FusionOptions,
+) -> tuple[Snapshot, Verdict]:  # fmt: skip
+    """After an input that is known: the camera's rotation, or a thrust. All hypotheses take it."""
+
+    def with_it(hypothesis: Hypothesis) -> Hypothesis:
+        if isinstance(known, RateMeasurement):
+            return hypothesis._replace(state=turned(hypothesis.state, known, options))
+        here = moved(hypothesis, known.time_s, options)
+        return here._replace(state=pushed(here.state, known))
+
+    name, time_s = known.sensor, known.time_s
+    trust = after_reading(main.trusts.get(name) or Trust(name), time_s, True, 1.0, 0)
+    main = with_it(main._replace(trusts={**main.trusts, name: trust}))
+    rivals = tuple(r._replace(hypothesis=with_it(r.hypothesis)) for r in before.rivals)
+    after = before._replace(main=main, rivals=rivals, log_likelihood=0.0)
+    return after, Verdict(name, time_s, True, None)
 
 
 def _start(

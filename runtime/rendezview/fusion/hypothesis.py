@@ -128,7 +128,8 @@ def _taken(found: Found, measurement: Measurement, motion: MotionOptions) -> Fil
     jitter, taught, pose_s = state.jitter, state.jitter_readings, state.pose_s
     if isinstance(measurement, PoseMeasurement):
         since_s = measurement.time_s - pose_s
-        if since_s > 1e-3:
+        known = state.turning is not None and state.turning_s >= pose_s  # nothing to learn from
+        if since_s > 1e-3 and not known:
             jitter = _learnt_jitter(state, forecast, weights, lowers, whites, since_s, motion)
             taught += 1
         pose_s = measurement.time_s

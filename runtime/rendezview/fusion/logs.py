@@ -1,7 +1,8 @@
 """Sensors' logs (JSON lines) as measurements, in order of time.
 
 The keys of a log give its kind: ``range_m`` (a laser ranger), ``ellipses`` (`rendezview ring`),
-``pose`` (`rendezview track`, `reflectors`, `stereo track`). A line without a measurement (no pose,
+``pose`` (`rendezview track`, `reflectors`, `stereo track`), ``rate_rad_s`` (a gyroscope),
+``velocity_change_m_s`` (thrusters). A line without a measurement (no pose,
 no echo) is no error: the sensor reported that it saw nothing.
 """
 
@@ -29,7 +30,9 @@ from rendezview.sensors.measurement import (
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
+    RateMeasurement,
     RingMeasurement,
+    ThrustMeasurement,
     ring_candidates,
 )
 
@@ -80,7 +83,7 @@ def read_log(path: StrPath, sensor: str, context: LogContext) -> SensorLog:
 
 
 def kind_of(record: Mapping[str, Any], where: str) -> str:
-    """The kind of measurement in a line, by its keys: ``range``, ``ring`` or ``pose``.
+    """The kind of measurement in a line, by its keys: ``range``, ``ring``, ``pose``, ….
 
     Raises:
         RendezviewError: of no known kind.
@@ -90,7 +93,8 @@ def kind_of(record: Mapping[str, Any], where: str) -> str:
             return kind
     raise RendezviewError(
         f"{where}: no log of a sensor that is known here: its lines have neither 'pose' (track, "
-        "reflectors, stereo), nor 'ellipses' (ring), nor 'range_m' (a laser ranger)"
+        "reflectors, stereo), nor 'ellipses' (ring), nor 'range_m' (a laser ranger), nor "
+        "'rate_rad_s' (a gyroscope), nor 'velocity_change_m_s' (thrusters)"
     )
 
 
@@ -220,10 +224,25 @@ def _range_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Me
     )
 
 
+def _rate_of(record: Mapping[str, Any], sensor: str, _: LogContext) -> Measurement | None:
+    if record["rate_rad_s"] is None:
+        return None
+    return RateMeasurement(_time(record), sensor, record["rate_rad_s"], record["sigma_rad_s"])
+
+
+def _thrust_of(record: Mapping[str, Any], sensor: str, _: LogContext) -> Measurement | None:
+    change = record["velocity_change_m_s"]
+    if change is None:
+        return None
+    return ThrustMeasurement(_time(record), sensor, change, record["sigma_m_s"])
+
+
 Reader = Callable[[Mapping[str, Any], str, LogContext], Measurement | None]
 
 # Kind and reader by the key that identifies a log; the first match counts.
 _KINDS: dict[str, tuple[str, Reader]] = {
+    "rate_rad_s": ("rate", _rate_of),
+    "velocity_change_m_s": ("thrust", _thrust_of),
     "range_m": ("range", _range_of),
     "ellipses": ("ring", _ring_of),
     "pose": ("pose", _pose_of),
@@ -251,6 +270,9 @@ def state_record(estimate: Estimate, verdict: Verdict | None, fusion: Fusion) ->
         "ring_radius": estimate.ring_radius,
         "ring_depth_m": estimate.ring_depth_m,
         "ring_covariance": estimate.ring_covariance,
+        "protection": None if estimate.protection is None else estimate.protection.record(),
+        "starts": fusion.starts,
+        "note": estimate.note,
         "measurement": None
         if verdict is None
         else {

@@ -64,6 +64,7 @@ def forecasts(
         return [_pose(state, measurement, sensor)]
     if isinstance(measurement, RingMeasurement):
         return _ring(state, measurement, sensor, options)
+    assert isinstance(measurement, RangeMeasurement)  # the others are inputs
     return _range(state, measurement)
 
 

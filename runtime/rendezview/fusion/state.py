@@ -23,7 +23,12 @@ from rendezview.fusion.kernels import MOTION, moments, predicted
 from rendezview.fusion.options import FusionOptions, MotionOptions, SensorOptions
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.measurement import Measurement, PoseMeasurement
+from rendezview.sensors.measurement import (
+    Measurement,
+    PoseMeasurement,
+    RateMeasurement,
+    ThrustMeasurement,
+)
 
 _LONGEST_STEP_S = 10.0  # of a prediction: the noise of a step is exact for a short one
 RING_GEOMETRY = "ring's radius and depth"  # a block of the state, of no sensor
@@ -57,6 +62,9 @@ class FilterState(NamedTuple):
     jitter_readings: int = 0
     pose_s: float = -math.inf  # time of the last pose
     confirmed: bool = False
+    turning: Array | None = None  # (3,) rad/s, of the camera, its own frame; None: not measured
+    turning_sigma: float = 0.0  # rad/√s
+    turning_s: float = -math.inf  # when that was measured
 
     def mean(self, entry: int) -> float:
         """Mean deviation of one entry over all models."""
@@ -155,6 +163,10 @@ def predict(state: FilterState, dt_s: float, options: FusionOptions) -> FilterSt
     if not state.confirmed:
         state = _with_slow_rates(state, dt_s)
     accelerations, jitters = models_of(motion, state.jitter)
+    turning = state.turning if time_s <= state.turning_s + _HOLD_S else None
+    if turning is not None:  # the camera's swing is known: jitter keeps what it has
+        jitters[:, 0], jitters[:, 1] = 0.0, _ALWAYS_S
+        jitters[:, 2] = np.hypot(jitters[0, 2], state.turning_sigma)
     steps = min(max(math.ceil(dt_s / _LONGEST_STEP_S), 1), _MOST_STEPS)
     now = (
         state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
@@ -166,12 +178,22 @@ def predict(state: FilterState, dt_s: float, options: FusionOptions) -> FilterSt
             motion.jitter_stay_s,
         )  # fmt: skip
     rotation, place, rate, velocity, deviations, covariances, weights = now
+    if turning is not None:
+        swing = so3.exp(-dt_s * turning)
+        rotation = swing @ rotation
+        deviations, covariances = deviations.copy(), covariances.copy()
+        for rows in (slice(0, 3), slice(12, 15)):  # both are in the camera's axes
+            deviations[:, rows] = deviations[:, rows] @ swing.T
+            covariances[:, rows] = swing @ covariances[:, rows]
+            covariances[:, :, rows] = covariances[:, :, rows] @ swing.T
     return state._replace(
         time_s=time_s, rotation=rotation, place_m=place, rate=rate, velocity=velocity,
         deviations=deviations, covariances=covariances, weights=weights,
     )  # fmt: skip
 
 
+_HOLD_S = 1.0  # s for which a rate of the camera is taken to go on. Source: chosen
+_ALWAYS_S = 1e9
 _MOST_STEPS = 100  # of a prediction: a state that old is lost anyway
 
 
@@ -194,6 +216,27 @@ def _models(motion: MotionOptions) -> tuple[Array, Array]:
         ]
     )
     return accelerations, np.column_stack([motion.jitters, motion.jitters_s, motion.slews])
+
+
+def turned(state: FilterState, measurement: RateMeasurement, options: FusionOptions) -> FilterState:
+    """The state at the time of a reading of the camera's own rotation."""
+    dt_s = max(measurement.time_s - state.time_s, 0.0)
+    since_s = max(measurement.time_s - state.turning_s, 1e-3)
+    # White noise of a mean rate over an interval is a random walk of the angle.
+    sigma = measurement.sigma_rad_s * math.sqrt(min(since_s, _HOLD_S))
+    state = state._replace(
+        turning=measurement.rate_rad_s, turning_sigma=sigma, turning_s=measurement.time_s
+    )
+    return predict(state, dt_s, options)
+
+
+def pushed(state: FilterState, measurement: ThrustMeasurement) -> FilterState:
+    """The state after a known change of the camera's velocity."""
+    covariances = state.covariances.copy()
+    for i in range(9, 12):
+        covariances[:, i, i] += measurement.sigma_m_s**2
+    change = state.rotation.T @ measurement.velocity_change_m_s
+    return state._replace(velocity=state.velocity + change, covariances=covariances)
 
 
 def with_slot(state: FilterState, measurement: Measurement, sensor: SensorOptions) -> FilterState:

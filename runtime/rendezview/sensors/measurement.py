@@ -227,7 +227,77 @@ class RangeMeasurement:
         )  # fmt: skip
 
 
-Measurement = PoseMeasurement | RingMeasurement | RangeMeasurement
+@dataclass(frozen=True, slots=True, eq=False)
+class RateMeasurement:
+    """The camera's own rotation: a gyroscope's, or between two attitudes of a star tracker.
+
+    It is the mean since the sensor's reading before, or since the filter's last measurement.
+
+    Raises:
+        ValueError: a number is not finite, or σ not positive.
+    """
+
+    time_s: float
+    sensor: str
+    rate_rad_s: Array  # (3,) against inertial space, camera frame
+    sigma_rad_s: float  # of each axis
+
+    size = bias_size = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time_s", _checked_time(self.time_s, self.sensor))
+        rate = _checked_vector(self.rate_rad_s, "rate_rad_s", self.sensor)
+        object.__setattr__(self, "rate_rad_s", rate)
+        _check_sigma(self.sigma_rad_s, "sigma_rad_s", self.sensor)
+
+    def in_camera(self, sensor_from_camera: Pose) -> RateMeasurement:
+        """The measurement in the camera frame, from that of its sensor."""
+        rate = sensor_from_camera.rotation.T @ self.rate_rad_s
+        return RateMeasurement(self.time_s, self.sensor, rate, self.sigma_rad_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThrustMeasurement:
+    """A change of the camera's velocity that is known: thrusters that fired.
+
+    Raises:
+        ValueError: a number is not finite, or σ not positive.
+    """
+
+    time_s: float
+    sensor: str
+    velocity_change_m_s: Array  # (3,) of the chaser against inertial space, camera frame
+    sigma_m_s: float  # of each axis
+
+    size = bias_size = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time_s", _checked_time(self.time_s, self.sensor))
+        change = _checked_vector(self.velocity_change_m_s, "velocity_change_m_s", self.sensor)
+        object.__setattr__(self, "velocity_change_m_s", change)
+        _check_sigma(self.sigma_m_s, "sigma_m_s", self.sensor)
+
+    def in_camera(self, sensor_from_camera: Pose) -> ThrustMeasurement:
+        """The measurement in the camera frame, from that of its sensor."""
+        change = sensor_from_camera.rotation.T @ self.velocity_change_m_s
+        return ThrustMeasurement(self.time_s, self.sensor, change, self.sigma_m_s)
+
+
+Measurement = (
+    PoseMeasurement | RingMeasurement | RangeMeasurement | RateMeasurement | ThrustMeasurement
+)
+
+
+def _checked_vector(vector: npt.ArrayLike, name: str, sensor: str) -> Array:
+    found = np.array(vector, dtype=np.float64)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise ValueError(f"{sensor}: {name} must be three finite numbers, not {vector!r}")
+    return found
+
+
+def _check_sigma(sigma: float, name: str, sensor: str) -> None:
+    if not 0.0 < sigma < math.inf:
+        raise ValueError(f"{sensor}: {name} must be positive, not {sigma}")
 
 
 def _checked_time(time_s: float, sensor: str) -> float:

@@ -116,7 +116,7 @@ class SensorHealth(Message):
     """One source of measurements of a session."""
 
     name: str
-    kind: Literal["camera", "pose", "ring", "range"] = Field(
+    kind: Literal["camera", "pose", "ring", "range", "rate", "thrust"] = Field(
         description="the session's own camera, or the kind of another sensor's lines"
     )
     healthy: bool

@@ -14,7 +14,14 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 
 from rendezview.errors import RendezviewError
-from rendezview.fusion import BeamSurface, Measurement, PoseMeasurement, RangeMeasurement
+from rendezview.fusion import (
+    BeamSurface,
+    Measurement,
+    PoseMeasurement,
+    RangeMeasurement,
+    RateMeasurement,
+    ThrustMeasurement,
+)
 from rendezview.fusion.logs import LogContext, read_record
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.files import describe
@@ -105,6 +112,12 @@ def check_size(measurement: Measurement, where: str) -> None:
     elif isinstance(measurement, RangeMeasurement):
         places = [np.array([measurement.range_m]), measurement.origin_m]
         variances = np.square([min(measurement.sigma_m, _MOST)])
+    elif isinstance(measurement, RateMeasurement):
+        places = [measurement.rate_rad_s]
+        variances = np.square([min(measurement.sigma_rad_s, _MOST)])
+    elif isinstance(measurement, ThrustMeasurement):
+        places = [measurement.velocity_change_m_s]
+        variances = np.square([min(measurement.sigma_m_s, _MOST)])
     else:
         places = [c.centre_m for c in measurement.candidates]
         variances = np.concatenate([np.diagonal(c.covariance)[:3] for c in measurement.candidates])

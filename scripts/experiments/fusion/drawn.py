@@ -18,6 +18,7 @@ from rendezview.fusion import (
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
+    RateMeasurement,
     RingCandidate,
     RingMeasurement,
 )
@@ -41,6 +42,7 @@ class Flight:
     lasting: float = 0.0  # share of the sensors' variance that is correlated over 30 s
     thrust_m_s: float = 0.0  # σ of a jump of the velocity, every 30 s
     fault: str = ""  # one of FAULTS
+    gyroscope: bool = False  # 10 Hz, σ 0.01 °/s
 
 
 FAULTS = {
@@ -55,8 +57,8 @@ FAULTS = {
 }
 
 
-def motion(flight: Flight, rng: np.random.Generator) -> tuple[Array, list[Pose]]:
-    """Times (N,) and true camera_from_target."""
+def motion(flight: Flight, rng: np.random.Generator) -> tuple[Array, list[Pose], Array]:
+    """Times (N,), true camera_from_target, and the camera's swings (N, 3, 3)."""
     count = round(280.0 / STEP_S)
     times = STEP_S * np.arange(count)
     ranges = np.empty(count)
@@ -88,12 +90,13 @@ def motion(flight: Flight, rng: np.random.Generator) -> tuple[Array, list[Pose]]
     start = Rotation.from_rotvec(np.radians(6.0) * rng.standard_normal(3)) * _FACING
     turned = Rotation.from_rotvec(times[:, None] * spin) * start
     swing = Rotation.from_rotvec(_swing(flight, times, rng))
-    rotations = turned.as_matrix()
+    rotations, swings = turned.as_matrix(), swing.as_matrix()
     places = centres - rotations @ RING.centre_m
     rotations, places = (swing * turned).as_matrix(), swing.apply(places)
     seen = np.linalg.norm(centres, axis=1) > _NEAREST_M
     last = count if seen.all() else int(np.argmin(seen))
-    return times[:last], [Pose(r, p) for r, p in zip(rotations[:last], places[:last], strict=True)]
+    poses = [Pose(r, p) for r, p in zip(rotations[:last], places[:last], strict=True)]
+    return times[:last], poses, swings[:last]
 
 
 _FACING = Rotation.from_matrix([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -112,7 +115,7 @@ class Draw:
 
     def __init__(self, flight: Flight, seed: int) -> None:
         self.flight, self._rng = flight, np.random.default_rng([23, seed])
-        self.times, self.poses = motion(flight, self._rng)
+        self.times, self.poses, self._swings = motion(flight, self._rng)
         self._errors: dict[str, Array] = {}
         self._last_s: dict[str, float] = {}
 
@@ -121,7 +124,7 @@ class Draw:
         found = [m for k in range(0, len(self.times), 5) for m in self._at(k)]
         if self.flight.fault != "late":
             return found
-        most_s = {"camera": 3.0, "stereo": 1.0, "ring": 2.0, "laser": 0.0}
+        most_s = {"camera": 3.0, "stereo": 1.0, "ring": 2.0, "laser": 0.0, "gyro": 0.0}
         arrive = [m.time_s + self._rng.uniform(0.0, most_s[m.sensor]) for m in found]
         return [found[k] for k in np.argsort(arrive, kind="stable")]
 
@@ -138,6 +141,12 @@ class Draw:
     def _at(self, k: int) -> Iterator[Measurement]:
         time_s, fault, rng = float(self.times[k]), self.flight.fault, self._rng
         pose = self.poses[k]
+        if self.flight.gyroscope:
+            for j in range(max(k - 4, 1), k + 1):
+                rate = self._swings[j - 1] @ self._swings[j].T
+                turned = Rotation.from_matrix(rate).as_rotvec() / STEP_S
+                noisy = turned + math.radians(0.01) * rng.standard_normal(3)
+                yield RateMeasurement(float(self.times[j]), "gyro", noisy, math.radians(0.01))
         centre = pose.apply(RING.centre_m)
         away = float(np.linalg.norm(centre))
         odd = fault == "outliers" and rng.random() < 0.05
