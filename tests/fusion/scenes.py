@@ -198,7 +198,8 @@ def taken(
     state: FilterState, measurement: Measurement, options: FusionOptions
 ) -> tuple[FilterState, Verdict]:
     """The state after one measurement, without a history."""
-    after, verdict = step(Snapshot(Hypothesis(state, {})), measurement, options)
+    before = Hypothesis(state, {}, 1, state.time_s, state.time_s)
+    after, verdict = step(Snapshot(before), measurement, options)
     assert after.main is not None
     return after.main.state, verdict
 

@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 import pytest
-from tests.fusion.scenes import MOVE, START, drift
+from tests.fusion.scenes import MOVE, SIGMA, START, drift
 
 from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, FusionOptions, MotionOptions, PoseMeasurement, SensorOptions
@@ -67,6 +67,17 @@ def test_a_late_measurement_before_a_rejection_gives_what_it_gives_in_order(make
     same(ordered, late, 30.0)
 
 
+def test_a_pose_before_the_first_one_becomes_the_first(world):
+    series = [world.pose(0.5 * k) for k in range(6)]
+    ordered, late = Fusion(), Fusion()
+    for measurement in series:
+        ordered.add(measurement)
+    for measurement in [series[2], series[0], series[1], *series[:2:-1]]:
+        late.add(measurement)
+    same(ordered, late, 3.0)
+    assert late.starts == 1
+
+
 def test_what_is_too_late_is_rejected_and_changes_nothing(world):
     fusion = Fusion()
     world.run(fusion, 0, 30)
@@ -124,6 +135,17 @@ def test_a_doubled_reading_is_no_second_one(world):
     one, two = (np.sqrt(np.diag(f.state_at(19.5).covariance)[:6]) for f in (once, twice))
     assert np.all(two > 0.6 * one)
     assert world.squared(twice, 19.5) < 30.0
+
+
+@pytest.mark.parametrize("claim", [1e-3, 1e-6])
+def test_a_sensor_that_claims_too_much_gives_no_level_that_is_not_a_number(claim, make_world):
+    world, fusion = make_world(0), Fusion()
+    for k in range(30):
+        fusion.add(world.pose(0.5 * k, sigma=SIGMA * (claim if k % 3 == 1 else 1.0)))
+        estimate = fusion.state_at(0.5 * k)
+        assert np.all(np.diag(estimate.covariance) > 0.0)
+        assert np.all(estimate.protection.axes > 0.0)
+        assert estimate.protection.position_m > 0.0
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -391,8 +391,9 @@ def test_the_white_share_rests_at_the_truth():
 
 
 @pytest.mark.parametrize(
-    ("kinds", "own"), [(1, [0.2, 0.3, 0.4, 0.1]), (2, [0.4, 0.2, 0.3, 0.1]), (2, [0.1, 0.8, 0.05, 0.05])]
-)  # fmt: skip
+    ("kinds", "own"),
+    [(1, [0.2, 0.3, 0.4, 0.1]), (2, [0.4, 0.2, 0.3, 0.1]), (2, [0.1, 0.8, 0.05, 0.05])],
+)
 def test_a_step_of_the_jitter_is_that_of_numpy(kinds, own):
     """By the models of the first jitter, or by all where those are unlikely."""
     (x, p, _), design, noise, residual = a_measurement(13, 6)
