@@ -139,13 +139,16 @@ def test_a_doubled_reading_is_no_second_one(world):
 
 @pytest.mark.parametrize("claim", [1e-3, 1e-6])
 def test_a_sensor_that_claims_too_much_gives_no_level_that_is_not_a_number(claim, make_world):
-    world, fusion = make_world(0), Fusion()
-    for k in range(30):
-        fusion.add(world.pose(0.5 * k, sigma=SIGMA * (claim if k % 3 == 1 else 1.0)))
-        estimate = fusion.state_at(0.5 * k)
-        assert np.all(np.diag(estimate.covariance) > 0.0)
-        assert np.all(estimate.protection.axes > 0.0)
-        assert estimate.protection.position_m > 0.0
+    for seed in range(4):
+        world, fusion = make_world(seed), Fusion()
+        for k in range(24):
+            sharp = SIGMA * (claim if k % 3 == 1 else 1.0)
+            fusion.add(world.pose(0.5 * k, sigma=sharp))
+            fusion.add(world.pose(0.5 * k, sensor="stereo", sigma=sharp if k % 2 else SIGMA))
+            estimate = fusion.state_at(0.5 * k)
+            assert np.all(np.diag(estimate.covariance) > 0.0)
+            assert np.all(estimate.protection.axes > 0.0)
+            assert estimate.protection.position_m > 0.0
 
 
 @pytest.mark.parametrize("seed", range(4))
