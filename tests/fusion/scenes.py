@@ -22,7 +22,8 @@ from rendezview.fusion import (
     SensorOptions,
     Verdict,
 )
-from rendezview.fusion.choice import Hypothesis, Snapshot, step
+from rendezview.fusion.choice import Snapshot, step
+from rendezview.fusion.hypothesis import Hypothesis
 from rendezview.fusion.state import FilterState
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import DockingRing

@@ -42,9 +42,15 @@ def with_deviation(state, entry, value):
     return state._replace(deviations=deviations)
 
 
+def meanings(state, measurement, options):
+    found = forecasts(state, measurement, options)
+    assert isinstance(found, list), found
+    return found
+
+
 def innovation(state, measurement, options, which=0):
     """Measured less expected, with what the deviations say."""
-    found = forecasts(state, measurement, options)[which]
+    found = meanings(state, measurement, options)[which]
     return found.residual - found.design @ (state.weights @ state.deviations)
 
 
@@ -70,7 +76,7 @@ def test_the_slope_of_a_pose_is_its_derivative(world):
     state = begun(world, one, OPTIONS)
     # At the measured attitude a difference of rotation vectors is that of the rotations.
     state = state._replace(rotation=np.array(one.pose.rotation))
-    (found,) = forecasts(state, one, OPTIONS)
+    (found,) = meanings(state, one, OPTIONS)
     entries = [*range(6), *range(18, 24)]
     slope = slopes(state, one, OPTIONS, entries)
     assert found.design[:, entries] == pytest.approx(slope, abs=1e-6)
@@ -81,7 +87,7 @@ def test_the_slope_of_a_pose_is_its_derivative(world):
 def test_the_slope_of_a_pose_far_from_the_state_errs_by_half_the_angle(world):
     one = world.pose(0.0, np.array([0.05, -0.04, 0.02, 0.0, 0.0, 0.0]))
     state = begun(world, one, OPTIONS)
-    (found,) = forecasts(state, one, OPTIONS)
+    (found,) = meanings(state, one, OPTIONS)
     slope = slopes(state, one, OPTIONS, range(6))
     angle = np.linalg.norm(found.residual[:3])
     assert np.abs(found.design[:, :6] - slope)[:3].max() < 0.6 * angle
@@ -99,7 +105,7 @@ def test_the_slope_of_a_ring_is_its_derivative(world, options):
         entries += [slot.start, slot.start + 1]
     bias = state.slots["ring"].start
     entries += range(bias, bias + 5)
-    (found,) = forecasts(state, ring, options)
+    (found,) = meanings(state, ring, options)
     slope = slopes(state, ring, options, entries)
     # Its axis is a unit vector beside another: the tangents turn with the state, of second order.
     assert found.design[:3, entries] == pytest.approx(slope[:3], abs=1e-6)
@@ -135,7 +141,7 @@ def test_a_ring_is_where_its_radius_and_depth_put_it(world):
 def test_the_slope_of_a_range_is_its_derivative(world, beam):
     state = begun(world, beam, OPTIONS)
     bias = state.slots["laser"].start
-    (found,) = forecasts(state, beam, OPTIONS)
+    (found,) = meanings(state, beam, OPTIONS)
     slope = slopes(state, beam, OPTIONS, [*range(6), bias])
     assert found.design[:, [*range(6), bias]] == pytest.approx(slope, abs=1e-5)
     assert not np.delete(found.design, [*range(6), bias], axis=1).any()
@@ -144,7 +150,7 @@ def test_the_slope_of_a_range_is_its_derivative(world, beam):
 def test_a_range_is_the_way_to_the_plane(world):
     beam = replace(world.range(0.0, 1e-9), origin_m=np.array([0.3, 0.1, 0.2]))
     state = begun(world, beam, OPTIONS)
-    (found,) = forecasts(state, beam, OPTIONS)
+    (found,) = meanings(state, beam, OPTIONS)
     pose, _, _ = estimate_of(state)
     spot = beam.origin_m + (beam.range_m - found.residual[0]) * beam.direction
     assert PLANE.normal @ (pose.inverse().apply(spot) - PLANE.point_m) == pytest.approx(
@@ -156,7 +162,7 @@ def test_noise_and_bias_are_together_what_the_sensor_reports(world):
     told = replace(OPTIONS, pose=SensorOptions(inflation=1.5, floor_rad=1e-3, floor_range=1e-3))
     for one in world.kinds(0.0):
         state = begun(world, one, told)
-        found = forecasts(state, one, told)[0]
+        found = meanings(state, one, told)[0]
         bias = state.slots[one.sensor].start
         part = found.design[:, bias : bias + len(found.residual)]
         whole = found.noise + part @ part.T
@@ -175,7 +181,7 @@ def test_a_white_share_above_one_is_noise_beyond_the_report(world):
     one = world.pose(0.0)
     state = begun(world, one, OPTIONS)
     state = state._replace(white={"camera": np.full(6, 2.0)})
-    (found,) = forecasts(state, one, OPTIONS)
+    (found,) = meanings(state, one, OPTIONS)
     assert not found.design[:, 18:].any()
     assert found.noise == pytest.approx(2.0 * one.covariance)
 
@@ -183,7 +189,7 @@ def test_a_white_share_above_one_is_noise_beyond_the_report(world):
 def test_the_relief_of_a_surface_is_a_bias(world):
     beam = replace(world.range(0.0), surfaces=(replace(PLANE, relief_m=0.3),))
     state = begun(world, beam, OPTIONS)
-    (found,) = forecasts(state, beam, OPTIONS)
+    (found,) = meanings(state, beam, OPTIONS)
     assert found.noise[0, 0] == pytest.approx(0.02**2)
     assert found.design[0, state.slots["laser"].start] == pytest.approx(0.3)
     assert not found.teaches
@@ -200,7 +206,7 @@ def test_an_axis_of_either_sign_is_the_same_ring(world):
     plus = replace(ring, candidates=(RingCandidate(one.centre_m, one.axis, mixed),))
     minus = replace(ring, candidates=(RingCandidate(one.centre_m, -one.axis, flipped),))
     state = begun(world, ring, OPTIONS)
-    (a,), (b,) = (forecasts(state, m, OPTIONS) for m in (plus, minus))
+    (a,), (b,) = (meanings(state, m, OPTIONS) for m in (plus, minus))
     assert np.abs(a.residual[3:]).max() < 0.1
     assert a.residual == pytest.approx(b.residual, abs=1e-12)
     assert a.noise == pytest.approx(b.noise, abs=1e-15)
@@ -213,7 +219,7 @@ def test_each_circle_of_an_ellipse_is_a_meaning(world):
     tilted = Rotation.from_rotvec([0.0, 0.4, 0.0]).as_matrix() @ one.axis
     pair = replace(ring, candidates=(RingCandidate(one.centre_m, tilted, one.covariance), one))
     state = begun(world, ring, OPTIONS)
-    wrong, right = forecasts(state, pair, OPTIONS)
+    wrong, right = meanings(state, pair, OPTIONS)
     assert np.linalg.norm(wrong.residual[3:]) > 0.3
     assert np.linalg.norm(right.residual[3:]) < 0.05
 
@@ -222,7 +228,7 @@ def test_another_edge_counts_for_its_bearing_and_teaches_nothing(world):
     options = replace(OPTIONS, ring_other_edge=0.1)
     ring = world.ring(0.0)
     state = begun(world, ring, options)
-    edge, other = forecasts(state, ring, options)
+    edge, other = meanings(state, ring, options)
     assert (edge.other_edge, other.other_edge) == (False, True)
     assert edge.teaches
     assert not other.teaches
@@ -277,7 +283,7 @@ def test_the_next_surface_stands_in_where_the_spot_may_miss_the_first(world):
     beam = world.range(0.0)
     state = begun(world, beam, OPTIONS)
     narrow, rough = replace(PLANE, outer_m=0.1), replace(PLANE, relief_m=0.3)
-    (found,) = forecasts(state, replace(beam, surfaces=(narrow, rough)), OPTIONS)
+    (found,) = meanings(state, replace(beam, surfaces=(narrow, rough)), OPTIONS)
     assert found.root[0, 0] == pytest.approx(np.hypot(0.3, 0.02))
 
 
@@ -285,7 +291,7 @@ def test_a_spot_is_not_trusted_at_the_edge_of_a_surface(world):
     """The margin is two σ of the place."""
     beam = world.range(0.0)
     state = begun(world, beam, OPTIONS)
-    (found,) = forecasts(state, beam, OPTIONS)
+    (found,) = meanings(state, beam, OPTIONS)
     pose, _, _ = estimate_of(state)
     spot = pose.inverse().apply((beam.range_m - found.residual[0]) * beam.direction)
     from_m = float(np.linalg.norm(spot - PLANE.point_m))
@@ -320,7 +326,7 @@ def test_a_sensor_mounted_elsewhere_says_the_same(world):
     for here, there in pairs:
         state = begun(world, here, OPTIONS)
         (a,), (b,) = (
-            forecasts(state, m, OPTIONS) for m in (here, there.in_camera(sensor_from_camera))
+            meanings(state, m, OPTIONS) for m in (here, there.in_camera(sensor_from_camera))
         )
         assert a.residual == pytest.approx(b.residual, abs=1e-12)
         assert a.noise == pytest.approx(b.noise, abs=1e-12)
@@ -332,5 +338,5 @@ def test_options_of_a_name_win_over_those_of_a_kind(world):
     for sensor, factor in (("camera", 1.0), ("stereo", 4.0)):
         one = world.pose(0.0, sensor=sensor)
         state = begin(one, options)
-        (found,) = forecasts(state, still_at(state, one), options)
+        (found,) = meanings(state, still_at(state, one), options)
         assert found.root @ found.root.T == pytest.approx(factor * one.covariance)
