@@ -49,8 +49,9 @@ _FORGETS = 0.9  # of a sensor's earlier ratio at each reading
 _CONFIRMED, _CONTEST_S = 10, 20.0
 _RECENT_S = 5.0  # a sensor that spoke so lately must be heard, twice, before a new start wins
 _CONTRADICTS = 2  # readings of one sensor turned away in a row. Source: one may be an outlier
-# σ of the velocity and the rate that have jumped, and how long ago that is at least.
-_JUMP_S = 0.7
+# σ of the velocity and the rate that have jumped, and how long ago that is: since the
+# sensor's reading before, within limits.
+_JUMP_S, _MOST_JUMP_S = 0.7, 10.0
 _NEW_RATE, _NEW_VELOCITY = 0.03, 0.5  # σ of the rates that a new start takes over
 _PRESUMED = 0.9  # probability that a new start gives to a fault of the others
 _WIDER = 4.0  # of the variance of rates that another filter has left. Source: twice the σ
@@ -72,7 +73,7 @@ class Kind(StrEnum):
 _PRIOR = {Kind.FAST: -2.0, Kind.MANOEUVRE: -3.0, Kind.TURN: -4.0, Kind.START: -4.0}
 _JUMPS = {Kind.MANOEUVRE: (0.1, 0.0), Kind.TURN: (0.5, 0.2)}  # m/s, rad/s
 _CONFIRMED_PRIOR = -8.0  # of a new start
-_FITTING = {Kind.FAST: 2, Kind.MANOEUVRE: 2, Kind.TURN: 3, Kind.START: 3}
+_FITTING = {Kind.FAST: 3, Kind.MANOEUVRE: 2, Kind.TURN: 3, Kind.START: 3}
 _PATIENCE_S = {Kind.FAST: 5.0, Kind.MANOEUVRE: 5.0, Kind.TURN: 5.0, Kind.START: 30.0}
 _HEARD_LEAST = 3  # readings before it goes
 
@@ -86,6 +87,7 @@ class Rival(NamedTuple):
     born_s: float
     ratios: Mapping[str, float] = MappingProxyType({})  # by sensor
     heard: Mapping[str, int] = MappingProxyType({})
+    fitting: int = 1  # readings that fit it, the one that it was made of included
 
     @property
     def score(self) -> float:
@@ -283,7 +285,8 @@ def _scored(
     total = _FORGETS * rival.ratios.get(name, 0.0) + ratio
     ratios = {**rival.ratios, name: max(-_CAP, min(_CAP, total))}
     heard = {**rival.heard, name: rival.heard.get(name, 0) + 1}
-    return rival._replace(hypothesis=hypothesis, ratios=ratios, heard=heard), fits
+    fitting = rival.fitting + (fits and seen.size > 1)
+    return rival._replace(hypothesis=hypothesis, ratios=ratios, heard=heard, fitting=fitting), fits
 
 
 def _relief(rival: Rival, main: Hypothesis, time_s: float) -> float:
@@ -298,7 +301,7 @@ def _relief(rival: Rival, main: Hypothesis, time_s: float) -> float:
 
 def _may_win(rival: Rival, before: Snapshot, time_s: float) -> bool:
     """Whether it has been tried enough: a new start, by every sensor that speaks."""
-    if rival.hypothesis.accepted < _FITTING[rival.kind]:
+    if rival.fitting < _FITTING[rival.kind]:
         return False
     return rival.kind is not Kind.START or all(
         time_s - heard_s >= _RECENT_S or rival.heard.get(name, 0) >= 2
@@ -332,11 +335,13 @@ def _new_rivals(
     """Rivals that would explain a reading that the main hypothesis turns away."""
     kinds, found = {rival.kind for rival in rivals}, []
     time_s, name = measurement.time_s, measurement.sensor
-    ago_s = max(time_s - main.last_accepted_s, _JUMP_S)
+    known = main.trusts.get(name) or Trust(name)
+    ago_s = min(max(time_s - known.last_s, _JUMP_S), _MOST_JUMP_S)
     for kind, sigmas in _JUMPS.items():
-        if kind in kinds:
+        # What has been turned away for longer has not jumped just now.
+        if kind in kinds or known.rejected >= _CONTRADICTS:
             continue
-        trust = (main.trusts.get(name) or Trust(name))._replace(fault=0.0, offset=None)
+        trust = known._replace(fault=0.0, offset=None)
         opened = main._replace(
             state=_with_jump(main.state, ago_s, *sigmas), trusts={**main.trusts, name: trust}
         )
@@ -345,11 +350,14 @@ def _new_rivals(
             continue
         after, fits = judged(opened, measurement, seen, options)
         if fits:
-            found.append(Rival(kind, after._replace(accepted=1), _PRIOR[kind], time_s))
+            found.append(Rival(kind, after, _PRIOR[kind], time_s))
     if Kind.START not in kinds and isinstance(measurement, PoseMeasurement):
+        moving = main.state.confirmed
         state = begin(
-            measurement, options, (main.state.rate.copy(), main.state.velocity.copy()),
-            (_NEW_RATE, _NEW_VELOCITY),
+            measurement, options,
+            (main.state.rate.copy(), main.state.velocity.copy()) if moving else None,
+            (_NEW_RATE, _NEW_VELOCITY) if moving
+            else (options.motion.fast_rate, options.motion.fast_velocity),
         )  # fmt: skip
         trusts = {
             other: trust._replace(

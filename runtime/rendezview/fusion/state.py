@@ -30,6 +30,8 @@ from rendezview.sensors.measurement import (
     ThrustMeasurement,
 )
 
+# (6, 6) that every pose has at least: below it rounding counts, and no sensor is that good.
+_LEAST_COVARIANCE = np.diag([1e-7**2] * 3 + [1e-6**2] * 3)
 _LONGEST_STEP_S = 10.0  # of a prediction: the noise of a step is exact for a short one
 RING_GEOMETRY = "ring's radius and depth"  # a block of the state, of no sensor
 # Of a start until it is confirmed: σ of a rate times a step, rad and ranges. Source: linearisation
@@ -83,7 +85,7 @@ def sensor_options(measurement: Measurement, options: FusionOptions) -> SensorOp
 
 def pose_covariance(measurement: PoseMeasurement, options: SensorOptions) -> Array:
     """(6, 6) covariance that the filter uses for a pose."""
-    whole = options.inflation * measurement.covariance
+    whole = options.inflation * measurement.covariance + _LEAST_COVARIANCE
     if options.floor_rad or options.floor_range:
         away = measurement.pose.translation_m
         floor = np.full(6, options.floor_rad**2)

@@ -14,7 +14,7 @@ import numpy as np
 
 from rendezview.geometry.pose import Array
 
-_STAYS = 0.95  # probability that a fault lasts to the next reading. Source: by construction
+_STAYS = 0.6  # probability that a fault lasts to the next reading. Source: by construction
 _BLOW = 10.0  # σ of an outlier over that of the innovation. Source: by construction
 _OFFSET_SCATTER = 4.0  # variance of a fault's offset over the sensor's own. Source: by construction
 _SAME = 0.9  # probability that a faulty sensor's offset is as it was. Source: by construction

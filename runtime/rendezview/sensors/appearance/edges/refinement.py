@@ -74,6 +74,9 @@ _INEXACT = _FINE[:-1]
 _INEXACT_CUT_PX = 3.0  # px; 2.5 spreads of its last stage. Source: by construction
 # px; one σ of an edge's place in the best of cases. Source: fixed with the fit of error_model.json
 _LEAST_SIGMA_PX = 0.1
+# σ by which all edges are off alike: a limb that fades into the dark. Source: a Mitsuba approach of
+# the client, 60–30 m: for two minutes off by 0.04 to 0.09 px, where the residuals claim 0.04
+_SHARED_PX = 0.06
 # Of the target's size, one σ of a strain: the contour points are those of a view up to 2.5° away,
 # and neighbouring ones err together. Source: docs/notes/refinement.md, size of the target
 _VIEW_STRAIN = 3e-4
@@ -349,7 +352,7 @@ class Refiner:
             variance = moves.likely_variance(max(residual, _LEAST_SIGMA_PX))
             variance += _STRAIN_OF_RESIDUAL**2 * more_px2 / scale_px**2
             strain = strain + variance * np.eye(6)
-        strained = moves.covariance(arm, strain)
+        strained = moves.covariance(arm, strain) + self._shared_offset(centre)
         if self.model.shape_error > 0.0:
             # As for an exact model: the classifier was fitted to that.
             _, residual = covariance_of(edges, _CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm)
@@ -377,6 +380,14 @@ class Refiner:
             strained,
             points=points,
         )
+
+    def _shared_offset(self, centre: Array) -> Array:
+        """(6, 6) of the pose where all edges are off alike, which no residual shows."""
+        sight = centre / np.linalg.norm(centre)
+        across = (_SHARED_PX * centre[2] / self.camera.fx) ** 2
+        covariance = np.zeros((6, 6))
+        covariance[3:, 3:] = across * (np.eye(3) - np.outer(sight, sight))
+        return covariance
 
 
 # 1.5°. Source: by hand, seeds of docs/notes/refinement.md
