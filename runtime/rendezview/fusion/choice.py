@@ -315,7 +315,7 @@ def _won(
     """The rival takes over; only a new start is another state, and begins the filter anew."""
     restarted = rival.kind is Kind.START
     agree = sum(ratio > 0.0 for ratio in rival.ratios.values())
-    said = f"{agree} sensor{'s' * (agree != 1)} speak for {rival.kind}"
+    said = f"{agree} sensor{'s speak' if agree != 1 else ' speaks'} for {rival.kind}"
     reason = f"restarted: {said}" if restarted else said
     after = before._replace(
         main=rival.hypothesis, rivals=(), starts=before.starts + restarted,

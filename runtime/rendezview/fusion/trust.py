@@ -14,7 +14,7 @@ import numpy as np
 
 from rendezview.geometry.pose import Array
 
-_STAYS = 0.6  # probability that a fault lasts to the next reading. Source: by construction
+_STAYS = 0.95  # probability that a fault lasts to the next reading. Source: by construction
 _BLOW = 10.0  # σ of an outlier over that of the innovation. Source: by construction
 _OFFSET_SCATTER = 4.0  # variance of a fault's offset over the sensor's own. Source: by construction
 _SAME = 0.9  # probability that a faulty sensor's offset is as it was. Source: by construction
@@ -85,7 +85,7 @@ def judge(
         scaled = np.linalg.solve(lower, away)
         same = -0.5 * float(scaled @ scaled) - float(np.log(lower.diagonal()).sum())
         same -= 0.5 * size * math.log(2.0 * math.pi)
-        faulty = float(np.logaddexp(faulty, math.log(_SAME) + same))
+        faulty = float(np.logaddexp(math.log1p(-_SAME) + faulty, math.log(_SAME) + same))
     healthy = math.log1p(-before) + log_likelihood
     ill = math.log(before) + faulty
     after = 1.0 / (1.0 + math.exp(min(50.0, max(-50.0, healthy - ill))))
