@@ -39,10 +39,11 @@ _MOST_TURN, _MOST_WAY = 0.5, 0.4
 
 
 class Slot(NamedTuple):
-    """The place of a sensor's bias in the state."""
+    """The place of a sensor's bias in the state, and of its lateness after it."""
 
     start: int
     size: int
+    lateness: int = -1  # index; -1: its times are right
 
 
 class FilterState(NamedTuple):
@@ -115,9 +116,9 @@ def begin(
     if geometry:
         slots[RING_GEOMETRY] = Slot(MOTION, geometry)
     start = MOTION + geometry
-    slots[measurement.sensor] = Slot(start, 6)
+    slots[measurement.sensor] = _slot(start, 6, sensor)
     fading = np.vstack([np.zeros((geometry, 2)), _fading(6, sensor)])  # the ring's is constant
-    n = start + 6
+    n = MOTION + len(fading)
     # From (rotation, translation) to (attitude, place): p = −Rᵀ t.
     into = np.zeros((6, 6))
     into[:3, :3] = np.eye(3)
@@ -134,7 +135,8 @@ def begin(
     # The error of the estimate is −(A b + white), where b is the bias.
     white = np.full(6, 1.0 - sensor.bias_share)
     root = into @ np.linalg.cholesky(whole) * np.sqrt(1.0 - white)
-    covariance[:6, start:], covariance[start:, :6] = -root, -root.T
+    bias = slice(start, start + 6)
+    covariance[:6, bias], covariance[bias, :6] = -root, -root.T
     covariances = np.repeat(covariance[None], count, axis=0)
     for model in range(count):
         acceleration, jitter = divmod(model, len(motion.jitters))
@@ -247,15 +249,16 @@ def with_slot(state: FilterState, measurement: Measurement, sensor: SensorOption
     if name in state.slots:
         return state
     count, n = state.deviations.shape
-    size = measurement.bias_size
+    fading = _fading(measurement.bias_size, sensor)
+    size = len(fading)
     covariances = np.zeros((count, n + size, n + size))
     covariances[:, :n, :n] = state.covariances
     covariances[:, np.arange(n, n + size), np.arange(n, n + size)] = 1.0
     return state._replace(
         deviations=np.hstack([state.deviations, np.zeros((count, size))]),
         covariances=covariances,
-        slots={**state.slots, name: Slot(n, size)},
-        fading=np.vstack([state.fading, _fading(size, sensor)]),
+        slots={**state.slots, name: _slot(n, measurement.bias_size, sensor)},
+        fading=np.vstack([state.fading, fading]),
         white={**state.white, name: np.full(measurement.size, 1.0 - sensor.bias_share)},
     )
 
@@ -269,8 +272,14 @@ def estimate_of(state: FilterState) -> tuple[Pose, Array, Array]:
     return Pose(rotation, translation), rates, covariance
 
 
+def _slot(start: int, size: int, sensor: SensorOptions) -> Slot:
+    return Slot(start, size, start + size if sensor.late_s > 0.0 else -1)
+
+
 def _fading(size: int, sensor: SensorOptions) -> Array:
-    return np.tile([1.0 / sensor.bias_s, 1.0 / sensor.bias_range], (size, 1))
+    """(S, 2) of a sensor's bias, and of its lateness, which is constant."""
+    bias = np.tile([1.0 / sensor.bias_s, 1.0 / sensor.bias_range], (size, 1))
+    return np.vstack([bias, np.zeros((1, 2))]) if sensor.late_s > 0.0 else bias
 
 
 def _with_slow_rates(state: FilterState, dt_s: float) -> FilterState:
