@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
+from experiments.frame import show, table_of, two
 from experiments.fusion.trials import Flight, Run, fly, load_run
 from rendezview.fusion import (
     Measurement,
@@ -30,7 +31,6 @@ FAULTS = ("dead", "lying", "late")
 THIRDS = ("first", "middle", "last")
 LATE_S = 0.5
 END_S = 5.0
-SETTLED_S = 15.0  # after a fault
 
 
 def lying(measurement: Measurement) -> Measurement:
@@ -64,34 +64,20 @@ def with_fault(run: Run, sensors: tuple[str, ...], fault: str, third: int) -> Ru
     return Run(changed, run.truth)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What became of one flight with a fault."""
-
-    worst: float  # error of the ring's centre over range, while the fault lasts
-    after: float  # … from 15 s after it on
-    without: int  # frames without a state, from the first state on
-    starts: int
-    locked: bool  # the faulty sensor was locked out
-    diverged: bool
-
-
-def outcome(flight: Flight, sensors: tuple[str, ...], third: int) -> Outcome:
+def outcome(flight: Flight, third: int) -> tuple[float, int, bool]:
+    """Worst error of the ring's centre over range while the fault lasts (NaN: no state); frames
+    without a state, from the first state on; whether the flight has diverged."""
     end_s = flight.samples[-1].time_s
     start_s, stop_s = end_s * third / 3.0, end_s * (third + 1) / 3.0
     error = {s.time_s: s.fused[0] / s.range_m for s in flight.samples}
     during = [e for t, e in error.items() if start_s <= t < stop_s and np.isfinite(e)]
-    after = [e for t, e in error.items() if t >= stop_s + SETTLED_S and np.isfinite(e)]
     begun = [s for s in flight.samples if np.isfinite(s.fused[0])]
     first_s = begun[0].time_s if begun else np.inf
     without = sum(np.isnan(s.fused[0]) for s in flight.samples if s.time_s >= first_s)
     last = [s for s in flight.samples if s.time_s >= end_s - END_S]
     bound = chdtri(6, 1e-4)
     bad = [s.nees > bound if np.isfinite(s.nees) else third < 2 for s in last]
-    return Outcome(
-        max(during, default=np.nan), max(after, default=np.nan), without, flight.starts,
-        any(flight.lockouts.get(name, 0) > 0 for name in sensors), any(bad),
-    )  # fmt: skip
+    return max(during, default=np.nan), without, any(bad)
 
 
 def run(runs: Path, *, seeds: int = 50) -> None:
@@ -106,32 +92,16 @@ def run(runs: Path, *, seeds: int = 50) -> None:
     degrees of freedom), or if it has no state although the fault is over.
     """
     kept = [load_run(runs / str(seed)) for seed in range(seeds)]
-    print(
-        f"{seeds} seeds; error of the ring's centre in % of range, median and worst of the seeds: "
-        f"while it lasts, from {SETTLED_S:g} s after it on"
+    title = (
+        f"{seeds} seeds; error of the ring's centre while it lasts in % of range, median / worst"
     )
-    print(
-        f"{'sensor':11s} {'fault':6s} {'third':7s} {'during':>15s} {'after':>15s} "
-        f"{'no state':>9s} {'again':>5s} {'locked out':>10s} {'diverged':>8s}"
-    )
+    table = table_of(title, "sensor | fault | third | error | without a state | diverged", left=3)
     for name, sensors in SENSORS.items():
         for fault in FAULTS if sensors else ("–",):
             for third, word in enumerate(THIRDS if sensors else THIRDS[:1]):
                 flights = [fly(with_fault(run, sensors, fault, third)) for run in kept]
-                found = [outcome(flight, sensors, third) for flight in flights]
-                print(
-                    f"{name:11s} {fault:6s} {word:7s} {_two([o.worst for o in found])} "
-                    f"{_two([o.after for o in found])} {sum(o.without for o in found):9d} "
-                    f"{sum(o.starts > 1 for o in found):5d} "
-                    f"{sum(o.locked for o in found):10d} {sum(o.diverged for o in found):8d}",
-                    flush=True,
-                )
-
-
-def _two(shares: list[float]) -> str:
-    """Median and largest, %."""
-    values = 100.0 * np.array(shares)
-    values = values[np.isfinite(values)]
-    if len(values) == 0:
-        return f"{'–':>15s}"
-    return f"{np.median(values):6.2f} {values.max():8.2f}"
+                found = np.array([outcome(flight, third) for flight in flights]).T
+                worst = found[0, np.isfinite(found[0])]
+                error = two(100.0 * worst, 100) if len(worst) else "–"
+                table.add_row(name, fault, word, error, *(f"{n.sum():.0f}" for n in found[1:]))
+    show(table, width=100)
