@@ -40,25 +40,30 @@ CUT, NEAR, MOST = 12.0, 0.01, 5000  # χ² of an outlier; tolerance of the cost;
 
 def measurements() -> dict[str, list[Measurement]]:
     """Good measurements of a target at rest, of each kind, 10 a second."""
+    rng = np.random.default_rng(0)
     ring = Target.load(CLIENT).docking_ring
     assert ring is not None
     rotation = Rotation.from_rotvec([0.0, -0.5 * np.pi, 0.0]).as_matrix()
     truth = Pose(rotation, np.array([0.1, -0.2, 12.0]))
     sigma = np.array([2e-3, 2e-3, 1e-3, 5e-3, 5e-3, 2e-2])
-    surface, normal = BeamSurface(ring.centre_m, ring.axis), rotation @ ring.axis
-    centre = truth.apply(ring.centre_m)
-    spread = np.diag(5e-3**2 * np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]))
-    other = normal + np.array([0.02, 0.0, 0.0])
-    candidates = tuple(
-        RingCandidate(centre, axis / np.linalg.norm(axis), spread) for axis in (normal, other)
-    )
-    distance = float(normal @ centre) / float(normal[2])
-    times_s = 0.1 * np.arange(STEPS)
-    return {
-        "pose": [PoseMeasurement(t, "camera", truth, np.diag(sigma**2)) for t in times_s],
-        "ring": [RingMeasurement(t, "ring", candidates, ring) for t in times_s],
-        "range": [RangeMeasurement(t, "laser", distance, 0.02, (surface,)) for t in times_s],
-    }
+    surface = BeamSurface(ring.centre_m, ring.axis)
+    normal = rotation @ ring.axis
+    distance = float(normal @ truth.apply(ring.centre_m)) / float(normal[2])
+    found: dict[str, list[Measurement]] = {"pose": [], "ring": [], "range": []}
+    for k in range(STEPS):
+        t = 0.1 * k
+        noisy = truth.perturbed(sigma * rng.standard_normal(6))
+        found["pose"].append(PoseMeasurement(t, "camera", noisy, np.diag(sigma**2)))
+        centre = truth.apply(ring.centre_m) + 5e-3 * rng.standard_normal(3)
+        axis = normal + 5e-3 * rng.standard_normal(3)
+        flat = 5e-3**2 * (np.eye(3) - np.outer(normal, normal))
+        covariance = np.block([[5e-3**2 * np.eye(3), np.zeros((3, 3))], [np.zeros((3, 3)), flat]])
+        both = (axis, axis + np.array([0.02, 0.0, 0.0]))
+        candidates = tuple(RingCandidate(centre, a / np.linalg.norm(a), covariance) for a in both)
+        found["ring"].append(RingMeasurement(t, "ring", candidates, ring))
+        echo = distance + 0.02 * rng.standard_normal()
+        found["range"].append(RangeMeasurement(t, "laser", echo, 0.02, (surface,)))
+    return found
 
 
 def plain_numpy() -> None:

@@ -112,7 +112,7 @@ def run(
         loss.backward()
         optimizer.step()
         rates.step()
-        losses.append(float(loss))
+        losses.append(loss.item())
         if k % 500 == 0 or k == steps:
             with torch.no_grad():
                 seen = odds_of(network.eval(), held).numpy() > 0.0

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import onnxruntime as ort
 from joblib import Parallel, delayed
 
 from experiments.frame import kept
@@ -80,18 +79,6 @@ def photographs(chosen, behind: np.ndarray, rng: np.random.Generator):
     return pictures, np.array([maps for _, maps in taken])
 
 
-def written_entropy(path: Path, pictures: np.ndarray, maps: np.ndarray) -> float:
-    """Cross entropy of the network as written, on pictures (N, 2, S, S) of known maps."""
-    import torch
-
-    from experiments.training import sketch_unet as unet
-
-    session = ort.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    squares = (sketch.to_squares(picture)[None] for picture in pictures)
-    odds = np.array([sketch.from_squares(session.run(None, {"squares": s})[0][0]) for s in squares])
-    return float(unet.losses(torch.from_numpy(odds), torch.from_numpy(maps))[0])
-
-
 def run(
     network: Annotated[Path, "ONNX file to write; the weights go beside it as .pt"], *,
     frames: Annotated[int, "drawings of craft; each is photographed many times"] = 7800,
@@ -147,5 +134,4 @@ def run(
     trained = unet.trained(batches.get, tensors, minutes, seed)
     unet.write(trained, network, [*shown, *large_shown])
     size_mb = network.stat().st_size / 1e6
-    entropies = ", ".join(f"{written_entropy(network, *batch):.3f}" for batch in held)
-    print(f"{network}: {size_mb:.1f} MB, cross entropy {entropies} held out")
+    print(f"{network}: {size_mb:.1f} MB")
