@@ -145,6 +145,7 @@ def run(
             every, where = np.array(readings), np.array(attitudes)
             all_us = 1e-3 * code.trees_ns(every, np.array(rolls))
             search_us = 1e-3 * code.search_ns(every, where)
+            score_us = 1e-3 * code.forest_score_ns(every, where) if scores else np.zeros(1)
             sweep_us = 1e-3 * code.search_around_ns(every[::10], where[::10])
         python_us = np.full(len(readings), np.inf)
         for _ in range(3):
@@ -163,7 +164,8 @@ def run(
     for name in checked:
         print(f"{name}: identical {tally[name]} of {total}")
     for name, us in (("all trees", all_us), ("the runtime's loop", python_us),
-                     ("node search", search_us), ("search around 20°", sweep_us)):  # fmt: skip
+                     ("node search", search_us), ("search around 20°", sweep_us),
+                     ("score of the forest", score_us)):  # fmt: skip
         print(f"{name}: median {np.median(us):.1f} µs, worst {us.max():.1f} µs")
     right = (
         tally["frames identical"] == frames

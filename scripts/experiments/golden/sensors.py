@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.benchmark.estimation import MEAN_MOTION_RAD_S, cloud_of
-from experiments.frame import CLIENT, MODELS_CAD
+from experiments.frame import CLIENT, MODELS_CAD, tests_module
 from experiments.fusion.faults import with_fault
 from experiments.fusion.trials import fly, load_run, make_run
 from experiments.golden.answers import Answers
@@ -18,7 +18,6 @@ from experiments.ring.accuracy import CAMERA as RING_CAMERA
 from experiments.ring.accuracy import CASES, CLUTTERED, drawn, errors_of
 from experiments.stereo.accuracy import leds_of, spots_of
 from experiments.trajectory.accuracy import SHAPES, segment_errors, spin_errors, true_path
-from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_json_lines
 from rendezview.io.target import Target
@@ -36,9 +35,9 @@ from rendezview.sensors.beacons import (
     patterns_of,
 )
 from rendezview.sensors.beacons.detect.led_spots import find_spots as find_lights
-from rendezview.sensors.ring import Ellipse, RingPrior, RingSensor, shape_of_circle
+from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview.sensors.ring.ring_pass import ring_size_of_pass
-from rendezview.sensors.ring.ring_size import RingSight, ring_size
+from rendezview.sensors.ring.ring_size import ring_size
 from rendezview.trajectory import (
     NoFit,
     PointCloud,
@@ -51,9 +50,8 @@ from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOpti
 from rendezview_ground.simulate.led_pictures import PictureOptions, draw, picture_rig
 from rendezview_ground.simulate.reflector_frames import foil, glints, render_pair
 
-_SIZE = Camera.from_fov(2048, 2048, np.deg2rad(50.0))
-_RADIUS_M, _DISTANCE_M = 0.597, 1.68
-_PANEL_M = np.array([[0.0, 4.0, 1.2], [0.0, -4.0, 1.2], [0.0, 4.0, -1.2], [0.0, -4.0, -1.2]])
+passes = tests_module("sensors.ring.test_ring_size")
+
 _TIMES_S = np.linspace(0.0, 200.0, 40)
 _PATH = {"radius_m": np.array(10.0), "centre_m": np.zeros(3), "times_s": _TIMES_S}  # of a target
 _NOISE, _TURN = 0.03, 2e-3  # m of places, rad of attitudes; one σ
@@ -84,30 +82,21 @@ def ring(answers: Answers, seed: int) -> None:
 
 def sizes(answers: Answers, seed: int) -> None:
     """A ring of unknown size from a fly-around: frame by frame, and the whole pass."""
-    rng = np.random.default_rng(seed)
-    sights = [_sight(a, rng) for a in np.linspace(-1.0, 1.0, 48)]
-    found = [("frame", ring_size(_SIZE, sight)) for sight in sights]
-    for kind, size in [*found, ("pass", ring_size_of_pass(_SIZE, sights))]:
+    rng, camera = np.random.default_rng(seed), passes.CAMERA
+    sights = [
+        passes.sight(passes.pose_at(angle), 0.05, 0.1, 0.005, rng)
+        for angle in np.linspace(-1.0, 1.0, 48)
+    ]
+    found = [("frame", ring_size(camera, sight)) for sight in sights]
+    for kind, size in [*found, ("pass", ring_size_of_pass(camera, sights))]:
         if size is None:
             answers.add(f"ring size/{kind}", "none")
             continue
-        errors = (abs(size.distance_m / _DISTANCE_M - 1), abs(size.radius_m / _RADIUS_M - 1))
+        true = (passes.DISTANCE_M, passes.RADIUS_M)
+        errors = tuple(abs(np.array([size.distance_m, size.radius_m]) / true - 1.0))
         answers.add(f"ring size/{kind}", "ok", errors=errors, limits=(np.inf, 0.05),
                     size=(size.radius_m, size.distance_m),
                     covariance=size.covariance)  # fmt: skip
-
-
-def _sight(angle_rad: float, rng: np.random.Generator) -> RingSight:
-    """A panel's corners, the ring's ellipse and a range from 12 m, with noise."""
-    out, down = np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0]), np.array([0.0, 0.0, -1.0])
-    pose = Pose(np.vstack([np.cross(down, -out), down, -out]), [0.0, 0.0, 12.0])
-    corners = _SIZE.project(pose.apply(_PANEL_M)) + rng.normal(0.0, 0.05, (4, 2))
-    axis = pose.rotation[:, 0]
-    shape = shape_of_circle(_SIZE, pose.apply([_DISTANCE_M, 0.0, 0.0]), axis, _RADIUS_M)
-    points = Ellipse.from_shape(shape).points(300)
-    ellipse = Ellipse.fit(points + rng.normal(0.0, 0.1, points.shape))
-    range_m = float(axis @ pose.translation_m) / axis[2] + rng.normal(0.0, 0.005)
-    return RingSight(corners, ellipse, range_m, 0.05, 0.005)
 
 
 def reflectors(answers: Answers, seed: int) -> None:

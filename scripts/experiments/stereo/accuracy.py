@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -26,7 +25,6 @@ from rendezview.sensors.beacons.detect.led_spots import find_spots
 from rendezview_ground.simulate.led_laboratory import LaboratoryOptions
 from rendezview_ground.simulate.led_pictures import PictureOptions
 
-Simulator = Literal["own", "plain"]
 PAPER = {2.0: 0.08, 0.5: 0.02}  # degrees about the line
 POSITIONS = 41  # of the stage; the paper's figure does not give it
 RATE_HZ, SIGNAL_TO_NOISE = 10.0, 200.0
@@ -116,22 +114,20 @@ def by_others(rig: Rig, target: Target, currents: np.ndarray) -> dict[str, np.nd
     return {name: np.stack(own) for name, own in rotations.items() if own}
 
 
-def run(*, seed: int = 11, runs: int = 100, simulator: Simulator = "own") -> None:
+def run(*, seed: int = 11, runs: int = 100) -> None:
     """Pose errors of the stereo LED tracker in its simulated laboratory, signal-to-noise 200.
 
     A stage turns by 2° or 0.5° a reading, as in figure 8 of Welch et al. (1991): measured angle
     against set angle, slope and scatter about the line, beside the Cramér–Rao bound. The photodiode
-    rig is calibrated in the simulation first. NEES of poses, calibration included. --simulator: the
-    product's own, or the tests' plain one, which shares no code with it.
+    rig is calibrated in the simulation first. NEES of poses, calibration included.
     """
     target, rng = Target.load(MODELS_CAD / "scole"), np.random.default_rng(seed)
-    simulators = tests_module("plain_laboratory")
-    made = simulators.PlainLaboratory if simulator == "plain" else simulators.OwnLaboratory
     options = LaboratoryOptions(signal_to_noise=SIGNAL_TO_NOISE, distorted=True)
+    made = tests_module("plain_laboratory").OwnLaboratory
     laboratory = made(leds_of(target), options, seed)
     rig = calibrate_laboratory(laboratory.calibration(rng)).rig
     columns = "step | method | readings | slope | scatter | bound | ratio | NEES"
-    table = table_of(f"figure 8, seed {seed}, {simulator} simulator", columns, left=8)
+    table = table_of(f"figure 8, seed {seed}", columns, left=8)
     for step in PAPER:
         angles = step * (np.arange(POSITIONS) - POSITIONS // 2)
         poses = laboratory.stage(np.deg2rad(angles))
