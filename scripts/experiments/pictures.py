@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -113,7 +114,8 @@ def reflectors(_: Path) -> None:
     rng, pattern = np.random.default_rng(6), patterns_of(Target.load(CLIENT), ("far",))[0]
     pose = pose_of(SixNumbers(5.0, 0.03, 0.02, 0.4, 0.25, -0.2), pattern)
     clutter = (foil(CAMERA, rng, 30), glints(CAMERA, rng, 6))
-    frames = LitDark(*render_pair(CAMERA, pattern, pose, OPTIONS, rng, clutter=clutter))
+    options = replace(OPTIONS, noise_sigma_grey=0.2)  # noise makes the file large
+    frames = LitDark(*render_pair(CAMERA, pattern, pose, options, rng, clutter=clutter))
     sensor = ReflectorSensor(CAMERA, [pattern], tracking=TrackingOptions(confirm=False))
     drawn = draw_spots(frames, sensor.update(0.0, frames), CAMERA, [pattern])
     wide = cv2.resize(frames.lit, drawn.shape[1::-1], interpolation=cv2.INTER_NEAREST)
