@@ -23,6 +23,7 @@ ALONE_S = 8.0  # of the bare tracker
 def overhead(loop: Loop, model: Path) -> None:
     """Blocks of frames in turns: bare, by requests, by a stream."""
     served = Served(model, "--workers", "1")
+    served.await_ready()
     client = Client(served.url)
     by_request = client.open(loop.camera, prior=loop.prior)
     stream = client.open(loop.camera, prior=loop.prior).stream()
@@ -93,6 +94,7 @@ def many(loop: Loop, model: Path, scene: Path) -> None:
     loaded = ViewModel.load(model)
     alone_ms(loaded, loop, 2.0)  # compiles
     served, bare_ms = Served(model), alone_ms(loaded, loop, ALONE_S)
+    served.await_ready()
     apart = get_context("spawn")
     ready, results = apart.Barrier(CLIENTS + 1), apart.Queue()
     task = (served.url, scene, ready, results)
