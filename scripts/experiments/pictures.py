@@ -211,21 +211,20 @@ MAPS_BGR = np.array([(60.0, 60.0, 60.0), (90.0, 190.0, 255.0), (200.0, 130.0, 50
 
 def sketch(model: Path) -> None:
     """Frames in hard light, their sketches, the poses; MODEL of hubble. Prints the errors."""
-    (_, mesh), views, k, rows = mesh_of("hubble"), ViewModel.load(model), 0, list[np.ndarray]()
-    while len(rows) < 3:
-        k += 1
+    (_, mesh), views, rows = mesh_of("hubble"), ViewModel.load(model), []
+    for k in (9, 13, 24):
         image, camera, truth = frame(mesh, np.random.default_rng([902, k]))
-        found = (recognizer := Recognizer(views, camera)).recognize(image)
-        if "sketch" in found.stage_ms and found.pose is not None:
-            assert recognizer.sketch is not None
-            drawn = recognizer.sketch.sketcher.find(image)
-            assert drawn is not None
-            place = np.array([[1.0, 0.0, -drawn.left_px], [0.0, 1.0, -drawn.top_px]]) / drawn.scale
-            maps = cv2.warpAffine(np.moveaxis(drawn.maps, 0, 2), place, image.shape) @ MAPS_BGR
-            shown = draw_observation(image, found, camera, views)[: 2 * len(image)]
-            tiles = cv2.merge([image] * 3), maps.clip(0, 255), cv2.resize(shown, image.shape)
-            rows.append(np.hstack(tiles))
-            print(f"frame {k}: {math.degrees(found.pose.angle_to(truth)):.1f}°")
+        recognizer = Recognizer(views, camera)
+        assert recognizer.sketch is not None
+        found, drawn = recognizer.recognize(image), recognizer.sketch.sketcher.find(image)
+        assert found.pose is not None
+        assert drawn is not None
+        whole = np.array([[1.0, 0.0, -drawn.left_px], [0.0, 1.0, -drawn.top_px]]) / drawn.scale
+        maps = cv2.warpAffine(np.moveaxis(drawn.maps, 0, 2), whole, image.shape) @ MAPS_BGR
+        shown = draw_observation(image, found, camera, views)[: 2 * len(image)]
+        tiles = cv2.merge([image] * 3), maps.clip(0, 255), cv2.resize(shown, image.shape)
+        rows.append(np.hstack(tiles).astype(np.uint8))
+        print(f"frame {k}: {math.degrees(found.pose.angle_to(truth)):.1f}°")
     cv2.imwrite(str(PICTURES / "sketch.png"), np.vstack(rows))
 
 
