@@ -12,12 +12,15 @@ import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 
-from experiments.frame import CLIENT, MODELS_CAD, PICTURES
+from experiments.frame import CLIENT, MODELS_CAD, PICTURES, mesh_of
 from experiments.fusion.trials import fly, load_run
+from experiments.pose.sketch_confidence import frame
 from experiments.reflectors.accuracy import CAMERA, OPTIONS
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
+from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.overlay import draw_observation
 from rendezview.sensors.beacons import (
     LitDark,
     ReflectorSensor,
@@ -158,19 +161,43 @@ def fusion(runs: Path) -> None:
     figure.savefig(PICTURES / "fusion.png", dpi=110)
 
 
+# Of cover, edges and creases: blue, green, red.
+MAPS_BGR = np.array([(60.0, 60.0, 60.0), (90.0, 190.0, 255.0), (200.0, 130.0, 50.0)])
+
+
+def sketch(model: Path) -> None:
+    """Frames in hard light, their sketches, the poses; MODEL of hubble. Prints the errors."""
+    (_, mesh), views, rows = mesh_of("hubble"), ViewModel.load(model), []
+    for k in (9, 13, 24):
+        image, camera, truth = frame(mesh, np.random.default_rng([902, k]))
+        recognizer = Recognizer(views, camera)
+        assert recognizer.sketch is not None
+        found, drawn = recognizer.recognize(image), recognizer.sketch.sketcher.find(image)
+        assert found.pose is not None
+        assert drawn is not None
+        whole = np.array([[1.0, 0.0, -drawn.left_px], [0.0, 1.0, -drawn.top_px]]) / drawn.scale
+        maps = cv2.warpAffine(np.moveaxis(drawn.maps, 0, 2), whole, image.shape) @ MAPS_BGR
+        shown = draw_observation(image, found, camera, views)[: 2 * len(image)]
+        tiles = cv2.merge([image] * 3), maps.clip(0, 255), cv2.resize(shown, image.shape)
+        rows.append(np.hstack(tiles).astype(np.uint8))
+        print(f"frame {k}: {math.degrees(found.pose.angle_to(truth)):.1f}°")
+    cv2.imwrite(str(PICTURES / "sketch.png"), np.vstack(rows))
+
+
 DRAWN = {"readme": readme, "simulation": simulation, "ring": ring, "reflectors": reflectors,
-         "fusion": fusion}  # fmt: skip
+         "fusion": fusion, "sketch": sketch}  # fmt: skip
 
 
 def run(
-    name: Literal["readme", "simulation", "ring", "reflectors", "fusion"],
+    name: Literal["readme", "simulation", "ring", "reflectors", "fusion", "sketch"],
     source: Path | None = None,
 ) -> None:
     """Draw one picture of the README or the docs again, into docs/pictures.
 
-    readme needs the folder that rendezview demo wrote; fusion, the runs of fusion-approach.
+    readme needs the folder that rendezview demo wrote; fusion, the runs of fusion-approach; sketch,
+    a model of hubble.
     """
-    if source is None and name in ("readme", "fusion"):
+    if source is None and name in ("readme", "fusion", "sketch"):
         raise SystemExit(f"picture {name} needs a SOURCE, see --help")
     DRAWN[name](source or PICTURES)
     print(PICTURES, name)
