@@ -6,7 +6,7 @@ import argparse
 import importlib
 import inspect
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -23,8 +23,6 @@ ROOT = Path(__file__).resolve().parents[2]  # the checkout
 MODELS_CAD = ROOT / "models_cad"
 CLIENT = MODELS_CAD / "client"
 PICTURES = ROOT / "docs" / "pictures"
-
-PeerPython = Annotated[Path | None, "an interpreter with opencv-contrib"]
 
 
 def run(name: str, experiment: Callable[..., object], words: Sequence[str]) -> object:
@@ -101,6 +99,17 @@ def nees(error: npt.ArrayLike, covariance: npt.ArrayLike) -> float:
     """Normalised estimation error squared."""
     off = np.asarray(error)
     return float(np.dot(off, np.linalg.solve(np.asarray(covariance), off)))
+
+
+def kept(path: Path, make: Callable[[], Mapping[str, npt.ArrayLike]]) -> dict[str, Any]:
+    """The arrays of a file .npz; where it is not there, they are made and written."""
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(".partial.npz")
+        np.savez_compressed(partial, **make())
+        partial.replace(path)
+    with np.load(path) as file:
+        return {name: file[name] for name in file.files}
 
 
 def tests_module(name: str) -> Any:

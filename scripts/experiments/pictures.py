@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from itertools import pairwise
 from pathlib import Path
@@ -12,22 +11,25 @@ import cv2
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.patches import Circle, Polygon, Rectangle
 
-from experiments.frame import CLIENT, MODELS_CAD, PICTURES
-from experiments.reflectors.accuracy import CAMERA
+from experiments.frame import CLIENT, MODELS_CAD, PICTURES, mesh_of
+from experiments.fusion.trials import fly, load_run
+from experiments.pose.sketch_confidence import frame
+from experiments.reflectors.accuracy import CAMERA, OPTIONS
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
+from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.overlay import draw_observation
 from rendezview.sensors.beacons import (
     LitDark,
     ReflectorSensor,
     SixNumbers,
-    find_spots,
+    TrackingOptions,
     patterns_of,
     pose_of,
-    predict_spots,
 )
+from rendezview.sensors.beacons.overlay import draw_reading as draw_spots
 from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview.sensors.ring.overlay import draw_reading
 from rendezview_ground.mesh.mesh import load_mesh
@@ -40,12 +42,7 @@ from rendezview_ground.simulate import (
     trajectory,
 )
 from rendezview_ground.simulate.mesh_error import deformed
-from rendezview_ground.simulate.reflector_frames import (
-    ReflectorFrameOptions,
-    foil,
-    glints,
-    render_pair,
-)
+from rendezview_ground.simulate.reflector_frames import foil, glints, render_pair
 
 matplotlib.use("Agg")
 
@@ -114,58 +111,20 @@ def ring(_: Path) -> None:
     cv2.imwrite(str(PICTURES / "ring.png"), draw_reading(image, reading, camera))
 
 
-ORANGE, GREY = "#f0922b", "#9a9a9a"
-
-
 def reflectors(_: Path) -> None:
-    """Pair, spots, triplet, windows and pose.
-
-    A simulated pair of the far target at 5 m with crumpled foil and false spots. Left: the lit
-    picture. Middle: the difference with every spot (grey) and the triplet (orange). Right: the
-    target with the windows that the reading searched, and the face frame at the pose.
-    """
-    rng = np.random.default_rng(6)
-    pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
-    six = SixNumbers(5.0, 0.03, 0.02, 0.4, 0.25, -0.2)
+    """A lit picture with crumpled foil and false spots, and what the sensor makes of it."""
+    rng, pattern = np.random.default_rng(6), patterns_of(Target.load(CLIENT), ("far",))[0]
+    pose = pose_of(SixNumbers(5.0, 0.03, 0.02, 0.4, 0.25, -0.2), pattern)
     clutter = (foil(CAMERA, rng, 30), glints(CAMERA, rng, 6))
-    sensor = ReflectorSensor(CAMERA, [pattern])
-    pose = pose_of(six, pattern)
-    for k in range(3):  # found, confirmed, followed
-        nearer = Pose(pose.rotation, (1.0 - 0.004 * k) * pose.translation_m)
-        options = ReflectorFrameOptions()
-        frames = LitDark(*render_pair(CAMERA, pattern, nearer, options, rng, clutter=clutter))
-        reading = sensor.update(0.5 * k, frames)
-    if reading.pose is None or not reading.tracked or frames.dark is None:
-        raise SystemExit(f"no pose to draw: {reading.status}, {reading.reason}")
-    spots = find_spots(frames)
-    three = reading.spots.centroids_px
-    figure, axes = plt.subplots(1, 3, figsize=(10.0, 2.9), constrained_layout=True)
-    difference = np.clip(frames.lit.astype(int) - frames.dark, 0, 255)
-    shown = {f"lit ({reading.six.range_m:.2f} m)": frames.lit,
-             f"lit − dark: {len(spots)} spots, the triplet": difference,
-             "the windows it looked into, and the pose": difference}  # fmt: skip
-    for panel, (title, image) in zip(axes, shown.items(), strict=True):
-        panel.imshow(image, cmap="gray", vmin=0, vmax=200, interpolation="nearest")
-        panel.set_title(title, fontsize=9)
-        panel.set(xticks=[], yticks=[])
-    for place, size in zip(spots.centroids_px, spots.size_px, strict=True):
-        axes[1].add_patch(Circle(place, 3.0 * size + 5.0, fill=False, color=GREY, lw=0.8))
-    axes[1].add_patch(Polygon(three, fill=False, color=ORANGE, lw=0.9))
-    looked, named = sensor._fit, (reading.spots.size_px, reading.reflectors)
-    windows = zip(looked.expected[:, :2], looked.half, three, *named, strict=True)
-    for middle, half, place, size, name in windows:
-        axes[1].add_patch(Circle(place, 3.0 * size + 5.0, fill=False, color=ORANGE, lw=1.2))
-        corner = middle - half
-        axes[2].add_patch(Rectangle(corner, 2 * half, 2 * half, fill=False, color=ORANGE, lw=1.2))
-        axes[2].annotate(name, corner - (0.0, 2.0), color=ORANGE, fontsize=8)
-    tips = np.vstack([np.zeros(3), 0.4 * pattern.base_m * np.eye(3)])
-    face = CAMERA.project((reading.pose @ pattern.target_from_face).apply(tips))
-    for tip, colour in zip(face[1:], ("#ff5050", "#50dc50", "#50a0ff"), strict=True):
-        axes[2].plot(*np.transpose([face[0], tip]), color=colour, lw=1.3)
-    places = predict_spots(CAMERA, pattern, reading.pose)
-    (x, y), reach = places.mean(axis=0), 0.9 * np.ptp(places, axis=0).max()
-    axes[2].set(xlim=(x - 1.33 * reach, x + 1.33 * reach), ylim=(y + reach, y - reach))
-    figure.savefig(PICTURES / "reflectors.png", dpi=90)
+    frames = LitDark(*render_pair(CAMERA, pattern, pose, OPTIONS, rng, clutter=clutter))
+    sensor = ReflectorSensor(CAMERA, [pattern], tracking=TrackingOptions(confirm=False))
+    reading = sensor.update(0.0, frames)
+    # Noise is not drawn: it makes the file ten times as large.
+    shown = [cv2.threshold(p, 16, 0, cv2.THRESH_TOZERO)[1] for p in (frames.lit, frames.dark)]
+    drawn = draw_spots(LitDark(*shown), reading, CAMERA, [pattern])
+    wide = cv2.resize(shown[0], drawn.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    both = np.hstack([cv2.cvtColor(wide, cv2.COLOR_GRAY2BGR), drawn])
+    cv2.imwrite(str(PICTURES / "reflectors.png"), both)
 
 
 EDGES_M = np.geomspace(0.99, 60.1, 25)
@@ -180,20 +139,20 @@ def curve(range_m: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return middles, np.array([np.median(error[inside[k]]) for k in full])
 
 
-def fusion(samples: Path) -> None:
-    """Errors of sensors and filter over the range, of the samples of fusion-approach."""
-    rows = json.loads(samples.read_text())
-    range_m = np.array([row["range_m"] for row in rows])
+def fusion(runs: Path) -> None:
+    """Errors of sensors and filter over the range, of the runs of fusion-approach."""
+    rows = [sample for run in sorted(runs.iterdir()) for sample in fly(load_run(run)).samples]
+    range_m = np.array([row.range_m for row in rows])
     figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.8), constrained_layout=True)
     panels = ((0, 1e3, "ring's centre, mm"), (2, 180.0 / np.pi, "ring's axis, °"))
     for panel, (k, scale, label) in zip(axes, panels, strict=True):
         for name in ("appearance", "ring", "laser"):
             index = 1 if name == "laser" and k == 0 else k  # a ranger knows the depth only
-            error = np.array([row["single"].get(name, [np.nan] * 4)[index] for row in rows])
+            error = np.array([row.single.get(name, [np.nan] * 4)[index] for row in rows])
             x, y = curve(range_m, scale * error)
             if len(x):
                 panel.plot(x, y, color=COLOURS[name], lw=1.4, label=name)
-        x, y = curve(range_m, scale * np.array([row["fused"][k] for row in rows]))
+        x, y = curve(range_m, scale * np.array([row.fused[k] for row in rows]))
         panel.plot(x, y, color=COLOURS["fused"], lw=2.2, label="fused")
         panel.set(xscale="log", yscale="log", xlabel="camera to ring, m", ylabel=label)
         panel.invert_xaxis()
@@ -202,19 +161,43 @@ def fusion(samples: Path) -> None:
     figure.savefig(PICTURES / "fusion.png", dpi=110)
 
 
+# Of cover, edges and creases: blue, green, red.
+MAPS_BGR = np.array([(60.0, 60.0, 60.0), (90.0, 190.0, 255.0), (200.0, 130.0, 50.0)])
+
+
+def sketch(model: Path) -> None:
+    """Frames in hard light, their sketches, the poses; MODEL of hubble. Prints the errors."""
+    (_, mesh), views, rows = mesh_of("hubble"), ViewModel.load(model), []
+    for k in (9, 13, 24):
+        image, camera, truth = frame(mesh, np.random.default_rng([902, k]))
+        recognizer = Recognizer(views, camera)
+        assert recognizer.sketch is not None
+        found, drawn = recognizer.recognize(image), recognizer.sketch.sketcher.find(image)
+        assert found.pose is not None
+        assert drawn is not None
+        whole = np.array([[1.0, 0.0, -drawn.left_px], [0.0, 1.0, -drawn.top_px]]) / drawn.scale
+        maps = cv2.warpAffine(np.moveaxis(drawn.maps, 0, 2), whole, image.shape) @ MAPS_BGR
+        shown = draw_observation(image, found, camera, views)[: 2 * len(image)]
+        tiles = cv2.merge([image] * 3), maps.clip(0, 255), cv2.resize(shown, image.shape)
+        rows.append(np.hstack(tiles).astype(np.uint8))
+        print(f"frame {k}: {math.degrees(found.pose.angle_to(truth)):.1f}°")
+    cv2.imwrite(str(PICTURES / "sketch.png"), np.vstack(rows))
+
+
 DRAWN = {"readme": readme, "simulation": simulation, "ring": ring, "reflectors": reflectors,
-         "fusion": fusion}  # fmt: skip
+         "fusion": fusion, "sketch": sketch}  # fmt: skip
 
 
 def run(
-    name: Literal["readme", "simulation", "ring", "reflectors", "fusion"],
+    name: Literal["readme", "simulation", "ring", "reflectors", "fusion", "sketch"],
     source: Path | None = None,
 ) -> None:
     """Draw one picture of the README or the docs again, into docs/pictures.
 
-    readme needs the folder that rendezview demo wrote; fusion, what fusion-approach --samples did.
+    readme needs the folder that rendezview demo wrote; fusion, the runs of fusion-approach; sketch,
+    a model of hubble.
     """
-    if source is None and name in ("readme", "fusion"):
+    if source is None and name in ("readme", "fusion", "sketch"):
         raise SystemExit(f"picture {name} needs a SOURCE, see --help")
     DRAWN[name](source or PICTURES)
     print(PICTURES, name)

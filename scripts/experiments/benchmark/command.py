@@ -15,7 +15,7 @@ from typing import Annotated
 import cv2
 from threadpoolctl import threadpool_limits
 
-from experiments.benchmark.appearance import flight_code, nodes, poses
+from experiments.benchmark.appearance import flight_code, poses
 from experiments.benchmark.check import ALLOWED, Bench, Row, best, worse
 from experiments.benchmark.check import write as write_rows
 from experiments.benchmark.estimation import fusion, segments
@@ -38,20 +38,17 @@ SMALL = TrainingOptions(
 )  # fmt: skip
 
 
-def small_model(cache: Path) -> Path:
+def small_model() -> Path:
     """The short form's model; trained again when options, mesh or sources have changed."""
     found = find_target("hubble")
     digest = hashlib.sha256(repr(SMALL).encode() + found.mesh_path.read_bytes())
     for source in (inspect.getfile(train), appearance.__file__):
         for path in sorted(Path(str(source)).parent.rglob("*.py")):
             digest.update(path.read_bytes())
-    path = cache / f"hubble-{digest.hexdigest()[:16]}.rvm"
+    path = CACHE / f"hubble-{digest.hexdigest()[:16]}.rvm"
     if not path.exists():
-        cache.mkdir(parents=True, exist_ok=True)
-        start = time.perf_counter()
-        mesh = load_mesh(found.mesh_path, found.unit)
-        train(mesh, path, name="hubble", options=SMALL)
-        print(f"small model trained in {time.perf_counter() - start:.0f} s: {path}")
+        CACHE.mkdir(parents=True, exist_ok=True)
+        train(load_mesh(found.mesh_path, found.unit), path, name="hubble", options=SMALL)
     return path
 
 
@@ -79,9 +76,9 @@ def show_rows(rows: list[Row]) -> None:
 
 def measured(bench: Bench, passes: int, kept: Path | None) -> tuple[list[Row], dict[str, str]]:
     """All rows, the best of the passes, and those worse than the kept: these are measured again."""
-    everything = [poses, nodes, reflectors, three_points, rings, stereo, fusion, segments]
+    everything = [poses, reflectors, three_points, rings, stereo, fusion, segments]
     if driver.compiler() is not None:
-        everything.insert(2, flight_code)
+        everything.append(flight_code)
     rows: dict[str, Row] = {}
     of_group: dict[str, int] = {}
     again = set(range(len(everything)))
@@ -104,20 +101,20 @@ def run(
     check: Annotated[Path | None, "exit 1 where a ratio is over 1.5 × the kept one"] = None,
     write: Annotated[Path | None, "keep the ratios in a file"] = None,
     model: Annotated[Path | None, "default model of hubble; else it is trained"] = None,
-    seed: int = 77, cache: Path = CACHE,
+    seed: int = 77,
 ) -> None:  # fmt: skip
     """Everything the README claims, beside its peers and floors.
 
     Ours and the peers are timed in turns, in processor time; each figure is the least of the
     medians of 15 turns. Less is better everywhere; the ratio is ours over the peer's. --short
-    trains a small model of its own once, into --cache.
+    trains a small model of its own once, into ~/.cache.
     """
     start = time.perf_counter()
     cv2.setNumThreads(1)
     name, mesh = mesh_of("hubble")
-    path = small_model(cache) if short else model or cache / "hubble.rvm"
+    path = small_model() if short else model or CACHE / "hubble.rvm"
     if not path.exists():
-        cache.mkdir(parents=True, exist_ok=True)
+        CACHE.mkdir(parents=True, exist_ok=True)
         train(mesh, path, name=name)
     with threadpool_limits(1):
         bench = Bench(mesh, path, *(SHORT_SIZE if short else SIZE), seed)

@@ -25,7 +25,6 @@ from rendezview.sensors.beacons import (
     TrackerOptions,
     find_spots,
     patterns_of,
-    reprocess,
 )
 from rendezview.sensors.ring import RingDetector
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
@@ -35,7 +34,7 @@ from rendezview_ground.simulate.ring_frames import RingSceneOptions, random_scen
 REFLECTOR_SEED, RING_SEED, STEREO_SEED = 41, 81, 21
 REFLECTOR_RANGE_M = 6.0
 RING_PX = (640, 480)
-STEREO_READINGS, STEREO_PEER_READINGS = 4100, 100
+STEREO_READINGS = 100
 
 
 def moments(lit: np.ndarray, dark: np.ndarray) -> list[tuple[float, float]]:
@@ -118,29 +117,28 @@ def by_paper(rig: Rig, leds: np.ndarray, currents: np.ndarray) -> None:
 
 
 def stereo(bench: Bench) -> Iterator[Row]:
-    """Readings of lights, one by one and all at once, beside the paper's iteration in numpy."""
+    """Readings of lights beside the paper's iteration in numpy."""
     target = Target.load(MODELS_CAD / "scole")
     lights = np.array([light.position_m for light in target.leds])
     laboratory = Laboratory(lights, LaboratoryOptions(), STEREO_SEED)
     rng = np.random.default_rng(STEREO_SEED)
-    steps = np.arange(STEREO_READINGS) * np.deg2rad(2.0)
-    angles = np.deg2rad(40.0) * np.sin(steps / np.deg2rad(40.0))  # to and fro
+    angles = np.deg2rad(40.0) * np.sin(0.05 * np.arange(STEREO_READINGS))  # to and fro
     currents = laboratory.currents(laboratory.stage(angles), rng)
     rig = calibrate_laboratory(laboratory.calibration(rng)).rig
-    few, tracker = currents[:STEREO_PEER_READINGS], StereoTracker.of_target(rig, target)
     one_by_one = StereoTracker.of_target(rig, target, TrackerOptions(motion=None))
     clock = count()
 
     def follow() -> None:
-        for reading in few:
+        for reading in currents:
             cameras = zip(rig.cameras, reading, strict=True)
             spots = [camera.photodiode.read(row) for camera, row in cameras]
             one_by_one.update(0.1 * next(clock), spots)
 
-    ours = {
-        "stereo, a reading": Way(follow, len(few)),
-        "stereo, a log at once": Way(lambda: reprocess(tracker, currents), len(currents)),
-    }
-    plain = "the paper's iteration in plain numpy"
-    spent = bench.race(ours | {plain: Way(lambda: by_paper(rig, lights, few), len(few))})
-    yield from times("stereo-accuracy", spent, dict.fromkeys(ours, (plain,)))
+    ours, plain, count_of = (
+        "stereo, a reading",
+        "the paper's iteration in plain numpy",
+        len(currents),
+    )
+    ways = {ours: Way(follow, count_of),
+            plain: Way(lambda: by_paper(rig, lights, currents), count_of)}  # fmt: skip
+    yield from times("stereo-accuracy", bench.race(ways), {ours: (plain,)})

@@ -15,7 +15,7 @@ import onnxruntime
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import tests_module
-from experiments.recognition.accuracy import flight_camera, frame_of, random_pose
+from experiments.recognition.accuracy import flight_camera, frame_of, random_pose, signature_of
 from rendezview.export import write_onnx
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
@@ -62,8 +62,7 @@ def compare_frame(
         tally["frames refused"] += 1
         tally["frames identical"] += c == python.status
         return None
-    rays = [camera.rays(points) for points in python.outlines_px]
-    signature = Signature.of_outlines(rays, model.bins, model.smooth_bins)
+    signature = signature_of(python, camera, model)
     if signature is None:
         tally["frames refused"] += 1
         tally["frames identical"] += isinstance(c, tuple) and c[1] is Status.SMALL
@@ -128,12 +127,10 @@ def run(
                     roll = twist(attitude, rotations)
                     trust = matcher.trust_of(views.forest.leaves(view, nodes, roll))
                     tally["trees"] += np.array_equal(code.trees(view, roll), trust)
-                    match = driver.runtime_search(matcher, view, attitude, reach_rad)
-                    found = code.search(view, attitude, reach_rad)
-                    tally["searches"] += driver.same_search(found, match)
-                    match = driver.runtime_search_around(matcher, view, attitude, PRIOR_RAD)
-                    found = code.search_around(view, attitude, PRIOR_RAD)
-                    tally["sweeps"] += driver.same_search(found, match)
+                    for name, reach in (("search", reach_rad), ("search_around", PRIOR_RAD)):
+                        here = getattr(driver, f"runtime_{name}")(matcher, view, attitude, reach)
+                        in_c = getattr(code, name)(view, attitude, reach)
+                        tally[name] += driver.same_search(in_c, here)
                     if scores is not None:
                         centred = Signature(view, signature.area_sr, np.eye(3))
                         score = scores.scores(centred, attitude[None])[0]
@@ -162,7 +159,7 @@ def run(
     print(f"frame to signature: identical {tally['frames identical']} of {frames} "
           f"({tally['frames refused']} refused); object size: {size} bytes, "
           f"{sum(sizes.values()) - size} more with the forest")  # fmt: skip
-    checked = ["trees", "searches", "sweeps", *(["ONNX"] if onnx else [])]
+    checked = ["trees", "search", "search_around", *(["ONNX"] if onnx else [])]
     checked += ["scores", "forest searches"] if scores else []
     for name in checked:
         print(f"{name}: identical {tally[name]} of {total}")

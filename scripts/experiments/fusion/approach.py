@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from scipy.special import chdtri
 
+from experiments.frame import show, table_of
 from experiments.fusion.trials import Flight, fly, load_run, make_run
 from rendezview.sensors.appearance import ViewModel
 
@@ -19,63 +19,49 @@ SCALES = (1e3, 1e3, 180.0 / np.pi, 180.0 / np.pi)
 SENSORS = ("appearance", "ring", "laser")
 
 
-def rms_and_median(values: np.ndarray) -> tuple[float, float]:
-    """Of the finite ones; NaN where there is none."""
-    values = values[np.isfinite(values)]
-    if not len(values):
-        return np.nan, np.nan
-    return float(np.sqrt(np.mean(values**2))), float(np.median(values))
+def rms_and_median(values: list[float]) -> tuple[float, float, int]:
+    """Of the finite ones, and how many; NaN where there is none."""
+    finite = np.array(values)[np.isfinite(values)]
+    if not len(finite):
+        return np.nan, np.nan, 0
+    return float(np.sqrt(np.mean(finite**2))), float(np.median(finite)), len(finite)
 
 
 def error_tables(flights: list[Flight]) -> None:
-    """Errors of the filter and of each sensor by range; a mark where one sensor is better."""
+    """Errors of the filter and of each sensor by range."""
+    nowhere = np.full(len(NAMES), np.nan)
     for k, (name, scale) in enumerate(zip(NAMES, SCALES, strict=True)):
-        print(f"\n{name}: r.m.s. (median) of all frames of all seeds; received in % of frames")
-        heads = " ".join(f"{sensor:>24s}" for sensor in SENSORS)
-        print(f"{'range, m':>12s} {'frames':>7s} {'fused':>18s} {heads}")
+        title = f"{name}: r.m.s. (median) of all frames; answered in % of frames"
+        table = table_of(title, ("range, m", "frames", "fused", *SENSORS))
         for far, near in pairwise(EDGES_M):
             chosen = [s for f in flights for s in f.samples if near <= s.range_m < far]
-            fused = np.array([s.fused[k] for s in chosen]) * scale
-            own, middle = rms_and_median(fused)
-            line, singles = f"{own:9.3f} ({middle:7.3f})", []
-            for sensor in SENSORS:
-                got = np.array([s.single[sensor][k] for s in chosen if sensor in s.single]) * scale
-                rms, median = rms_and_median(got)
-                share = 100.0 * np.isfinite(got).sum() / len(chosen)
-                if share >= 50.0:
-                    singles.append(rms)
-                cell = f"{rms:9.3f} ({median:7.3f}) {share:3.0f}%"
-                line += f" {cell if share else '–':>24s}"
-            if missing := int(np.isnan(fused).sum()):
-                line += f"  {missing} without a state"
-            mark = "" if not singles or own <= min(singles) else "  > best single"
-            print(f"{far:5.1f}–{near:5.1f} {len(chosen):8d} {line}{mark}")
+            cells = []
+            for sensor in (None, *SENSORS):
+                each = [s.single.get(sensor, nowhere) if sensor else s.fused for s in chosen]
+                rms, median, count = rms_and_median([scale * error[k] for error in each])
+                share = f"{100.0 * count / max(len(chosen), 1):.0f} %"
+                cells.append(f"{rms:.3f} ({median:.3f}) {share}" if count else "–")
+            table.add_row(f"{far:g}–{near:g}", str(len(chosen)), *cells)
+        show(table, width=120)
 
 
 def consistency_table(flights: list[Flight]) -> None:
     """Normalised errors by range beside their 95 % bands."""
     count = len(flights)
     low, high = chdtri(6 * count, 0.975) / count, chdtri(6 * count, 0.025) / count
-    one_low, one_high = chdtri(6, 0.975), chdtri(6, 0.025)
-    print(
-        f"\nnormalised error squared (6): one sample of each seed at the middle of the bin, mean "
-        f"of {count} with its 95 % band {low:.2f}–{high:.2f}; share of all frames within the band "
-        f"of one ({one_low:.2f}–{one_high:.2f}), above it"
-    )
+    title = f"normalised error squared (6), one frame a seed; 95 %: {low:.2f}–{high:.2f}"
+    table = table_of(title, "range, m | mean")
     for far, near in pairwise(EDGES_M):
         inside = [[s.nees for s in f.samples if near <= s.range_m < far] for f in flights]
-        every = np.concatenate(inside)
         mean = float(np.mean([some[len(some) // 2] for some in inside if some]))
-        within = 100.0 * np.mean((every >= one_low) & (every <= one_high))
-        verdict = "in" if low <= mean <= high else ("below" if mean < low else "above")
-        above = 100.0 * np.mean(every > one_high)
-        print(f"{far:5.1f}–{near:5.1f} {mean:6.2f} {verdict:5s} {within:5.1f} % {above:5.1f} %")
+        table.add_row(f"{far:g}–{near:g}", f"{mean:.2f}")
+    show(table)
 
 
 def run(
     runs: Annotated[Path, "folder of the runs, kept"], *,
     model: Annotated[Path | None, "view model of the client; for new runs"] = None,
-    seeds: int = 50, samples: Annotated[Path | None, "every sample, for pictures fusion"] = None,
+    seeds: int = 50,
 ) -> None:  # fmt: skip
     """An approach from 60 m to 1 m through recognizer, ring detector, laser ranger and filter.
 
@@ -90,16 +76,9 @@ def run(
         flight = fly(load_run(runs / str(seed)))
         flights.append(flight)
         print(f"seed {seed}: {len(flight.samples)} frames, {flight.without_state} without a state, "
-              f"begun {flight.starts}, lock-outs {flight.lockouts}", flush=True)  # fmt: skip
+              f"begun {flight.starts}", flush=True)  # fmt: skip
     error_tables(flights)
     consistency_table(flights)
     print(f"\n{seeds} approaches: frames without a state "
           f"{sum(f.without_state for f in flights)}; restarted "
           f"{sum(f.starts > 1 for f in flights)}")  # fmt: skip
-    if samples:
-        rows = [
-            {"range_m": s.range_m, "fused": s.fused.tolist(),
-             "single": {name: errors.tolist() for name, errors in s.single.items()}}
-            for f in flights for s in f.samples
-        ]  # fmt: skip
-        samples.write_text(json.dumps(rows))

@@ -34,17 +34,18 @@ from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.following import follow, record
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import RingPrior
+from rendezview.sensors.ring.prior_log import prior_of_pose
 from rendezview.sensors.ring.run import follow as follow_ring
 from rendezview.sensors.ring.run import record as ring_record
 from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.simulate import SceneOptions, render_frame, sun_at_phase
-from rendezview_ground.simulate.approach import ApproachOptions, approach, echo
+from rendezview_ground.simulate.approach import ApproachOptions, approach
+from rendezview_ground.simulate.ranger import Ranger, write_echoes
 from rendezview_ground.simulate.shading import ShadingOptions
 
 CAMERA = Camera(1024, 1024, 800.0, 800.0, 511.5, 511.5)
 FRAME_EVERY = 4  # of the true poses: 2 s
-LASER_SIGMA_M = 0.02
-LASER_ORIGIN_M = (0.3, 0.0, 0.0)  # beside the camera, along its boresight
+RANGER = Ranger((0.3, 0.0, 0.0), 0.02)  # beside the camera, along its boresight
 SUN_PHASE_DEG = (10.0, 40.0)
 PRIOR_ERROR_DEG = 8.0  # of the attitude that the recognizer is given at the start
 SILENT_FRAMES = 5  # without a pose, where the body overflows: then the recognizer is switched off
@@ -62,13 +63,7 @@ def render_run(folder: Path, seed: int) -> None:
     sun = sun_at_phase(first.apply(mesh.bounding_sphere[0]), phase, rng.uniform(0.0, 2 * math.pi))
     sun_target = first.rotation.T @ sun
     options = SceneOptions(shading=ShadingOptions(samples=2))
-    beam = {"sigma_m": LASER_SIGMA_M, "origin_m": LASER_ORIGIN_M, "direction": (0.0, 0.0, 1.0)}
-    with JsonLinesWriter(folder / "laser.jsonl") as writer:
-        for time_s, pose in poses:
-            distance = echo(mesh, pose, LASER_ORIGIN_M, beam["direction"])
-            noise = LASER_SIGMA_M * rng.standard_normal()
-            range_m = None if distance is None else distance + noise
-            writer.write({"time_s": time_s, "range_m": range_m} | beam)
+    write_echoes(folder / "laser.jsonl", mesh, poses, RANGER, seed)
     with BopSceneWriter(folder / "scene", CAMERA, overwrite=True) as scene:
         for k, (time_s, pose) in enumerate(poses[::FRAME_EVERY]):
             image = render_frame(mesh, CAMERA, pose, pose.rotation @ sun_target, options, rng)
@@ -109,14 +104,10 @@ def ring_run(folder: Path) -> None:
     def prior(frame: Frame) -> RingPrior | None:
         while pending and pending[0].time_s <= frame.time_s:
             fusion.add(pending.pop(0))
-        estimate = fusion.state_at(frame.time_s)
-        if estimate.pose is None:
+        state = fusion.state_at(frame.time_s)
+        if state.pose is None:
             return None
-        rotation, centre = estimate.pose.rotation, estimate.pose.apply(ring.centre_m)
-        sight = centre / np.linalg.norm(centre)
-        along = np.concatenate([np.cross(rotation @ ring.centre_m, sight), sight])
-        variance = float(along @ estimate.covariance[:6, :6] @ along)
-        return RingPrior(centre, rotation @ ring.axis, range_sigma_m=np.sqrt(variance))
+        return prior_of_pose(state.pose, state.covariance[:6, :6], ring)
 
     scene = open_sequence(folder / "scene")
     with JsonLinesWriter(folder / "ring.jsonl") as writer:
@@ -186,7 +177,6 @@ class Flight:
 
     samples: list[Sample]
     starts: int
-    lockouts: dict[str, int]
 
     @property
     def without_state(self) -> int:
@@ -217,8 +207,7 @@ def fly(run: Run) -> Flight:
             if measurement.time_s == time_s:
                 spoke[measurement.sensor] = measurement
         samples.append(_sample(fusion, time_s, run.truth[time_s], spoke, ring))
-    lockouts = {name: trust.lockouts for name, trust in fusion.trusts.items()}
-    return Flight(samples, fusion.starts, lockouts)
+    return Flight(samples, fusion.starts)
 
 
 def _sample(

@@ -5,11 +5,10 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
-import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +20,6 @@ from rendezview.io.results import json_line
 
 Record = dict[str, Any]
 Run = dict[tuple[str, int], Record]  # by group and index
-T = TypeVar("T")
 
 RIGHT_RAD, RIGHT_SHARE = float(np.deg2rad(5.0)), 0.05  # an answer within both is right
 _FEWER_RIGHT, _LARGER_ERRORS = 0.99, 1.02  # what `no_worse` allows
@@ -31,19 +29,11 @@ _LISTED = 20  # records that differ
 
 
 class Answers:
-    """Collects the records of a run, and the processor time of each group."""
+    """Collects the records of a run."""
 
     def __init__(self) -> None:
         self.records: list[Record] = []
         self._count: Counter[str] = Counter()
-        self._ms: dict[str, list[float]] = {}
-
-    def timed(self, group: str, answer: Callable[..., T], *arguments: Any) -> T:
-        """Call, and count its processor time for a group."""
-        began_s = time.process_time()
-        found = answer(*arguments)
-        self._ms.setdefault(group, []).append(1e3 * (time.process_time() - began_s))
-        return found
 
     def add(
         self, group: str, status: str, *, line: Any = None, right: bool | None = None,
@@ -61,9 +51,12 @@ class Answers:
             limits: below both it is right; the usual ones where left out.
             numbers: float64 of any shape.
         """
+        if not self._count[group]:
+            print(f"{len(self.records)} records, now {group}", flush=True)
         record: Record = {"group": group, "index": self._count[group], "status": status}
         if line is not None:
-            record["line"] = digest(json_line({"line": steady(line)}).encode())
+            content = json_line({"line": steady(line)}).encode()
+            record["line"] = hashlib.sha256(content).hexdigest()[:16]
         if errors is not None:
             numbers |= {"rotation": errors[0], "translation": errors[1]}
             right = all(np.array(errors) < (limits or (RIGHT_RAD, RIGHT_SHARE)))
@@ -99,15 +92,9 @@ class Answers:
                   covariance=seen.covariance, confidence=seen.confidence)  # fmt: skip
 
     def write(self, path: Path) -> None:
-        """All records, then the median time of each group; same answers give the same records."""
-        times = [{"group": g, "ms": round(float(np.median(v)), 3)} for g, v in self._ms.items()]
-        text = "".join(json.dumps(r, separators=(",", ":")) + "\n" for r in self.records + times)
+        """All records; same answers give the same bytes."""
+        text = "".join(json.dumps(r, separators=(",", ":")) + "\n" for r in self.records)
         path.write_bytes(gzip.compress(text.encode(), 9, mtime=0))
-
-
-def digest(content: bytes) -> str:
-    """The first 16 digits of SHA-256."""
-    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def steady(line: Any) -> Any:
@@ -117,11 +104,10 @@ def steady(line: Any) -> Any:
     return [steady(item) for item in line] if isinstance(line, list | tuple) else line
 
 
-def read(path: Path) -> tuple[Run, dict[str, float]]:
-    """Records, and times by group."""
+def read(path: Path) -> Run:
+    """The records of a file."""
     lines = [json.loads(line) for line in gzip.decompress(path.read_bytes()).splitlines()]
-    records = {(r["group"], r["index"]): r for r in lines if "index" in r}
-    return records, {r["group"]: r["ms"] for r in lines if "ms" in r}
+    return {(r["group"], r["index"]): r for r in lines}
 
 
 def numbers_of(text: str) -> npt.NDArray[np.float64]:
@@ -152,13 +138,13 @@ def _change(name: str, old: Any, new: Any) -> str:
     return f"{name}[{k}] {float(was[k])!r} → {float(now[k])!r}"
 
 
-def no_worse(old: Run, new: Run, old_ms: dict[str, float], new_ms: dict[str, float]) -> bool:
+def no_worse(old: Run, new: Run) -> bool:
     """Whether no group has become worse; prints a table of all groups, old / new.
 
     Worse: more than 1 % fewer right answers, more wrong ones, or a median error of the right
     answers that is more than 2 % larger. A group that one run lacks is shown and not judged.
     """
-    columns = "group | records | given | right | wrong | rotation, ° | translation, % | ms | worse"
+    columns = "group | records | given | right | wrong | rotation, ° | translation, % | worse"
     rows, fine = table_of("old / new", columns), True
     for group in dict.fromkeys(key[0] for key in [*old, *new]):
         was, now = _figures(old, group), _figures(new, group)
@@ -168,15 +154,15 @@ def no_worse(old: Run, new: Run, old_ms: dict[str, float], new_ms: dict[str, flo
             "translation": now[5] > _LARGER_ERRORS * was[5],
         }  # fmt: skip
         found = [name for name, is_so in worse.items() if is_so and was[0] and now[0]]
-        pairs = [*zip(was, now, strict=True), (old_ms.get(group), new_ms.get(group))]
+        pairs = zip(was, now, strict=True)
         rows.add_row(group, *(" / ".join(map(_cell, pair)) for pair in pairs), ", ".join(found))
         fine = fine and not found
     show(rows, width=150)
     return fine
 
 
-def _cell(value: float | None) -> str:
-    if value is None or value != value:
+def _cell(value: float) -> str:
+    if value != value:
         return "–"
     return str(value) if isinstance(value, int) else f"{value:.4g}"
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from experiments.frame import MODELS_CAD
 from experiments.golden.answers import Answers
 from rendezview.export.c_code import write_c
 from rendezview.io.target import Target
@@ -26,42 +25,24 @@ SMALLEST = replace(QUICK, order=1, perturbed_views=400)  # of each angle of a ta
 _STEP_RAD = float(np.deg2rad(90.0))  # between these angles
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trained:
-    """A target with its mesh and model."""
-
-    target: Target
-    mesh: Mesh
-    path: Path
-    model: ViewModel
-
-
-def trained(folder: Path, name: str, target: Path, unit: str | None = None) -> Trained:
-    """The model in a folder; trained into it where it is not there."""
-    found, path = Target.load(target), folder / f"{name}.rvm"
-    mesh = load_mesh(found.mesh_path, unit or found.unit)
+def trained(path: Path, source: Path, unit: str | None = None) -> tuple[Mesh, ViewModel]:
+    """Mesh and model of a target; the model is trained where its file is not there."""
+    target = Target.load(source)
+    mesh = load_mesh(target.mesh_path, unit or target.unit)
     if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        more = {"step_rad": _STEP_RAD, "options": SMALLEST} if found.joints else {"options": QUICK}
-        train_target(found, mesh, path, unit, jobs=1, **more)
-    return Trained(found, mesh, path, ViewModel.load(path))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        more = {"step_rad": _STEP_RAD, "options": SMALLEST} if target.joints else {"options": QUICK}
+        train_target(target, mesh, path, unit, jobs=1, **more)
+    return mesh, ViewModel.load(path)
 
 
-def bundled(folder: Path) -> dict[str, Trained]:
-    """Three vehicles."""
-    return {
-        name: trained(folder, name, MODELS_CAD / name) for name in ("hubble", "client", "shuttle")
-    }
-
-
-def digests(answers: Answers, models: dict[str, Trained], folder: Path) -> None:
-    """Of each model file, of its arrays without the versions of the header, and of its C code."""
-    for name, one in models.items():
-        arrays, code = hashlib.sha256(), hashlib.sha256()
-        for key, array in sorted(read_container(one.path)[1].items()):
-            arrays.update(f"{key} {array.dtype.str} {array.shape}".encode() + array.tobytes())
-        for path in sorted(write_c(one.model, folder / name)):
-            code.update(path.name.encode() + path.read_bytes())
-        whole = hashlib.sha256(one.path.read_bytes())
-        for group, sha256 in (("files", whole), ("arrays", arrays), ("flight code", code)):
-            answers.add(f"model {group}", f"{name} {sha256.hexdigest()}")
+def digests(answers: Answers, path: Path, model: ViewModel, code: Path) -> None:
+    """Of a model's file, of its arrays without the versions of the header, and of its C code."""
+    hashes = {name: hashlib.sha256() for name in ("file", "arrays", "flight code")}
+    hashes["file"].update(path.read_bytes())
+    for key, array in sorted(read_container(path)[1].items()):
+        hashes["arrays"].update(f"{key} {array.dtype.str} {array.shape}".encode() + array.tobytes())
+    for written in sorted(write_c(model, code)):
+        hashes["flight code"].update(written.name.encode() + written.read_bytes())
+    for name, sha256 in hashes.items():
+        answers.add(f"model/{name}", f"{path.stem} {sha256.hexdigest()}")

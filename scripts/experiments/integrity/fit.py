@@ -254,7 +254,6 @@ def run(
     weights[0] += lift
     poses = everything.of(~everything.misled)
     right = ~poses.wrong
-    names = np.unique(poses.condition)
     sure = poses.of(right)
     shown = sure.features[:, : len(FRAME_FEATURES)]
     spreads = [spread(shown, errors, sure.condition) for errors in (sure.turn, sure.move)]
@@ -274,11 +273,6 @@ def run(
             "raised": lift, "prior": PRIOR,
         },
     )  # fmt: skip
-    for name in names:
-        these = poses.condition == name
-        print(f"{name}: {these.sum()} poses, {poses.wrong[these].sum()} wrong")
-    print(f"attitude {model.attitude}, position {model.position}")
-    print(f"raised {lift:.2f}, at the rival {model.at_rival:.2f}, drift limit {model.limit}")
     text = json.dumps(model.record(), indent=1) + "\n"
     print(text)
     if write:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import cv2
 import numpy as np
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import ReflectorObservation, ReflectorPattern, Rig, Sights
+from rendezview.sensors.beacons import Rig, Sights
 
 try:
     import poselib
@@ -53,13 +51,6 @@ def one_camera(
     return dict(zip(PEERS, answers, strict=True))
 
 
-def of_reading(reading: ReflectorObservation, pattern: ReflectorPattern, camera: Camera) -> Poses:
-    """Both answers, by name, on the spots of a reading that have a name."""
-    named = [k for k, name in enumerate(reading.reflectors) if name]
-    which = [pattern.names.index(str(reading.reflectors[k])) for k in named]
-    return one_camera(pattern.positions_m[which], reading.spots.centroids_px[named], camera)
-
-
 def rig(points_m: np.ndarray, sights: Sights, cameras: Rig) -> Poses:
     """Rig from target: OpenCV's solvePnP in the first camera, poselib's with all of them.
 
@@ -86,8 +77,3 @@ def rig(points_m: np.ndarray, sights: Sights, cameras: Rig) -> Poses:
         )  # fmt: skip
         answers["poselib"] = Pose(pose.R, pose.t)
     return answers
-
-
-def median_deg(errors_rad: list[float]) -> str:
-    """Median of angles as a cell."""
-    return f"{math.degrees(float(np.median(errors_rad))):.3f}" if errors_rad else "–"

@@ -13,7 +13,7 @@ from sklearn.linear_model import LogisticRegression
 
 from rendezview.sensors.appearance.model.error_model import ErrorModel, inflation_features
 
-WRONG_DEG = 5.0
+WRONG_DEG, LEAST = 5.0, 0.6  # of a wrong pose; confidence of a pose that is given
 _DARK = 7  # the feature that marks dark skies
 _WEIGHT_OF_WRONG = 5.0  # a wrong answer costs more than one that is not given
 
@@ -59,10 +59,10 @@ def run(
 ) -> None:
     """Fit confidence and covariance of a pose to logs of pose-accuracy.
 
-    Prints, with each target left out in turn, how many answers would be given and wrong at several
-    minimum confidences. --output writes the coefficients as edges/error_model.json has them, where
-    training and models without their own read them. The logs must come from models that carry the
-    packaged coefficients or none.
+    Prints, with each target left out in turn, how many answers would be given and wrong. --output
+    writes the coefficients as edges/error_model.json has them, where training and models without
+    their own read them. The logs must come from models that carry the packaged coefficients or
+    none.
     """
     records = [json.loads(line) for log in logs for line in log.read_text().splitlines()]
     chosen = [r for r in records if "features" in r]
@@ -95,8 +95,6 @@ def run(
     for mode, condition in product(("first", "tracked"), conditions):
         these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])
         total = sum((r["mode"], r["condition"]) == (mode, condition) for r in records)
-        for least in (0.5, 0.6, 0.7, 0.8, 0.9):
-            given = these & (held_out >= least)
-            shares = (np.sum(given & which) / total for which in (right, ~right))
-            print("{} {}: least {}: right {:.1%}, wrong {:.1%}".format(mode, condition, least,
-                                                                       *shares))  # fmt: skip
+        given = these & (held_out >= LEAST)
+        good, bad = (np.sum(given & which) / total for which in (right, ~right))
+        print(f"{mode} {condition}: right {good:.1%}, wrong {bad:.1%}")

@@ -11,7 +11,7 @@ import numpy as np
 
 from experiments.frame import show, table_of
 from experiments.peers.pnp import PEERS, one_camera
-from experiments.reflectors.plain import CAMERA, FIVE, PINHOLE, Simulator, apart, pictures, plain
+from experiments.reflectors.plain import CAMERA, FIVE, PINHOLE, apart, pictures, plain
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, find_spots
 from rendezview.sensors.observation import Status
@@ -24,9 +24,8 @@ KINDS = ("right", "wrong", "ambiguous", "none")
 
 
 def picture(
-    rng: np.random.Generator, visible: tuple[int, ...], placed: tuple[np.ndarray, np.ndarray],
-    simulator: Simulator,
-) -> LitDark:  # fmt: skip
+    rng: np.random.Generator, visible: tuple[int, ...], placed: tuple[np.ndarray, np.ndarray]
+) -> LitDark:
     """One reading with up to three false spots as large and bright as a disc."""
     look = plain.Look(blur=rng.uniform(*BLUR_PX), even=bool(rng.random() < 0.5))
     hidden = tuple(k for k in range(5) if k not in visible)
@@ -38,7 +37,7 @@ def picture(
             size * rng.uniform(0.9, 1.1, count), rng.uniform(100.0, 200.0, count),
         ]
     )  # fmt: skip
-    return pictures(simulator, FIVE, placed, look, rng, hidden=hidden, false=false)
+    return pictures("plain", FIVE, placed, look, rng, hidden=hidden, false=false)
 
 
 def place(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -71,13 +70,13 @@ def by_peers(frames: LitDark, visible: tuple[int, ...], truth: Pose) -> dict[str
     return {name: kind(pose, None, truth, False) for name, pose in answers.items()}
 
 
-def one(n: int, seed: int, sensor: ReflectorSensor, simulator: Simulator) -> dict[str, Any]:
+def one(n: int, seed: int, sensor: ReflectorSensor) -> dict[str, Any]:
     """Reading n, which depends on its number and the seed only: group, answers, degrees off."""
     rng = np.random.default_rng([seed, n])
     visible = SUBSETS[n % len(SUBSETS)]
     placed = place(rng)
     truth = Pose(*placed)
-    frames = picture(rng, visible, placed, simulator)
+    frames = picture(rng, visible, placed)
     sensor.forget()
     reading = sensor.update(0.0, frames)
     answers = {"this sensor": kind(reading.pose, reading.status, truth, reading.roll_ambiguous)}
@@ -91,17 +90,17 @@ def one(n: int, seed: int, sensor: ReflectorSensor, simulator: Simulator) -> dic
     return {"group": group, "error_deg": error, "answers": answers}
 
 
-def run(*, readings: int = 10_000, seed: int = 1, simulator: Simulator = "plain") -> None:
+def run(*, readings: int = 10_000, seed: int = 1) -> None:
     """Every subset of three to five of Bales' five reflectors: right, wrong, ambiguous or none.
 
-    Pictures of the tests' plain simulator or of the product's own: 1 to 8 m, tilt to 35°, every
-    roll, blur of 0.6 to 0.9 px, retro-reflected and even light, up to three false spots as large
-    and bright as the discs. Each reading on its own. Wrong: more than 5° or 3 % of the range off
-    (half a turn of roll is no error where it is reported). OpenCV's SQPNP and poselib's RANSAC have
-    our centroids with the right names, and no false spots.
+    Pictures of the tests' plain simulator: 1 to 8 m, tilt to 35°, every roll, blur of 0.6 to 0.9
+    px, retro-reflected and even light, up to three false spots as large and bright as the discs.
+    Each reading on its own. Wrong: more than 5° or 3 % of the range off (half a turn of roll is no
+    error where it is reported). OpenCV's SQPNP and poselib's RANSAC have our centroids with the
+    right names, and no false spots.
     """
     sensor = ReflectorSensor(CAMERA, [FIVE], tracking=TrackingOptions(confirm=False))
-    done = [one(n, seed, sensor, simulator) for n in range(readings)]
+    done = [one(n, seed, sensor) for n in range(readings)]
     counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     for line in done:
         for name, answer in line["answers"].items():

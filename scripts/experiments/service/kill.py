@@ -74,10 +74,7 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
                 thread.join()
             for name, states in acknowledged.items():
                 total += len(states)
-                path = next(folder.glob(f"{name}-*.mcap"), None)
-                if path is None:
-                    lost += len(states)
-                    continue
+                path = next(folder.glob(f"{name}-*.mcap"), folder / f"{name}.mcap")
                 try:
                     kept = [f.state for f in read_log(path).frames() if f.state is not None]
                     as_left = {state["frame"]: state for state in kept}
@@ -85,7 +82,7 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
                     mended = states_of(path)
                 except Exception as error:  # any error of a reader
                     print(f"{path}: {error!r}")
-                    unreadable += 1
+                    unreadable += path.exists()
                     lost += len(states)
                     continue
                 cut_bytes += 0 if repaired is None else repaired.cut_bytes

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,7 +19,7 @@ from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.cli.compiling import recorded
 from rendezview.geometry.camera import Camera
 from rendezview.io.bundled import find_target
-from rendezview.io.sequences import BopSceneWriter, open_sequence
+from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.sensors.appearance.following import follow, result_row
 from rendezview.sensors.beacons import (
@@ -39,7 +40,7 @@ from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.simulate.command import default_camera
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview_ground.simulate.ranger import Ranger, write_echoes
-from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
+from rendezview_ground.simulate.reflector_scene import simulate_reflectors, without_mesh
 from rendezview_ground.simulate.scene import SceneOptions, simulate
 from rendezview_ground.simulate.trajectories import TrajectoryOptions, trajectory
 from rendezview_service.tracker.tracking import warm_up
@@ -102,18 +103,14 @@ def demo(model: Path, scene: Path) -> list[dict[str, Any]]:
 
 def reflectors(model: Path, scene: Path) -> list[dict[str, Any]]:
     """The loops of ``rendezview reflectors``; the model and the scene are not used."""
-    patterns, rng = patterns_of(find_target("client")), np.random.default_rng(0)
-    camera = Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
-    with tempfile.TemporaryDirectory() as folder:
-        places = [Path(folder) / name for name in ("lit", "dark")]
-        with BopSceneWriter(places[0], camera) as lit, BopSceneWriter(places[1], camera) as dark:
-            for k in range(6):
-                six = SixNumbers(4.0 - 0.1 * k, 0.02, 0.04, 0.02 * k, 0.1, 0.1)
-                pose = pose_of(six, patterns[0])
-                pair = render_pair(camera, patterns[0], pose, ReflectorFrameOptions(), rng)
-                for writer, image in zip((lit, dark), pair, strict=True):
-                    writer.add(k, image, pose, 0.5 * k)
-        taken = [open_sequence(place) for place in places]
+    target, camera = find_target("client"), Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
+    patterns, options = patterns_of(target), SceneOptions()
+    steps = (SixNumbers(4.0 - 0.1 * k, 0.02, 0.04, 0.02 * k, 0.1, 0.1) for k in range(6))
+    poses = [(0.5 * k, pose_of(six, patterns[0])) for k, six in enumerate(steps)]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        simulate_reflectors(without_mesh(target), target, camera, poses, options, folder, 0)
+        taken = [open_sequence(folder / picture) for picture in ("lit", "dark")]
 
         def work() -> None:
             for sequences, mode in ((taken, Mode.SPLITTER), (taken[:1], Mode.SINGLE)):
@@ -146,29 +143,22 @@ def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
     return recorded(work)
 
 
-def serve(model: Path, scene: Path) -> list[dict[str, Any]]:
-    """The loops of a worker of ``rendezview serve``; the scene is not used."""
-    loaded = ViewModel.load(model)
-    return recorded(lambda: warm_up(loaded))
-
-
 GROUPS: dict[str, Callable[[Path, Path], list[dict[str, Any]]]] = {
     "track": track, "train": train, "demo": demo, "reflectors": reflectors, "stereo": stereo,
-    "serve": serve,
+    "serve": lambda model, _: recorded(partial(warm_up, ViewModel.load(model))),
 }  # fmt: skip
 
 
 def run(
-    model: Path, scene: Path, *, group: Annotated[str, "only this one is renewed"] = "",
-    add: Annotated[bool, "keep the loops that are listed"] = False,
-) -> None:  # fmt: skip
+    model: Path, scene: Path, *, add: Annotated[bool, "keep the loops that are listed"] = False
+) -> None:
     """Write the list of the loops that commands compile, with the seconds that each takes.
 
     MODEL is tracked through SCENE in a process with an empty cache, and so is a small training.
     Easy frames and hard ones, models with a forest and without, need different loops: --add.
     """
     found = json.loads(LIST.read_text()) if LIST.exists() else {}
-    for name in [group] if group else GROUPS:
+    for name in GROUPS:
         known = found.get(name, []) if add else []
         new = [e for e in _called(name, model, scene) if _key(e) not in map(_key, known)]
         found[name] = known + new

@@ -8,8 +8,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import MODELS_CAD, nees, show, table_of
-from experiments.peers.pnp import PEERS, median_deg
-from experiments.peers.pnp import rig as by_peers
 from rendezview.calibration.board import BoardViews, Chessboard, calibrate_board
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -67,10 +65,9 @@ def views_of(pair: list[Project], rng: np.random.Generator) -> BoardViews:
 
 
 def errors(
-    pair: list[Project], tracker: StereoTracker, rng: np.random.Generator, spot_px: float,
-    turns: dict[str, list[float]],
-) -> list[float]:  # fmt: skip
-    """Normalised squared errors of single poses, first camera's frame; angles into ``turns``."""
+    pair: list[Project], tracker: StereoTracker, rng: np.random.Generator, spot_px: float
+) -> list[float]:
+    """Normalised squared errors of single poses, first camera's frame."""
     squares = []
     for k in range(POSES):
         angles = [*rng.uniform(-np.pi, np.pi, 1), *rng.uniform(-0.5, 0.5, 2)]
@@ -84,15 +81,8 @@ def errors(
             sigma = np.full(places.shape, spot_px)
             spots.append(Spots(places, sigma, np.arange(len(places))))
         reading = tracker.update(60.0 * k, spots)  # nothing is left of the pose before
-        if reading.pose is None or reading.covariance is None:
-            continue
-        squares.append(squared_error(reading, pose))
-        if turns:
-            turns["ours"].append(reading.pose.angle_to(pose))
-            sights, first = tracker.rig.sights(spots, len(tracker.leds)), tracker.rig.cameras[0]
-            for name, other in by_peers(tracker.leds, sights, tracker.rig).items():
-                if other is not None:
-                    turns[name].append((first.camera_from_rig @ other).angle_to(pose))
+        if reading.pose is not None:
+            squares.append(squared_error(reading, pose))
     return squares
 
 
@@ -106,14 +96,12 @@ def run(*, seed: int = 17) -> None:
     leds = 0.25 * np.array([led.position_m for led in Target.load(MODELS_CAD / "scole").leds])
     table = table_of(
         f"{RIGS} rigs of {PAIRS} board pairs, {POSES} poses each, seed {seed}",
-        "spots σ px | poses | with the calibration: NEES | worst rig | without: NEES | median turn "
-        "off, °: ours | solvePnP, one camera | poselib, both",
+        "spots σ px | poses | with the calibration: NEES | worst rig | without: NEES",
         left=0,
     )
     for spot_px in SPOTS_PX:
         rng = np.random.default_rng(seed)
         kept: dict[bool, list[list[float]]] = {True: [], False: []}
-        turns: dict[str, list[float]] = {name: [] for name in ("ours", *PEERS)}
         for _ in range(RIGS):
             truth = pair_of(rng)
             made = calibrate_board(views_of(truth, rng)).rig
@@ -122,11 +110,10 @@ def run(*, seed: int = 17) -> None:
                 rng.bit_generator.state = state  # the same poses and noise
                 options = TrackerOptions(calibration_error=with_error)
                 tracker = StereoTracker(made, leds, options=options)
-                squares.append(errors(truth, tracker, rng, spot_px, turns if with_error else {}))
+                squares.append(errors(truth, tracker, rng, spot_px))
         mine, without = (np.concatenate(kept[with_error]) for with_error in (True, False))
         table.add_row(
             f"{spot_px:g}", f"{len(mine)} of {RIGS * POSES}", f"{np.mean(mine):.1f}",
             f"{max(np.mean(ours) for ours in kept[True] if ours):.1f}", f"{np.mean(without):.0f}",
-            *[median_deg(own) for own in turns.values()],
         )  # fmt: skip
     show(table)

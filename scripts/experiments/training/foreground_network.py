@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-import onnx
-import optax
+import torch
 from joblib import Parallel, delayed
-from onnx import TensorProto, helper, numpy_helper
+from torch import nn
+from torch.nn import functional
 
+from experiments.frame import kept
+from experiments.training.sketch_unet import Layer, dice, export, log_odds, twice
 from rendezview.sensors.appearance.outline.foreground import SQUARE_PX
 from rendezview_ground.simulate.foreground_frames import foreground_frame
 
@@ -21,94 +21,48 @@ SIDE_PX = 192  # of the squares that are cut out of the pictures
 BLOCK = 200  # pictures a file
 HELD_OUT = 64
 PIXELS = SQUARE_PX**2
-# Channels in and out, 3 × 3 weights each; down by halves from a to d, and up again.
-LAYERS = {
-    "a1": (PIXELS, 24), "a2": (24, 24), "b1": (24, 32), "b2": (32, 32), "c1": (32, 48),
-    "c2": (48, 48), "d1": (48, 48), "d2": (48, 48), "c3": (96, 48), "b3": (80, 32),
-    "a3": (56, 24), "out": (24, PIXELS),
-}  # fmt: skip
-EPSILON = 1e-4  # of the variance, where batches are normalised
 
 
 def draw(folder: Path, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """(N, H, W) pictures and covers; blocks that are there already are read."""
-    folder.mkdir(parents=True, exist_ok=True)
 
-    def block(first: int) -> Path:
-        path = folder / f"{seed}-{first:06d}.npz"
-        if not path.exists():
-            frames = [foreground_frame(np.random.default_rng([seed, k]))
-                      for k in range(first, first + BLOCK)]  # fmt: skip
-            pictures, covers = (np.array(part) for part in zip(*frames, strict=True))
-            np.savez_compressed(path, pictures=pictures, covers=covers)
-        return path
+    def block(first: int) -> dict[str, np.ndarray]:
+        def made() -> dict[str, np.ndarray]:
+            rngs = (np.random.default_rng([seed, k]) for k in range(first, first + BLOCK))
+            pictures, covers = zip(*map(foreground_frame, rngs), strict=True)
+            return {"pictures": np.array(pictures), "covers": np.array(covers)}
 
-    paths = Parallel(n_jobs=-1)(delayed(block)(k) for k in range(0, count, BLOCK))
-    blocks = [np.load(path) for path in paths]
+        return kept(folder / f"{seed}-{first:06d}.npz", made)
+
+    blocks = Parallel(n_jobs=-1)(delayed(block)(k) for k in range(0, count, BLOCK))
     return tuple(np.concatenate([b[name] for b in blocks]) for name in ("pictures", "covers"))
 
 
-def first_weights(seed: int) -> tuple[dict, dict]:
-    """Weights, offsets and gains; and the means and variances of the layers."""
-    rng = np.random.default_rng(seed)
-    weights = {}
-    for name, (i, o) in LAYERS.items():
-        first = rng.standard_normal((3, 3, i, o)) * np.sqrt(2 / (9 * i))
-        weights[name] = (jnp.array(first, jnp.float32), jnp.zeros(o), jnp.ones(o))
-    return weights, {name: (jnp.zeros(o), jnp.ones(o)) for name, (_, o) in LAYERS.items()}
+class ForegroundUNet(nn.Module):
+    """(N, n², h, w) squares to (N, n², h, w) log-odds; n = SQUARE_PX."""
+
+    def __init__(self):
+        super().__init__()
+        self.a = nn.Sequential(Layer(PIXELS, 24), Layer(24, 24))
+        self.b = nn.Sequential(Layer(24, 32), Layer(32, 32))
+        self.c = nn.Sequential(Layer(32, 48), Layer(48, 48))
+        self.d = nn.Sequential(Layer(48, 48), Layer(48, 48))
+        self.up_c, self.up_b, self.up_a = Layer(96, 48), Layer(80, 32), Layer(56, 24)
+        self.out = nn.Conv2d(24, PIXELS, 3, padding=1)
+
+    def forward(self, squares):
+        a = self.a(squares)
+        b = self.b(functional.max_pool2d(a, 2))
+        c = self.c(functional.max_pool2d(b, 2))
+        d = self.d(functional.max_pool2d(c, 2))
+        c = self.up_c(torch.cat([twice(d), c], 1))
+        b = self.up_b(torch.cat([twice(c), b], 1))
+        return self.out(self.up_a(torch.cat([twice(b), a], 1)))
 
 
-def unet(layer, halved, joined, x):
-    """The network of given operations on ``x``."""
-    a = layer("a2", layer("a1", x))
-    b = layer("b2", layer("b1", halved(a)))
-    c = layer("c2", layer("c1", halved(b)))
-    d = layer("d2", layer("d1", halved(c)))
-    c = layer("c3", joined(d, c))
-    b = layer("b3", joined(c, b))
-    return layer("out", layer("a3", joined(b, a)))
-
-
-def log_odds(weights, statistics, pictures, learning):
-    """(N, H, W) of pictures 0 … 1; batches are normalised by their own statistics or the kept."""
-    kept = dict(statistics)
-
-    def layer(name, x):
-        weight, offset, gain = weights[name]
-        axes = ("NHWC", "HWIO", "NHWC")
-        y = jax.lax.conv_general_dilated(x, weight, (1, 1), "SAME", dimension_numbers=axes)
-        if name == "out":
-            return y + offset
-        mean, variance = statistics[name]
-        if learning:
-            now = y.mean((0, 1, 2)), y.var((0, 1, 2))
-            kept[name] = (0.95 * mean + 0.05 * now[0], 0.95 * variance + 0.05 * now[1])
-            mean, variance = now
-        return jax.nn.relu((y - mean) * gain * jax.lax.rsqrt(variance + EPSILON) + offset)
-
-    def halved(x):
-        n, h, w, c = x.shape
-        return x.reshape(n, h // 2, 2, w // 2, 2, c).max((2, 4))
-
-    def joined(x, y):
-        return jnp.concatenate([jnp.repeat(jnp.repeat(x, 2, 1), 2, 2), y], 3)
-
-    n, h, w = pictures.shape
-    s = SQUARE_PX
-    squares = pictures.reshape(n, h // s, s, w // s, s).transpose(0, 1, 3, 2, 4)
-    out = unet(layer, halved, joined, squares.reshape(n, h // s, w // s, PIXELS))
-    out = out.reshape(n, h // s, w // s, s, s).transpose(0, 1, 3, 2, 4)
-    return out.reshape(n, h, w), kept
-
-
-def loss(weights, statistics, pictures, covers):
-    """Cross entropy plus one minus the overlap (Dice)."""
-    odds, kept = log_odds(weights, statistics, pictures, True)
-    entropy = jnp.mean(jax.nn.softplus(odds) - covers * odds)
-    share = jax.nn.sigmoid(odds)
-    both = jnp.sum(share * covers, (1, 2))
-    dice = (2 * both + 50) / (jnp.sum(share, (1, 2)) + jnp.sum(covers, (1, 2)) + 50)
-    return 2 * entropy + jnp.mean(1 - dice), kept
+def odds_of(network, pictures):
+    """(N, H, W) log-odds of pictures 0 … 1."""
+    return log_odds(network, torch.from_numpy(pictures)[:, None])[:, 0]
 
 
 def cut(pictures, covers, rng):
@@ -131,88 +85,39 @@ def padded(pictures):
     return np.pad(pictures, ((0, 0), (8, 8), (0, 0)), mode="edge") / np.float32(255)
 
 
-def write(weights, statistics, path: Path) -> None:
-    """The network as ONNX, normalisation folded into the weights."""
-    nodes, constants = [], []
-
-    def constant(name, values):
-        constants.append(numpy_helper.from_array(np.asarray(values, np.float32), name))
-        return name
-
-    def layer(name, x):
-        weight, offset, gain = (np.asarray(part) for part in weights[name])
-        if name != "out":
-            mean, variance = (np.asarray(part) for part in statistics[name])
-            gain = gain / np.sqrt(variance + EPSILON)
-            weight, offset = weight * gain, offset - mean * gain
-        parts = [constant(f"{name}-weight", weight.transpose(3, 2, 0, 1)),
-                 constant(f"{name}-offset", offset)]  # fmt: skip
-        made = node("Conv", [x, *parts], f"{name}-sum", kernel_shape=[3, 3], pads=[1] * 4)
-        return made if name == "out" else node("Relu", [made], name)
-
-    def node(kind, inputs, output, **settings):
-        nodes.append(helper.make_node(kind, inputs, [output], **settings))
-        return output
-
-    def halved(x):
-        return node("MaxPool", [x], f"{x}-half", kernel_shape=[2, 2], strides=[2, 2])
-
-    def joined(x, y):
-        twice = node("Resize", [x, "", "twice"], f"{x}-twice", mode="nearest",
-                     coordinate_transformation_mode="asymmetric",
-                     nearest_mode="floor")  # fmt: skip
-        return node("Concat", [twice, y], f"{x}-{y}", axis=1)
-
-    constant("twice", [1, 1, 2, 2])
-    out, shape = unet(layer, halved, joined, "squares"), [1, PIXELS, "rows", "columns"]
-    first, last = (helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
-                   for name in ("squares", out))  # fmt: skip
-    graph = helper.make_graph(nodes, "foreground", [first], [last], constants)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)])
-    model.ir_version = 8
-    onnx.checker.check_model(model)
-    onnx.save(model, path)
-
-
 def run(
-    frames: Path, network: Annotated[Path, "ONNX file to write"], *, count: int = 5600,
+    frames: Path, output: Annotated[Path, "ONNX file to write"], *, count: int = 5600,
     steps: int = 7000, seed: int = 7,
 ) -> None:  # fmt: skip
     """Train the network that separates target and bright sky, on random spacecraft.
 
-    Needs jax, optax and onnx. Draws images (simulation/foreground_frames.py) into FRAMES, trains on
-    all but the first 64, and writes the network whenever it has printed its overlap on those 64.
+    Needs pip install torch onnx. Draws images (simulation/foreground_frames.py) into FRAMES, trains
+    on all but the first 64, and writes the network whenever it has printed its overlap on those 64.
     An hour on two cores.
     """
     pictures, covers = draw(frames, count, seed)
-    rng = np.random.default_rng(seed)
-    weights, statistics = first_weights(seed)
-    optimizer = optax.adam(optax.cosine_decay_schedule(4e-3, steps, 0.02))
-    state = optimizer.init(weights)
-
-    @jax.jit
-    def step(weights, statistics, state, shown, truth):
-        (value, statistics), slope = jax.value_and_grad(loss, has_aux=True)(
-            weights, statistics, shown, truth
-        )
-        change, state = optimizer.update(slope, state)
-        return optax.apply_updates(weights, change), statistics, state, value
-
-    @jax.jit
-    def overlap(weights, statistics, shown, truth):
-        seen = log_odds(weights, statistics, shown, False)[0] > 0
-        return jnp.sum(seen & truth, (1, 2)) / jnp.sum(seen | truth, (1, 2))
-
-    losses = []
+    held, truth = padded(pictures[:HELD_OUT]), padded(covers[:HELD_OUT]) > 0.5
+    rng, losses = np.random.default_rng(seed), []
+    torch.manual_seed(seed)
+    network = ForegroundUNet()
+    optimizer = torch.optim.Adam(network.parameters(), 4e-3)
+    rates = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps, 8e-5)
     for k in range(1, steps + 1):
         chosen = rng.integers(HELD_OUT, len(pictures), BATCH)
-        shown, truth = cut(pictures[chosen], covers[chosen], rng)
-        weights, statistics, state, value = step(weights, statistics, state, shown, truth)
-        losses.append(float(value))
+        shown, cover = cut(pictures[chosen], covers[chosen], rng)
+        odds, cover = odds_of(network.train(), shown), torch.from_numpy(cover)
+        entropy = functional.binary_cross_entropy_with_logits(odds, cover)
+        loss = 2 * entropy + (1 - dice(torch.sigmoid(odds), cover)).mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        rates.step()
+        losses.append(loss.item())
         if k % 500 == 0 or k == steps:
-            held = padded(pictures[:HELD_OUT]), padded(covers[:HELD_OUT]) > 0.5
-            seen = np.asarray(overlap(weights, statistics, *held))
+            with torch.no_grad():
+                seen = odds_of(network.eval(), held).numpy() > 0.0
+            overlap = (seen & truth).sum((1, 2)) / (seen | truth).sum((1, 2))
             print(f"step {k}: loss {np.mean(losses[-500:]):.3f}, overlap (IoU) of the held out "
-                  f"{np.mean(seen):.3f} mean, {np.median(seen):.3f} median",
+                  f"{np.mean(overlap):.3f} mean, {np.median(overlap):.3f} median",
                   flush=True)  # fmt: skip
-            write(weights, statistics, network)
+            export(network, PIXELS, output)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated
 
 import distributed
-import psutil
 
 from experiments.frame import mesh_of
 from rendezview.sensors.appearance import ViewModel
@@ -28,11 +27,6 @@ LOCAL = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "silence_l
          "host": "127.0.0.1"}  # fmt: skip
 MEDIUM = TrainingOptions(order=2, perturbed_views=1600, held_out_views=400, contour_radii=(1.0,))
 TINY = replace(MEDIUM, order=0, perturbed_views=60, held_out_views=20)
-
-
-def cpu_s(processes: list[int]) -> float:
-    times = [psutil.Process(p).cpu_times() for p in processes]
-    return sum(t.user + t.system for t in times)
 
 
 def run_training(mesh: Mesh, options: TrainingOptions, executor: ShardExecutor) -> bytes:
@@ -60,9 +54,8 @@ def run(*, model: Path, frames: Annotated[int, "of the campaign"] = 192) -> None
 
     Starts a scheduler and workers of one thread each on this machine, lets every worker load its
     compiled code, and times the same training and the same campaign. Efficiency is the time of one
-    worker over the time of several, over the number of cores. "CPU" is the CPU time of one worker
-    over the sum of several: it counts repeated work, not waiting, so other load disturbs it less.
-    The bytes must be the same without a cluster.
+    worker over the time of several, over the number of cores. The bytes must be the same without a
+    cluster.
     """
     (_, mesh), loaded = mesh_of(TARGET), ViewModel.load(model)
     works = {
@@ -71,10 +64,7 @@ def run(*, model: Path, frames: Annotated[int, "of the campaign"] = 192) -> None
     }
     cores = os.cpu_count() or 1
     wall: dict[tuple[str, int], float] = {}
-    cpu: dict[tuple[str, int], float] = {}
     results: dict[str, set[bytes]] = {name: set() for name in works}
-    print("| work | workers | wall s | CPU s of workers | of this process |")
-    print("|---|---:|---:|---:|---:|")
     for count in (1, WORKERS):
         with (
             distributed.LocalCluster(n_workers=count, **LOCAL) as local,
@@ -82,24 +72,16 @@ def run(*, model: Path, frames: Annotated[int, "of the campaign"] = 192) -> None
         ):
             with distributed.Client(local.scheduler_address, set_as_default=False) as client:
                 client.run(load_code, mesh, loaded)  # in every worker
-                processes = list(client.run(os.getpid).values())
             for name, work in works.items():
-                spent, own = cpu_s(processes), time.process_time()
                 start = time.perf_counter()
                 results[name].add(work(cluster))
                 wall[name, count] = time.perf_counter() - start
-                cpu[name, count] = cpu_s(processes) - spent
-                print(
-                    f"| {name} | {count} | {wall[name, count]:.1f} | {cpu[name, count]:.1f} | "
-                    f"{time.process_time() - own:.1f} |",
-                    flush=True,
-                )
+                print(f"{name}, {count} workers: {wall[name, count]:.1f} s", flush=True)
     for name, work in works.items():
         results[name].add(work(Cores(-1, processes=name == "campaign")))
-        one, many = (name, 1), (name, WORKERS)
-        ratio = wall[one] / wall[many]
+        ratio = wall[name, 1] / wall[name, WORKERS]
         print(
             f"{name}: {ratio:.2f} × as fast on {cores} cores, {ratio / cores:.2f} of the cores; "
-            f"CPU {cpu[one] / cpu[many]:.2f}; bytes of one worker, {WORKERS} workers "
+            f"bytes of one worker, {WORKERS} workers "
             f"and no cluster {'identical' if len(results[name]) == 1 else 'DIFFERENT'}"
         )

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import onnxruntime as ort
 from joblib import Parallel, delayed
 
+from experiments.frame import kept
 from rendezview.sensors.appearance.edges import network as sketch
 from rendezview.sensors.appearance.edges.network import SIDE_PX
 from rendezview_ground.simulate.random_craft import any_craft
@@ -42,45 +42,34 @@ def drawings(folder: Path, count: int, seed: int, side_px: int = SIDE_PX) -> lis
     """``DRAWINGS`` of each craft, in order; files that are there already are read."""
     crafts = -(-count // DRAWINGS)
 
-    def block(first: int) -> Path:
+    def block(first: int) -> dict[str, np.ndarray]:
         last = min(first + BLOCK, crafts)
-        path = folder / f"{seed}-{side_px}-{first:06d}-{last:06d}.npz"
-        if not path.exists():
-            made = []
+
+        def made() -> dict[str, list[np.ndarray]]:
+            drawn = []
             for k in range(first, last):
                 rng = np.random.default_rng([seed, k])
                 mesh = any_craft(rng)
-                made += [draw_craft(mesh, rng, side_px) for _ in range(DRAWINGS)]
-            _save(path, maps=[d.maps for d in made], light=[d.light for d in made])
-        return path
+                drawn += [draw_craft(mesh, rng, side_px) for _ in range(DRAWINGS)]
+            return {"maps": [d.maps for d in drawn], "light": [d.light for d in drawn]}
+
+        return kept(folder / f"{seed}-{side_px}-{first:06d}-{last:06d}.npz", made)
 
     firsts = range(0, crafts, BLOCK)
-    paths = Parallel(n_jobs=-1 if len(firsts) > 1 else 1)(delayed(block)(k) for k in firsts)
-    read: list[CraftDrawing] = []
-    for path in paths:
-        with np.load(path) as file:
-            read += [CraftDrawing(*d) for d in zip(file["maps"], file["light"], strict=True)]
-    return read
+    blocks = Parallel(n_jobs=-1 if len(firsts) > 1 else 1)(delayed(block)(k) for k in firsts)
+    both = (zip(one["maps"], one["light"], strict=True) for one in blocks)
+    return [CraftDrawing(*drawing) for drawings in both for drawing in drawings]
 
 
 def skies(folder: Path, count: int, seed: int) -> np.ndarray:
     """(N, SKY_PX, SKY_PX) float16."""
-    path = folder / f"{seed}-skies-{count}.npz"
-    if not path.exists():
+
+    def made() -> dict[str, np.ndarray]:
         seeds = np.random.SeedSequence([seed, 1]).spawn(count)
-        made = Parallel(n_jobs=-1, prefer="threads")(
-            delayed(draw_sky)(np.random.default_rng(s)) for s in seeds
-        )
-        _save(path, skies=np.array(made, np.float16))
-    with np.load(path) as file:
-        return file["skies"]
+        each = (delayed(draw_sky)(np.random.default_rng(s)) for s in seeds)
+        return {"skies": np.array(Parallel(n_jobs=-1, prefer="threads")(each), np.float16)}
 
-
-def _save(path: Path, **arrays: object) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial.npz")
-    np.savez_compressed(partial, **arrays)
-    partial.replace(path)
+    return kept(folder / f"{seed}-skies-{count}.npz", made)["skies"]
 
 
 def photographs(chosen, behind: np.ndarray, rng: np.random.Generator):
@@ -88,18 +77,6 @@ def photographs(chosen, behind: np.ndarray, rng: np.random.Generator):
     taken = [take(d, behind[rng.integers(len(behind))], rng) for d in chosen]
     pictures = np.array([sketch.channels_of(picture) for picture, _ in taken])
     return pictures, np.array([maps for _, maps in taken])
-
-
-def written_entropy(path: Path, pictures: np.ndarray, maps: np.ndarray) -> float:
-    """Cross entropy of the network as written, on pictures (N, 2, S, S) of known maps."""
-    import torch
-
-    from experiments.training import sketch_unet as unet
-
-    session = ort.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    squares = (sketch.to_squares(picture)[None] for picture in pictures)
-    odds = np.array([sketch.from_squares(session.run(None, {"squares": s})[0][0]) for s in squares])
-    return float(unet.losses(torch.from_numpy(odds), torch.from_numpy(maps))[0])
 
 
 def run(
@@ -157,5 +134,4 @@ def run(
     trained = unet.trained(batches.get, tensors, minutes, seed)
     unet.write(trained, network, [*shown, *large_shown])
     size_mb = network.stat().st_size / 1e6
-    entropies = ", ".join(f"{written_entropy(network, *batch):.3f}" for batch in held)
-    print(f"{network}: {size_mb:.1f} MB, cross entropy {entropies} held out")
+    print(f"{network}: {size_mb:.1f} MB")

@@ -55,6 +55,11 @@ class Residual(nn.Module):
         return functional.relu(x + self.norm(self.convolution(self.first(x))), inplace=True)
 
 
+def twice(x):
+    """As many pixels again along each side."""
+    return functional.interpolate(x, scale_factor=2, mode="nearest")
+
+
 class SketchUNet(nn.Module):
     """(N, CHANNELS n², h, w) squares to (N, MAPS n², h, w) log-odds; n = SQUARE_PX."""
 
@@ -76,9 +81,6 @@ class SketchUNet(nn.Module):
         self.out = nn.Conv2d(a, MAPS * SQUARE_PX**2, 1)
 
     def forward(self, squares):
-        def twice(x):
-            return functional.interpolate(x, scale_factor=2, mode="nearest")
-
         a = self.a(squares)
         b = self.more_b(self.b(functional.max_pool2d(a, 2)))
         c = self.more_c(self.c(functional.max_pool2d(b, 2)))
@@ -91,7 +93,7 @@ class SketchUNet(nn.Module):
 
 
 def log_odds(network, pictures):
-    """(N, MAPS, S, S) of pictures (N, CHANNELS, S, S)."""
+    """(N, C, S, S) of pictures (N, D, S, S), by a network of squares."""
     squares = functional.pixel_unshuffle(pictures, SQUARE_PX)
     return functional.pixel_shuffle(network(squares), SQUARE_PX)
 
@@ -105,12 +107,16 @@ def losses(odds, maps):
     entropy = cross(odds, maps, pos_weight=weights, reduction="none")
     entropy = (entropy.mean((0, 2, 3)) * odds.new_tensor(MAP_WEIGHTS)).sum()
     share, truth = torch.sigmoid(odds[:, COVER]), maps[:, COVER]
+    return entropy, (1 - dice(share, truth)).mean()
+
+
+def dice(share, truth):
+    """(N,) overlap of the covers (N, S, S) of pictures."""
     both = (share * truth).sum((1, 2))
-    dice = (2 * both + DICE_PX) / (share.sum((1, 2)) + truth.sum((1, 2)) + DICE_PX)
-    return entropy, (1 - dice).mean()
+    return (2 * both + DICE_PX) / (share.sum((1, 2)) + truth.sum((1, 2)) + DICE_PX)
 
 
-def judged(network, held: Batch, device: str) -> tuple[np.ndarray, np.ndarray]:
+def judged(network, held: Batch, device: str) -> tuple[float, float, np.ndarray]:
     """The two losses and the overlap (IoU) of the cover of each held-out picture (N,)."""
     network.eval()
     pictures, maps = held
@@ -119,8 +125,7 @@ def judged(network, held: Batch, device: str) -> tuple[np.ndarray, np.ndarray]:
         odds = torch.cat([log_odds(network, part.to(device)).cpu() for part in parts])
     seen, truth = odds[:, COVER] > 0, maps[:, COVER] > 0.5
     both, either = (seen & truth).sum((1, 2)), (seen | truth).sum((1, 2))
-    lost = np.array([float(x) for x in losses(odds, maps)])
-    return lost, ((both + 1) / (either + 1)).numpy()
+    return *map(float, losses(odds, maps)), ((both + 1) / (either + 1)).numpy()
 
 
 def trained(
@@ -173,9 +178,20 @@ def _report(step: int, running, network, held: list[Batch], device: str) -> None
     now = np.mean(running, axis=0)
     print(f"step {step}: cross entropy {now[0]:.3f}, 1 − Dice {now[1]:.3f}; held out:")
     for batch in held:
-        (entropy, overlap), iou = judged(network, batch, device)
+        entropy, overlap, iou = judged(network, batch, device)
         side_px, shares = batch[0].shape[-1], f"{iou.mean():.3f} mean, {np.median(iou):.3f} median"
         print(f"    {side_px} px: {entropy:.3f}, {overlap:.3f}, IoU {shares}", flush=True)
+
+
+def export(network, inputs: int, path: Path) -> None:
+    """Write a network of ``squares`` (1, inputs, h, w) as ONNX, its normalisation folded in."""
+    network.eval()
+    sides = {2: "h", 3: "w"}
+    torch.onnx.export(
+        network, (torch.zeros(1, inputs, 64, 64),), str(path), input_names=["squares"],
+        output_names=["y"], dynamic_axes={"squares": sides, "y": sides}, dynamo=False,
+        opset_version=17,
+    )  # fmt: skip
 
 
 def write(network, path: Path, pictures: list[np.ndarray]) -> None:
@@ -186,15 +202,9 @@ def write(network, path: Path, pictures: list[np.ndarray]) -> None:
     ``pictures``: (CHANNELS, S, S) each, that show the range of every layer's values.
     """
     torch.save(network.state_dict(), path.with_suffix(".pt"))
-    network.eval()
-    squares = torch.zeros(1, CHANNELS * SQUARE_PX**2, 64, 64)
-    sides = {2: "h", 3: "w"}
     with tempfile.TemporaryDirectory() as folder:
         exact = Path(folder) / "exact.onnx"
-        torch.onnx.export(
-            network, (squares,), str(exact), input_names=["squares"], output_names=["y"],
-            dynamic_axes={"squares": sides, "y": sides}, dynamo=False, opset_version=17,
-        )  # fmt: skip
+        export(network, CHANNELS * SQUARE_PX**2, exact)
         # Weights of 7 bits: with 8, sums overflow on processors without VNNI.
         quantize_static(
             exact, path, _Pictures(pictures), per_channel=True, reduce_range=True,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,11 +12,10 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import mesh_of, nees
+from experiments.frame import kept, mesh_of, nees, show, table_of
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
-from rendezview.sensors.appearance.model.signature import Signature
+from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.outline.interpolation import Interpolator
 from rendezview.sensors.appearance.outline.votes import Match
 from rendezview.trajectory import (
@@ -132,14 +132,16 @@ def observations(model: ViewModel, mesh: Mesh, kind: str, seed: int) -> dict[str
     poses = [Pose(j @ r, -(j @ r) @ t) for j, r, t in zip(jitter, rotations, truth, strict=True)]
     both = (Recognizer(model, CAMERA), Recognizer(model, CAMERA, refine=False))
     trackers = [Tracker(recognizer, poses[0]) for recognizer in both]
-    refined, outlines, trees, nodes = [], [], [], []
+    between = Interpolator(model)
+    refined, nodes, interpolated = [], [], []
     for k, (time_s, pose) in enumerate(zip(times_s.tolist(), poses, strict=True)):
         frame = render_frame(mesh, CAMERA, pose, light[k], SceneOptions(), rng, time_s)
         fine, rough = (tracker.update(time_s, frame) for tracker in trackers)
         refined += [(k, fine.pose, fine.covariance)] * (fine.pose is not None)
-        nodes += [(k, rough.points_m, rough.weights)] * bool(len(rough.points_m))
-        trees += [(k, rough.pose)] * (rough.pose is not None)
-        outlines += [(k, rough.signature)] * (rough.signature is not None)
+        if len(rough.points_m):
+            nodes.append((k, rough.points_m, rough.weights))
+        if len(rough.points_m) and rough.pose is not None and rough.signature is not None:
+            interpolated.append((k, *between_nodes(between, rough, centre_m)))
     return {
         "centre_m": centre_m, "radius_m": np.array(model.target_radius_m), "times_s": times_s,
         "truth_m": truth, "true_rotation": rotations, "jitter": jitter,
@@ -147,32 +149,48 @@ def observations(model: ViewModel, mesh: Mesh, kind: str, seed: int) -> dict[str
         "rotation": np.array([pose.rotation for _, pose, _ in refined]),
         "translation_m": np.array([pose.translation_m for _, pose, _ in refined]),
         "covariance": np.array([spread for _, _, spread in refined]),
-        "node_frame": np.concatenate([np.full(len(points), k) for k, points, _ in nodes]),
-        "node_m": np.concatenate([points for _, points, _ in nodes]),
-        "node_weight": np.concatenate([weights for _, _, weights in nodes]),
-        "outline_frame": np.array([k for k, _ in outlines]),
-        "readings": np.array([s.readings for _, s in outlines], np.float32),
-        "area_sr": np.array([s.area_sr for _, s in outlines]),
-        "centred_from_camera": np.array([s.centred_from_camera for _, s in outlines]),
-        "tree_frame": np.array([k for k, _ in trees]),
-        "tree_rotation": np.array([pose.rotation for _, pose in trees]),
+        **points_of("node", nodes), **points_of("between", interpolated),
     }  # fmt: skip
 
 
-def clouds(data: dict[str, Array], between: Interpolator) -> dict[str, PointCloud]:
+def points_of(name: str, found: list[tuple[int, Array, Array]]) -> dict[str, np.ndarray]:
+    """Points, their weights and frames, of lists by frame."""
+    return {
+        f"{name}_frame": np.concatenate([np.full(len(points), k) for k, points, _ in found]),
+        f"{name}_m": np.concatenate([points for _, points, _ in found]),
+        f"{name}_weight": np.concatenate([weights for _, _, weights in found]),
+    }
+
+
+def between_nodes(
+    between: Interpolator, rough: AppearanceObservation, centre_m: Array
+) -> tuple[Array, Array]:
+    """Points and weights, from the signature and the active nodes of a frame only."""
+    away, trust = rough.points_m - centre_m, rough.weights
+    mean = trust @ (away / np.linalg.norm(away, axis=1)[:, None])
+    attitude = rough.signature.centred_from_camera @ rough.pose.rotation
+    match = Match(rough.active_nodes, trust, mean / np.linalg.norm(mean), attitude)
+    return between.points(match, rough.signature, 1.0 / CAMERA.fx)
+
+
+def weighted(name: str, data: dict[str, Array]) -> tuple[Array, Array, Array]:
+    """Times, points about the centre and weights."""
+    times_s = data["times_s"][data[f"{name}_frame"]]
+    return times_s, data[f"{name}_m"] - data["centre_m"], data[f"{name}_weight"]
+
+
+def clouds(data: dict[str, Array]) -> dict[str, PointCloud]:
     """Of active nodes; of refined poses, by the target's attitude and by the chaser's own."""
-    centre, times = data["centre_m"], data["times_s"]
-    nodes = (times[data["node_frame"]], data["node_m"] - centre, data["node_weight"])
-    posed_s = times[data["pose_frame"]]
+    posed_s = data["times_s"][data["pose_frame"]]
     # The camera's axes known to the chaser, so that the target's attitude takes no part.
     known = np.swapaxes(data["jitter"] @ data["true_rotation"], 1, 2)[data["pose_frame"]]
     places, spreads = placed(centre_place, data)
     own = (np.einsum("nij,nj->ni", known, places), known @ spreads @ np.swapaxes(known, 1, 2))
     return {
-        "nodes": PointCloud.of_nodes(*nodes),
+        "nodes": PointCloud.of_nodes(*weighted("node", data)),
         "refined": PointCloud.of_places(posed_s, *placed(camera_place, data)),
         "refined, own attitude": PointCloud.of_places(posed_s, *own),
-        "between nodes": PointCloud.of_nodes(*between_nodes(data, between)),
+        "between nodes": PointCloud.of_nodes(*weighted("between", data)),
     }
 
 
@@ -186,41 +204,18 @@ def placed(
     return places, spreads
 
 
-def between_nodes(data: dict[str, Array], between: Interpolator) -> tuple[Array, Array, Array]:
-    """Times, points about the centre and weights, from stored signatures and active nodes only."""
-    times, points, weights = [], [], []
-    for k, frame in enumerate(data["outline_frame"]):
-        on = data["node_frame"] == frame
-        seen = np.flatnonzero(data["tree_frame"] == frame)
-        if not on.any() or len(seen) == 0:
-            continue
-        away = data["node_m"][on] - data["centre_m"]
-        away /= np.linalg.norm(away, axis=1)[:, None]
-        trust = data["node_weight"][on]
-        mean = trust @ away / np.linalg.norm(trust @ away)
-        turn = data["centred_from_camera"][k]
-        signature = Signature(data["readings"][k], float(data["area_sr"][k]), turn)
-        match = Match(np.flatnonzero(on), trust, mean, turn @ data["tree_rotation"][seen[0]])
-        found, share = between.points(match, signature, 1.0 / CAMERA.fx)
-        times.append(np.full(len(found), data["times_s"][frame]))
-        points.append(found - data["centre_m"])
-        weights.append(share)
-    return np.concatenate(times), np.concatenate(points), np.concatenate(weights)
-
-
-def spins(data: dict[str, Array], kind: str, between: Interpolator) -> dict[str, Spin | NoFit]:
+def spins(data: dict[str, Array], kind: str) -> dict[str, Spin | NoFit]:
     """From directions of active nodes, from attitudes with the chaser's own known."""
     frames, times = data["pose_frame"], data["times_s"]
     back = np.swapaxes(data["jitter"][frames], 1, 2)
     attitudes = back @ data["rotation"]
     spreads = back @ data["covariance"][:, :3, :3] @ np.swapaxes(back, 1, 2)
     tumbling = kind == "tumble"
-    away = data["node_m"] - data["centre_m"]
-    nodes = (times[data["node_frame"]], away, data["node_weight"])
+    nodes, between = weighted("node", data), weighted("between", data)
     return {
         "nodes": fit_spin_of_directions(*nodes, tumbling=tumbling),
         "refined": fit_spin(times[frames], attitudes, spreads, tumbling=tumbling),
-        "between nodes": fit_spin_of_directions(*between_nodes(data, between), tumbling=tumbling),
+        "between nodes": fit_spin_of_directions(*between, tumbling=tumbling),
     }
 
 
@@ -255,24 +250,14 @@ def spin_errors(spin: Spin, data: dict[str, Array], kind: str, seed: int) -> Arr
     return np.array([rate, float(np.rad2deg(np.arccos(cosine))), *off])
 
 
-def row(name: str, values: list[Array], count: int) -> str:
-    """Median, 90 % and largest of each column."""
-    if not values:
-        return f"| {name} | 0 of {count} |"
-    cells = [
-        " / ".join(f"{value:.3f}" for value in np.percentile(column, [50.0, 90.0, 100.0]))
-        for column in np.array(values).T
-    ]
-    return f"| {name} | {len(values)} of {count} | " + " | ".join(cells) + " |"
-
-
 def judge(
-    kinds: Sequence[str], kept: dict[tuple[str, int], dict[str, Array]],
+    columns: str, kinds: Sequence[str], drawn: dict[tuple[str, int], dict[str, Array]],
     errors: Callable[..., Array], fits: Callable[[dict[str, Array], str], Mapping[str, Any]],
 ) -> None:  # fmt: skip
-    """Print a row for each kind of path and source of points."""
+    """A row for each kind of path and source of points: median, 90 % and largest over seeds."""
+    table = table_of("median / 90 % / largest over seeds", columns)
     for kind in kinds:
-        found = {seed: fits(data, kind) for (one, seed), data in kept.items() if one == kind}
+        found = {seed: fits(data, kind) for (one, seed), data in drawn.items() if one == kind}
         for source in next(iter(found.values()), ()):
             values = []
             for seed, each in found.items():
@@ -280,8 +265,11 @@ def judge(
                 if isinstance(fit, NoFit):
                     print(f"{kind} {source} seed {seed}: {fit.reason}")
                 else:
-                    values.append(errors(fit, kept[kind, seed], kind, seed))
-            print(row(f"{kind}, {source}", values, len(found)))
+                    values.append(errors(fit, drawn[kind, seed], kind, seed))
+            spread = np.percentile(values, [50.0, 90.0, 100.0], axis=0).T if values else []
+            cells = [" / ".join(f"{value:.3f}" for value in each) for each in spread]
+            table.add_row(f"{kind}, {source}", f"{len(values)} of {len(found)}", *cells)
+    show(table, width=120)
 
 
 def run(
@@ -304,32 +292,16 @@ def run(
     of the place in the middle: 3 is right. Rows: median, 90 % and largest over seeds.
     """
     views, (_, mesh) = ViewModel.load(model), mesh_of("client")
-    between = Interpolator(views)
-    folder.mkdir(parents=True, exist_ok=True)
-    kept: dict[tuple[str, int], dict[str, Array]] = {}
+    drawn: dict[tuple[str, int], dict[str, Array]] = {}
     for kind, seed in product(KINDS, range(*seeds)):
-        path = folder / f"{views.name}-{kind}-{seed}.npz"
-        if not path.exists():
-            np.savez_compressed(path, **observations(views, mesh, kind, seed))
-        with np.load(path) as file:
-            kept[kind, seed] = {name: file[name] for name in file.files}
-    print("| segments | fitted | position, % of range | predicted, % of range | NEES |")
-    print("|---|---|---|---|---|")
+        made = partial(observations, views, mesh, kind, seed)
+        drawn[kind, seed] = kept(folder / f"{views.name}-{kind}-{seed}.npz", made)
     judge(
-        tuple(SHAPES), kept, segment_errors,
+        "segments | fitted | position, % of range | predicted, % of range | NEES",
+        tuple(SHAPES), drawn, segment_errors,
         lambda data, kind: {
-            source: fit_segment(cloud, SHAPES[kind])
-            for source, cloud in clouds(data, between).items()
+            source: fit_segment(cloud, SHAPES[kind]) for source, cloud in clouds(data).items()
         },
     )  # fmt: skip
-    frame_errors = []
-    for data in kept.values():
-        places = placed(camera_place, data)[0] + data["centre_m"]
-        truth = data["truth_m"][data["pose_frame"]]
-        far = np.linalg.norm(truth - data["centre_m"], axis=1)
-        frame_errors.append(100.0 * float(np.median(np.linalg.norm(places - truth, axis=1) / far)))
-    print(f"one refined frame: {np.median(frame_errors):.3f} % of range, median of medians")
-    print("\n| spin | fitted | rate, % | axis, ° | position, % of range | predicted, % |")
-    print("|---|---|---|---|---|---|")
-    turning = ("spin", "tumble", "circular", "spiral")
-    judge(turning, kept, spin_errors, lambda data, kind: spins(data, kind, between))
+    columns = "spin | fitted | rate, % | axis, ° | position, % of range | predicted, %"
+    judge(columns, ("spin", "tumble", "circular", "spiral"), drawn, spin_errors, spins)

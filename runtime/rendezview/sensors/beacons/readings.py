@@ -18,7 +18,7 @@ from rendezview.sensors.beacons.detect.detectors import UNKNOWN, Spots
 from rendezview.sensors.beacons.detect.led_spots import SpotOptions, find_spots
 from rendezview.sensors.beacons.rig import Rig, RigCamera
 
-_SIGMA_PX = 0.05  # of a spot in a file that gives none. Source: stereo-accuracy --part identity
+_SIGMA_PX = 0.05  # of a spot in a file that gives none. Source: stereo-accuracy (0.1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,9 +30,9 @@ _BREAK = 80.0
 class MotionOptions:
     """How freely the target moves; white accelerations, as spectral densities."""
 
-    # rad/s² √s: rate error 1.1°/s after 1 s. Source: by hand; see stereo-accuracy --part figure8
+    # rad/s² √s: rate error 1.1°/s after 1 s. Source: by hand; see experiment stereo-accuracy
     angular_acceleration: float = 0.02
-    # m/s² √s. Source: by hand; see stereo-accuracy --part figure8
+    # m/s² √s. Source: by hand; see experiment stereo-accuracy
     linear_acceleration: float = 0.02
     first_rate: float = 0.2  # rad/s, σ of the unknown first rates. Source: a chosen limit
     first_velocity: float = 0.2  # m/s. Source: a chosen limit

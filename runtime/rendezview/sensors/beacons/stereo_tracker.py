@@ -46,7 +46,7 @@ class TrackerOptions:
     # Add the covariance of the rig's calibration to each pose's: 7 ms where the pose has moved.
     calibration_error: bool = False
     # normalised; unnamed spots are looked for so far from the forecast. Source: by hand; see
-    # stereo-accuracy --part identity
+    # stereo-accuracy (0.1) --part identity
     window: float = 0.03
 
 

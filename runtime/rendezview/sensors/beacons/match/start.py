@@ -28,7 +28,7 @@ _MOST_TRIPLES = 20  # Source: by construction, 6 over 3
 _REFINED = 12  # starts that are refined. Source: by construction, a bound of time
 DISTINCT_RAD = np.deg2rad(3.0)  # rad; poses nearer than this are one. Source: by construction
 # A pose of three lights fits the other lights so many times worse than σ. Source: by hand;
-# stereo-accuracy --part recovery finds all
+# stereo-accuracy (0.1) --part recovery finds all
 NOISY_TIMES = 6.0
 # Squared residual of a light, at which it counts as false: 1 in 3 million by chance.
 CAP = 30.0  # Source: χ² distribution, two degrees of freedom

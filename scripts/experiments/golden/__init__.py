@@ -1,1 +1,0 @@
-"""The golden file: answers of every sensor, stored and compared."""
