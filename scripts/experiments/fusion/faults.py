@@ -9,11 +9,11 @@ from typing import Annotated
 import numpy as np
 
 from experiments.frame import nees, show, table_of
-from experiments.fusion.drawn import FAULTS, RING, STEP_S, Draw, faulty, grid
 from rendezview.fusion import Fusion, Measurement, PoseMeasurement
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Status
+from rendezview_ground.simulate.drawn_readings import FAULTS, RING, STEP_S, Draw, faulty, grid
 
 BINS_M = ((99.0, 26.0), (26.0, 8.0), (8.0, 0.0))
 _PEER_DENSITY = 1e-2  # m/s² √s squared, of the peer: set by hand
@@ -44,29 +44,23 @@ class Result:
 
 
 def fly(draw: Draw) -> Result:
-    """All readings through the filter with its defaults."""
-    fusion, peer = Fusion(), _Peer()
+    """All readings through the filter with its defaults; the last of one time counts."""
+    fusion, peer, readings, spent = Fusion(), _Peer(), draw.readings(), 0.0
     samples: dict[float, Sample] = {}
-    spent, readings = 0.0, draw.readings()
+    singles: dict[float, dict[str, Array]] = {}
     for k, reading in enumerate(readings):
         begun = time.perf_counter()
         fusion.add(reading)
         spent += time.perf_counter() - begun
         peer.add(reading)
-        newest_s = fusion.time_s
-        if newest_s is None or (k + 1 < len(readings) and readings[k + 1].time_s == newest_s):
-            before = samples.get(reading.time_s)
-            if before is not None or newest_s is None:
-                continue
-        truth = draw.poses[round(newest_s / STEP_S)]
-        sample = _sample(fusion, newest_s, truth, peer)
-        samples[newest_s] = sample
-    singles: dict[float, dict[str, Array]] = {}
-    for reading in readings:
         if isinstance(reading, PoseMeasurement):
             truth = draw.poses[round(reading.time_s / STEP_S)]
             errors = _errors(reading.pose, truth, reading.covariance)
             singles.setdefault(reading.time_s, {})[reading.sensor] = errors
+        now_s = fusion.time_s
+        more = k + 1 < len(readings) and readings[k + 1].time_s == reading.time_s
+        if now_s is not None and not more:
+            samples[now_s] = _sample(fusion, now_s, draw.poses[round(now_s / STEP_S)], peer)
     for time_s, sample in samples.items():
         sample.single.update(singles.get(time_s, {}))
     return Result(list(samples.values()), fusion.starts - 1, 1e6 * spent / len(readings))
@@ -96,16 +90,14 @@ class _Peer:
     """filterpy's Kalman filter of place and velocity, camera frame; silent where it is missing."""
 
     def __init__(self) -> None:
+        self._time_s: float | None = None
         try:
-            from filterpy.common import Q_continuous_white_noise
             from filterpy.kalman import KalmanFilter
         except ModuleNotFoundError:
             self._filter = None
             return
-        self._noise = Q_continuous_white_noise
         self._filter = KalmanFilter(dim_x=6, dim_z=3)
-        self._filter.H = np.hstack([np.eye(3), np.zeros((3, 3))])
-        self._time_s: float | None = None
+        self._filter.H = np.eye(3, 6)
 
     def add(self, reading: Measurement) -> None:
         """Take the place of a pose; of a late one, as if it were of now."""
@@ -118,7 +110,8 @@ class _Peer:
         elif reading.time_s > self._time_s:
             dt = reading.time_s - self._time_s
             self._filter.F = np.eye(6) + dt * np.eye(6, k=3)
-            self._filter.predict(Q=_PEER_DENSITY**2 * _by_axis(self._noise(2, dt)))
+            noise = _PEER_DENSITY**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+            self._filter.predict(Q=np.kron(noise, np.eye(3)))
         self._filter.update(place, R=covariance)
         self._time_s = max(reading.time_s, self._time_s or reading.time_s)
 
@@ -127,10 +120,6 @@ class _Peer:
         if self._filter is None:
             return np.nan
         return float(np.linalg.norm(np.ravel(self._filter.x)[:3] - truth.translation_m))
-
-
-def _by_axis(noise: Array) -> Array:
-    return np.kron(noise, np.eye(3))
 
 
 def _rms(values: Array) -> float:

@@ -60,12 +60,12 @@ FAULTS = {
 def motion(flight: Flight, rng: np.random.Generator) -> tuple[Array, list[Pose], Array]:
     """Times (N,), true camera_from_target, and the camera's swings (N, 3, 3)."""
     count = round(280.0 / STEP_S)
-    times = STEP_S * np.arange(count)
-    ranges = np.empty(count)
+    times: Array = STEP_S * np.arange(count, dtype=np.float64)
+    ranges: Array = np.empty(count)
     if flight.braking_mm_s2 is None:
-        ranges = 60.0 * (1.0 - times / 281.0) ** 1.3 + 2.0
+        ranges[:] = 60.0 * (1.0 - times / 281.0) ** 1.3 + 2.0
     elif flight.braking_mm_s2 == 0.0:
-        ranges = 62.0 - 0.25 * times
+        ranges[:] = 62.0 - 0.25 * times
     else:
         range_m, speed, burning = 62.0, 0.4, False
         for k in range(count):
@@ -106,7 +106,7 @@ def _swing(flight: Flight, times: Array, rng: np.random.Generator) -> Array:
     """(N, 3) rotation vectors of the camera: five waves about each axis."""
     rates = flight.jitter_hz * rng.uniform(0.5, 1.5, (3, 5))
     phases = rng.uniform(0.0, 2 * np.pi, (3, 5))
-    waves = np.sin(2 * np.pi * rates * times[:, None, None] + phases).sum(axis=2)
+    waves: Array = np.sin(2 * np.pi * rates * times[:, None, None] + phases).sum(axis=2)
     return math.radians(flight.jitter_deg) * math.sqrt(2.0 / 5.0) * waves
 
 
