@@ -103,7 +103,7 @@ class Snapshot(NamedTuple):
     heard_s: Mapping[str, float] = MappingProxyType({})  # last pose or ring of each sensor
     starts: int = 0
     log_likelihood: float = 0.0  # of the last measurement
-    note: str | None = None  # why it last began anew
+    note: str | None = None  # why it last restarted
     contested_s: float = -math.inf  # when a sensor last contradicted it, or a rival won
 
     @property
@@ -312,7 +312,7 @@ def _may_win(rival: Rival, before: Snapshot, time_s: float) -> bool:
 def _won(
     before: Snapshot, rival: Rival, measurement: Measurement, seen: Found, fits: bool
 ) -> tuple[Snapshot, Verdict]:
-    """The rival takes over; only a new start is another state, and begins the filter anew."""
+    """The rival takes over; only a new start is another state, and restarts the filter."""
     restarted = rival.kind is Kind.START
     agree = sum(ratio > 0.0 for ratio in rival.ratios.values())
     said = f"{agree} sensor{'s speak' if agree != 1 else ' speaks'} for {rival.kind}"

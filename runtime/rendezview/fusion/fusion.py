@@ -42,7 +42,7 @@ class Estimate:
     # (2, 2) of these two; 0 where one is known. None: neither is estimated.
     ring_covariance: Array | None = None
     protection: Protection | None = None  # None: no pose
-    note: str | None = None  # why the filter last began anew
+    note: str | None = None  # why the filter last restarted
 
 
 class Fusion:
@@ -181,7 +181,7 @@ class Fusion:
 
     @property
     def note(self) -> str | None:
-        """Why it last began anew."""
+        """Why it last restarted."""
         return self._newest.note
 
     @property

@@ -75,7 +75,7 @@ class SessionEvents:
                 self.add("alarm", Level.INFO, f"no longer: {text}")
 
     def restarted(self, starts: int, reason: str | None) -> None:
-        """How often the filter has started, and why it last did so anew."""
+        """How often the filter has started, and why it last restarted."""
         if starts > max(self._restarts, 1):
             self.add("fusion", Level.WARNING, reason or "restarted")
         self._restarts = starts

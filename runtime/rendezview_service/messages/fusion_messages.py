@@ -192,7 +192,7 @@ class Fused(Message):
         default=None, description="how far off the pose may be, and whether sensors contradict it"
     )
     starts: int = Field(description="how often the filter has started")
-    note: str | None = Field(default=None, description="why it last started anew")
+    note: str | None = Field(default=None, description="why it last restarted")
 
 
 class Verdict(Message):

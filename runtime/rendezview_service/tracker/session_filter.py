@@ -101,7 +101,7 @@ class SessionFilter:
 
     @property
     def starts(self) -> tuple[int, str | None]:
-        """How often it has started, and why it last did so anew."""
+        """How often it has started, and why it last restarted."""
         return self._fusion.starts, self._fusion.note
 
     @property
