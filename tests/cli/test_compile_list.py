@@ -54,7 +54,7 @@ def test_every_loop_of_tracking_and_of_the_service_is_listed(
     }
     names = {name.rpartition(":")[2] for group in called.values() for name, _ in group}
     assert {"align_each", "shading", "mean_shift", "align_to_sketch"} <= names, run.stderr
-    assert {"fit_steps", "judge", "downhill_simplex", "ring_expected"} <= names, run.stderr
+    assert {"fit_steps", "judge", "downhill_simplex", "ring_parts"} <= names, run.stderr
     for group, loops in called.items():
         listed = [(e["loop"], e["arguments"]) for e in compiling.load_loops(group)]
         assert [each for each in loops if each not in listed] == [], group

@@ -7,7 +7,6 @@ import pytest
 from scipy.linalg import block_diag, expm
 from scipy.spatial.transform import Rotation
 
-from rendezview.estimation.linear_algebra import square_root
 from rendezview.fusion.kernels import (
     MOTION,
     add_noise,
@@ -15,9 +14,9 @@ from rendezview.fusion.kernels import (
     mixed,
     moments,
     predicted,
+    switches,
     transit,
 )
-from rendezview.fusion.update_kernels import compared, corrected, jitter_step, white_share
 from rendezview.geometry import so3
 
 ACCELERATIONS = np.array(
@@ -273,167 +272,6 @@ def test_two_halves_of_a_step_are_nearly_the_whole():
         assert np.abs(one - other).max() < 5e-3 * np.abs(one).max()
 
 
-def a_measurement(seed, k=5, n=24, count=4):
-    """Models, design, noise and residual."""
-    rng = np.random.default_rng(seed)
-    design = rng.standard_normal((k, n))
-    design[:, 9:12] = 0.0  # a velocity is never seen
-    return models(rng, count, n), design, covariance_of(rng, k), rng.standard_normal(k)
-
-
-def test_a_measurement_beside_each_model_is_that_of_numpy():
-    (x, p, weights), design, noise, residual = a_measurement(7)
-    fits, total, peak, nis, innovation, logs, across, lowers, whites = compared(
-        x, p, weights, design, noise, residual
-    )
-    assert fits
-    offs = residual - x @ design.T
-    spreads = design @ p @ design.T + noise
-    heights = -0.5 * (np.linalg.slogdet(spreads)[1] + 5.0 * math.log(2.0 * math.pi))
-    squared = np.array(
-        [off @ np.linalg.solve(s, off) for off, s in zip(offs, spreads, strict=True)]
-    )
-    assert logs == pytest.approx(heights - 0.5 * squared)
-    assert total == pytest.approx(math.log(weights @ np.exp(heights - 0.5 * squared)))
-    assert peak == pytest.approx(weights @ heights)
-    assert nis == pytest.approx(weights @ squared)
-    assert innovation == pytest.approx(weights @ offs)
-    assert across == pytest.approx(p @ design.T)
-    for lower, white, spread, off in zip(lowers, whites, spreads, offs, strict=True):
-        assert lower == pytest.approx(np.linalg.cholesky(spread))
-        assert white == pytest.approx(np.linalg.solve(np.linalg.cholesky(spread), off))
-
-
-def test_a_covariance_that_is_not_one_fits_nothing():
-    (x, p, weights), design, noise, residual = a_measurement(8)
-    assert not compared(x, p, weights, design, noise - 1e3 * np.eye(5), residual)[0]
-
-
-def test_a_semi_definite_matrix_has_a_root():
-    thin = np.random.default_rng(5).standard_normal((5, 3))
-    root = square_root(thin @ thin.T)
-    assert np.allclose(root @ root.T, thin @ thin.T, atol=1e-7)
-    assert not square_root(np.zeros((4, 4))).any()
-
-
-def test_a_correction_is_that_of_the_textbook_in_each_model():
-    (x, p, weights), design, noise, residual = a_measurement(9)
-    x *= 0.01  # so that a rotation vector is nearly a vector
-    state = nominal(np.random.default_rng(9))
-    _, _, _, _, _, logs, across, lowers, whites = compared(
-        x, p, weights, design, noise, 0.01 * residual
-    )
-    found = corrected(*state, x, p, weights, logs, across, lowers, whites)
-    likely = weights * np.exp(logs)
-    likely /= likely.sum()
-    assert found[6] == pytest.approx(likely)
-    after = np.empty_like(x)
-    for m in range(4):
-        spread = design @ p[m] @ design.T + noise
-        gain = np.linalg.solve(spread, design @ p[m]).T
-        after[m] = x[m] + gain @ (0.01 * residual - design @ x[m])
-        assert found[5][m] == pytest.approx((np.eye(24) - gain @ design) @ p[m], abs=1e-12)
-        assert np.array_equal(found[5][m], found[5][m].T)
-    mean = likely @ after
-    assert found[0] == pytest.approx(exp(mean[:3]) @ state[0], abs=1e-12)
-    for k in range(1, 4):
-        assert found[k] == pytest.approx(state[k] + mean[3 * k : 3 * k + 3])
-    # The motion's mean is in the nominal state now; jitter, acceleration, biases stay.
-    assert likely @ found[4][:, :12] == pytest.approx(np.zeros(12), abs=1e-12)
-    assert found[4][:, 12:] == pytest.approx(after[:, 12:], abs=1e-12)
-    assert found[4][:, :12] == pytest.approx(after[:, :12] - mean[:12], abs=1e-12)
-
-
-def test_a_model_never_dies_out():
-    (x, p, weights), design, noise, residual = a_measurement(10)
-    logs = np.array([0.0, -1e4, -1e4, -1.0])
-    _, _, _, _, _, _, across, lowers, whites = compared(x, p, weights, design, noise, residual)
-    after = corrected(
-        *nominal(np.random.default_rng(0)), x, p, weights, logs, across, lowers, whites
-    )
-    assert after[6].min() > 5e-6
-    assert after[6].sum() == pytest.approx(1.0)
-
-
-def share_by_numpy(shares, root, weights, spreads, offs):
-    out = np.zeros(len(shares))
-    for weight, spread, off in zip(weights, spreads, offs, strict=True):
-        along = (root.T @ np.linalg.solve(spread, off)) ** 2
-        size = np.diag(root.T @ np.linalg.solve(spread, root))
-        out += weight * (np.minimum(along, 25.0 * size) - size) * shares**2
-    return np.concatenate([np.full(3, out[:3].mean()), np.full(len(out) - 3, out[3:].mean())])
-
-
-@pytest.mark.parametrize("k", [5, 6])
-@pytest.mark.parametrize("far", [1.0, 100.0])
-def test_a_step_of_the_white_share_is_that_of_numpy(k, far):
-    (x, p, weights), design, noise, residual = a_measurement(11, k)
-    root, shares = np.linalg.cholesky(noise), np.linspace(0.2, 0.9, k)
-    residual = far * residual
-    *_, lowers, whites = compared(x, p, weights, design, noise, residual)
-    spreads, offs = design @ p @ design.T + noise, residual - x @ design.T
-    found = white_share(shares, root, weights, lowers, whites)
-    assert found == pytest.approx(share_by_numpy(shares, root, weights, spreads, offs))
-
-
-def test_the_white_share_rests_at_the_truth():
-    """Innovations of S as taken teach nothing in the mean; larger ones raise it."""
-    rng = np.random.default_rng(12)
-    root, shares = np.linalg.cholesky(covariance_of(rng, 6)), np.full(6, 0.4)
-    lower = np.linalg.cholesky(covariance_of(rng, 6) + root @ root.T)
-    for scale, least, most in ((1.0, -0.01, 0.01), (1.5, 0.02, 1.0), (0.5, -1.0, -0.02)):
-        steps = [
-            white_share(shares, root, np.ones(1), lower[None], scale * rng.standard_normal((1, 6)))
-            for _ in range(4000)
-        ]
-        mean = np.mean(steps, axis=0)
-        assert np.all((least < mean) & (mean < most)), scale
-
-
-@pytest.mark.parametrize(
-    ("kinds", "own"),
-    [(1, [0.2, 0.3, 0.4, 0.1]), (2, [0.4, 0.2, 0.3, 0.1]), (2, [0.1, 0.8, 0.05, 0.05])],
-)
-def test_a_step_of_the_jitter_is_that_of_numpy(kinds, own):
-    """By the models of the first jitter, or by all where those are unlikely."""
-    (x, p, _), design, noise, residual = a_measurement(13, 6)
-    weights = np.array(own)
-    *_, lowers, whites = compared(x, p, weights, design, noise, residual)
-    gained = 0.7
-    found = jitter_step(design, weights, lowers, whites, gained, kinds)
-    first = np.where(np.arange(4) % kinds == 0, weights, 0.0)
-    if first.sum() < 0.2:
-        first = weights
-    whole = gained * design[:, :3] @ design[:, :3].T
-    slope = curvature = 0.0
-    for weight, spread, off in zip(
-        first / first.sum(), design @ p @ design.T + noise, residual - x @ design.T, strict=True
-    ):
-        inverse = np.linalg.inv(spread)
-        z = inverse @ off
-        slope += weight * (z @ whole @ z - np.trace(inverse @ whole))
-        curvature += weight * np.trace(inverse @ whole @ inverse @ whole)
-    assert found == pytest.approx(slope / curvature)
-    assert jitter_step(0.0 * design, weights, lowers, whites, gained, kinds) == 0.0
-
-
-def test_the_step_of_the_jitter_leads_to_the_truth():
-    rng = np.random.default_rng(14)
-    design, rest = rng.standard_normal((6, 20)), covariance_of(rng, 6)
-    true, taken, gained = 0.5, 0.2, 0.8
-    seen = gained * design[:, :3] @ design[:, :3].T
-    real = np.linalg.cholesky(rest + true * seen)
-    lower = np.linalg.cholesky(rest + taken * seen)
-    steps = [
-        jitter_step(
-            design, np.ones(1), lower[None],
-            np.linalg.solve(lower, real @ rng.standard_normal(6))[None], gained, 1,
-        )
-        for _ in range(6000)
-    ]  # fmt: skip
-    assert np.mean(steps) == pytest.approx(true - taken, rel=0.1)
-
-
 def camera_state(rotation, place, rate, velocity):
     return rotation, -rotation @ place, rotation @ rate, -rotation @ velocity
 
@@ -480,3 +318,11 @@ def test_a_rotation_stays_one_over_thousands_of_steps():
     assert so3.between(now[0], rotation @ exp([30.0, -60.0, 90.0])) == pytest.approx(
         np.zeros(3), abs=1e-9
     )
+
+
+def test_accelerations_and_jitters_change_on_their_own():
+    moves = switches(ACCELERATIONS, 2, 300.0, 3.0)
+    by_acceleration = changes(ACCELERATIONS[:, 3].copy(), 3.0)
+    expected = np.kron(by_acceleration, changes(np.full(2, 300.0), 3.0))
+    assert moves == pytest.approx(expected, abs=1e-15)
+    assert moves.sum(axis=1) == pytest.approx(np.ones(6))

@@ -177,7 +177,8 @@ def test_who_comes_while_a_frame_is_looked_at_sees_the_next_one(camera):
     )
     before, after = (Watcher(30.0, 200, contour=True, silhouette=False) for _ in range(2))
     state = b'{"frame": 0}'
-    header = {"frame": 0, "phase": "tracking", "time_s": 0.0, "status": "ok", "track_ms": 1.0}
+    header = {"frame": 0, "phase": "tracking", "time_s": 0.0, "status": "ok", "track_ms": 1.0,
+              "starts": (1, None)}  # fmt: skip
     more = {"frame": 0, "contour": {"points_px": [], "kinds": []}, "silhouette_px": None}
     waiting = SessionInput((b"",), 0.0, 0.0, time.monotonic(), lambda answer: None)
     session.watchers.add(before)

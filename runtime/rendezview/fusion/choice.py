@@ -41,23 +41,28 @@ from rendezview.sensors.measurement import (
     ThrustMeasurement,
 )
 
-# Logarithms of likelihood ratios: the most that one sensor may say, and what it takes to win.
+# Logarithms of likelihood ratios: the most that one sensor may say, what it takes to win, to go.
+# Source: by construction: one sensor alone cannot overturn a confirmed state, two can
 _CAP, _WIN, _LOSE = 12.0, 6.0, -40.0
-_FORGETS = 0.9  # of a sensor's earlier ratio at each reading
+_FORGETS = 0.9  # of a sensor's earlier ratio at each reading. Source: by construction
 # Readings that confirm a hypothesis; against it a new start has a lower prior, unless two sensors
-# speak for it, or so many s have passed without one that agrees.
+# speak for it, or so many s have passed without one that agrees. Source: fusion-faults
 _CONFIRMED, _CONTEST_S = 10, 20.0
-_RECENT_S = 5.0  # a sensor that spoke so lately must be heard, twice, before a new start wins
+# s; a sensor that spoke so lately must be heard, twice, before a new start wins. Source: as
+# coasting_after_s
+_RECENT_S = 5.0
 _CONTRADICTS = 2  # readings of one sensor turned away in a row. Source: one may be an outlier
-# σ of the velocity and the rate that have jumped, and how long ago that is: since the
-# sensor's reading before, within limits.
+# s ago that velocity or rate have jumped: since the sensor's reading before, within limits. Source:
+# fusion-faults, a thrust
 _JUMP_S, _MOST_JUMP_S = 0.7, 10.0
-_NEW_RATE, _NEW_VELOCITY = 0.03, 0.5  # σ of the rates that a new start takes over
-_PRESUMED = 0.9  # probability that a new start gives to a fault of the others
+# σ of the rates that a new start takes over. Source: those of a slow target, `MotionOptions`
+_NEW_RATE, _NEW_VELOCITY = 0.03, 0.5
+# Probability that a new start gives to a fault of the others. Source: by construction
+_PRESUMED = 0.9
 _WIDER = 4.0  # of the variance of rates that another filter has left. Source: twice the σ
 
 
-_UNIT = np.eye(3)
+_UNIT = np.eye(3)  # Source: by construction
 
 
 class Kind(StrEnum):
@@ -70,12 +75,16 @@ class Kind(StrEnum):
 
 
 # Of each: prior, least number of readings that fit, s after which a rival without a lead goes.
+# Source: fusion-faults; with two fitting poses a wrong first one looks like a fast target
 _PRIOR = {Kind.FAST: -2.0, Kind.MANOEUVRE: -3.0, Kind.TURN: -4.0, Kind.START: -4.0}
-_JUMPS = {Kind.MANOEUVRE: (0.1, 0.0), Kind.TURN: (0.5, 0.2)}  # m/s, rad/s
-_CONFIRMED_PRIOR = -8.0  # of a new start
+# σ of the jump, m/s, rad/s. Source: a thruster's burn; an object that a hand turns
+_JUMPS = {Kind.MANOEUVRE: (0.1, 0.0), Kind.TURN: (0.5, 0.2)}
+_CONFIRMED_PRIOR = -8.0  # of a new start. Source: below _WIN − _CAP
+# Source: as the priors
 _FITTING = {Kind.FAST: 3, Kind.MANOEUVRE: 2, Kind.TURN: 3, Kind.START: 3}
+# Source: fusion-faults, uncritical
 _PATIENCE_S = {Kind.FAST: 5.0, Kind.MANOEUVRE: 5.0, Kind.TURN: 5.0, Kind.START: 30.0}
-_HEARD_LEAST = 3  # readings before it goes
+_HEARD_LEAST = 3  # readings before it goes. Source: by construction, as _FITTING
 
 
 class Rival(NamedTuple):

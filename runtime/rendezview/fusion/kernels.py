@@ -146,6 +146,20 @@ def changes(stays: Array, dt: float) -> Array:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def switches(accelerations: Array, kinds: int, jitter_stay_s: float, dt: float) -> Array:
+    """(M, M) probability to go from each model to each in ``dt``: of `predicted`'s arguments."""
+    by_acceleration = changes(accelerations[:, 3].copy(), dt)
+    by_jitter = changes(np.full(kinds, jitter_stay_s), dt)
+    count = len(accelerations) * kinds
+    moves = np.empty((count, count))
+    for i in range(count):
+        for j in range(count):
+            change = by_acceleration[i // kinds, j // kinds] * by_jitter[i % kinds, j % kinds]
+            moves[i, j] = change
+    return moves
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def predicted(
     rotation: Array, place: Array, rate: Array, velocity: Array, deviations: Array,
     covariances: Array, weights: Array, fading: Array, dt: float, angular: float,
@@ -161,13 +175,7 @@ def predicted(
     """
     count, n = deviations.shape
     kinds = len(jitters)
-    by_acceleration = changes(accelerations[:, 3].copy(), dt)
-    by_jitter = changes(np.full(kinds, jitter_stay_s), dt)
-    moves = np.empty((count, count))
-    for i in range(count):
-        for j in range(count):
-            change = by_acceleration[i // kinds, j // kinds] * by_jitter[i % kinds, j % kinds]
-            moves[i, j] = change
+    moves = switches(accelerations, kinds, jitter_stay_s, dt)
     x, p, later = mixed(deviations, covariances, weights, moves)
     turn = so3.exp(-dt * rate)
     moved, sped, new_place, new_velocity = place + dt * velocity, velocity, place * 0.0, rate * 0.0

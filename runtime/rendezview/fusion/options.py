@@ -71,16 +71,16 @@ class MotionOptions:
     # rad, σ of each jitter; the first is only the first guess, it is learnt. Source: `simulate`
     # has 5 mrad; without the second a swing of 0.3° at 0.15 Hz restarts the filter
     jitters: tuple[float, ...] = (6e-3, 7e-3)
-    jitters_s: tuple[float, ...] = (0.4, 2.0)  # s, their correlation
-    # rad/√s, wander of the camera's mean attitude
+    jitters_s: tuple[float, ...] = (0.4, 2.0)  # s, their correlation. Source: as the jitters
+    # rad/√s, wander of the camera's mean attitude. Source: fusion-faults, uncritical 1e-4 to 4e-4
     slews: tuple[float, ...] = (1e-4, 4e-4)
     jitter_stay_s: float = 300.0  # s, mean stay in each. Source: plain simulation, uncritical
-    # rad/s and m/s, σ of the unknown first rates: of a slow target, and of a tumbling one that is
-    # passed fast. The first few readings choose between them. Source: chosen
-    first_rate: float = 0.03
-    first_velocity: float = 0.5
-    fast_rate: float = 0.5
-    fast_velocity: float = 10.0
+    # σ of the unknown first rates: of a slow target, and of a tumbling one that is passed fast. The
+    # first few readings choose between them.
+    first_rate: float = 0.03  # rad/s. Source: chosen, 1.7°/s
+    first_velocity: float = 0.5  # m/s. Source: a chosen limit
+    fast_rate: float = 0.5  # rad/s. Source: chosen, 30°/s
+    fast_velocity: float = 10.0  # m/s. Source: a chosen limit
 
     @model_validator(mode="before")
     @classmethod
@@ -107,7 +107,8 @@ class MotionOptions:
             raise ValueError("acceleration_s, stays_s, jitters_s, jitter_stay_s must be positive")
 
 
-_MOST_MODELS = 4  # of one kind: the work grows with the square of their product
+# Of one kind: the work grows with the square of their product. Source: a chosen limit
+_MOST_MODELS = 4
 _BESIDE = {
     "accelerations": ("lasting_accelerations", "stays_s"),
     "jitters": ("jitters_s", "slews"),

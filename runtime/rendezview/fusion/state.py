@@ -30,9 +30,10 @@ from rendezview.sensors.measurement import (
     ThrustMeasurement,
 )
 
-# (6, 6) that every pose has at least: below it rounding counts, and no sensor is that good.
+# (6, 6) that every pose has at least: below it rounding counts. Source: no sensor is that good
 _LEAST_COVARIANCE = np.diag([1e-7**2] * 3 + [1e-6**2] * 3)
-_LONGEST_STEP_S = 10.0  # of a prediction: the noise of a step is exact for a short one
+# s, of a prediction: the noise of a step is exact for a short one. Source: acceleration_s / 3
+_LONGEST_STEP_S = 10.0
 RING_GEOMETRY = "ring's radius and depth"  # a block of the state, of no sensor
 # Of a start until it is confirmed: σ of a rate times a step, rad and ranges. Source: linearisation
 _MOST_TURN, _MOST_WAY = 0.5, 0.4
@@ -197,8 +198,8 @@ def predict(state: FilterState, dt_s: float, options: FusionOptions) -> FilterSt
 
 
 _HOLD_S = 1.0  # s for which a rate of the camera is taken to go on. Source: chosen
-_ALWAYS_S = 1e9
-_MOST_STEPS = 100  # of a prediction: a state that old is lost anyway
+_ALWAYS_S = 1e9  # Source: by construction
+_MOST_STEPS = 100  # of a prediction. Source: a chosen limit; a state that old is lost
 
 
 def models_of(motion: MotionOptions, jitter: float) -> tuple[Array, Array]:

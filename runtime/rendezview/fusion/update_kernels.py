@@ -50,6 +50,17 @@ def with_bias(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def log_mean(weights: Array, logs: Array) -> float:
+    """Logarithm of the weighted mean of exp(``logs``), both (M,)."""
+    best, total = -np.inf, 0.0
+    for m in range(len(logs)):
+        best = max(best, logs[m])
+    for m in range(len(logs)):
+        total += weights[m] * math.exp(logs[m] - best)
+    return float(best + math.log(max(total, 1e-300)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def compared(
     deviations: Array, covariances: Array, weights: Array, design: Array, noise: Array,
     residual: Array,
@@ -106,14 +117,8 @@ def compared(
         logs[m] = height - 0.5 * nis
         peak += weights[m] * height
         squared += weights[m] * nis
-    best = -np.inf
-    for m in range(count):
-        best = max(best, logs[m])
-    total = 0.0
-    for m in range(count):
-        total += weights[m] * math.exp(logs[m] - best)
     return (
-        fits, best + math.log(max(total, 1e-300)), peak, squared, mean, logs, across, lowers,
+        fits, log_mean(weights, logs), peak, squared, mean, logs, across, lowers,
         whites,
     )  # fmt: skip
 
