@@ -16,6 +16,9 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
+from rendezview.geometry.pose import Pose
+from rendezview.geometry.so3 import between
+
 if TYPE_CHECKING:
     from rendezview_ground.mesh.mesh import Mesh
 
@@ -95,10 +98,22 @@ def two(values: npt.ArrayLike, high: float = 95, form: str = "{:.3f} / {:.3f}") 
     return form.format(np.median(values), np.percentile(values, high))
 
 
+def unit(rng: np.random.Generator) -> npt.NDArray[np.float64]:
+    """(3,) random direction."""
+    axis = rng.normal(size=3)
+    return axis / np.linalg.norm(axis)
+
+
 def nees(error: npt.ArrayLike, covariance: npt.ArrayLike) -> float:
     """Normalised estimation error squared."""
     off = np.asarray(error)
     return float(np.dot(off, np.linalg.solve(np.asarray(covariance), off)))
+
+
+def error_of(pose: Pose, truth: Pose) -> npt.NDArray[np.float64]:
+    """(6,) rotation vector and translation from the truth to a pose, camera frame."""
+    turn = between(pose.rotation, truth.rotation)
+    return np.append(turn, pose.translation_m - truth.translation_m)
 
 
 def kept(path: Path, make: Callable[[], Mapping[str, npt.ArrayLike]]) -> dict[str, Any]:

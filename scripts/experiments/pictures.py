@@ -12,7 +12,7 @@ import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 
-from experiments.frame import CLIENT, MODELS_CAD, PICTURES, mesh_of
+from experiments.frame import CLIENT, PICTURES, mesh_of
 from experiments.fusion.trials import fly, load_run
 from experiments.pose.sketch_confidence import frame
 from experiments.reflectors.accuracy import CAMERA, OPTIONS
@@ -32,7 +32,6 @@ from rendezview.sensors.beacons import (
 from rendezview.sensors.beacons.overlay import draw_reading as draw_spots
 from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview.sensors.ring.overlay import draw_reading
-from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.simulate import (
     SceneOptions,
     SensorOptions,
@@ -70,8 +69,7 @@ PHOTOGRAPHS = {
 
 def simulation(_: Path) -> None:
     """One frame with each option that photographs need."""
-    target = Target.load(MODELS_CAD / "hubble")
-    mesh = load_mesh(target.mesh_path, target.unit)
+    _, mesh = mesh_of("hubble")
     centre_m, radius_m = mesh.bounding_sphere
     camera = Camera.from_fov(240, 180, math.radians(50.0))
     rotation = Pose.from_quat_wxyz([0.62, 0.45, -0.35, 0.54], [0, 0, 0]).rotation
@@ -92,8 +90,7 @@ def simulation(_: Path) -> None:
 
 def ring(_: Path) -> None:
     """The client's ring as the sensor reads it."""
-    target = Target.load(CLIENT)
-    ring = target.docking_ring
+    ring, (_, mesh) = Target.load(CLIENT).docking_ring, mesh_of("client")
     assert ring is not None
     camera = Camera.from_fov(480, 400, math.radians(50.0))
     axis = np.array([-1.0, 0.3, 0.22])
@@ -101,7 +98,6 @@ def ring(_: Path) -> None:
         frames=1, start_range_m=4.3, approach_axis=tuple(axis / np.linalg.norm(axis)), hops=0
     )
     ((_, pose),) = trajectory("vbar", options)
-    mesh = load_mesh(target.mesh_path, target.unit)
     sun = np.array([0.3, -0.35, -0.9])
     rng = np.random.default_rng(3)
     image = render_frame(mesh, camera, pose, sun / np.linalg.norm(sun), SceneOptions(), rng)
@@ -128,7 +124,7 @@ def reflectors(_: Path) -> None:
 
 
 EDGES_M = np.geomspace(0.99, 60.1, 25)
-COLOURS = {"fused": "#222222", "appearance": "#d9731a", "ring": "#2b7bba", "laser": "#4a9a4a"}
+COLOURS = {"appearance": "#d9731a", "ring": "#2b7bba", "laser": "#4a9a4a", "fused": "#222222"}
 
 
 def curve(range_m: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -143,17 +139,15 @@ def fusion(runs: Path) -> None:
     """Errors of sensors and filter over the range, of the runs of fusion-approach."""
     rows = [sample for run in sorted(runs.iterdir()) for sample in fly(load_run(run)).samples]
     range_m = np.array([row.range_m for row in rows])
+    found = [row.single | {"fused": row.fused} for row in rows]
     figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.8), constrained_layout=True)
     panels = ((0, 1e3, "ring's centre, mm"), (2, 180.0 / np.pi, "ring's axis, °"))
     for panel, (k, scale, label) in zip(axes, panels, strict=True):
-        for name in ("appearance", "ring", "laser"):
+        for name, colour in COLOURS.items():
             index = 1 if name == "laser" and k == 0 else k  # a ranger knows the depth only
-            error = np.array([row.single.get(name, [np.nan] * 4)[index] for row in rows])
-            x, y = curve(range_m, scale * error)
-            if len(x):
-                panel.plot(x, y, color=COLOURS[name], lw=1.4, label=name)
-        x, y = curve(range_m, scale * np.array([row.fused[k] for row in rows]))
-        panel.plot(x, y, color=COLOURS["fused"], lw=2.2, label="fused")
+            error = np.array([one.get(name, [np.nan] * 4)[index] for one in found])
+            width = 2.2 if name == "fused" else 1.4
+            panel.plot(*curve(range_m, scale * error), color=colour, lw=width, label=name)
         panel.set(xscale="log", yscale="log", xlabel="camera to ring, m", ylabel=label)
         panel.invert_xaxis()
         panel.grid(True, which="major", alpha=0.3)

@@ -8,7 +8,6 @@ import inspect
 import os
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -27,7 +26,6 @@ from rendezview.io.bundled import find_target
 from rendezview.sensors import appearance
 from rendezview_ground.learn.job import train
 from rendezview_ground.learn.options import TrainingOptions
-from rendezview_ground.mesh.mesh import load_mesh
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "rendezview-benchmark"
 AGAIN = 4  # passes at most
@@ -38,27 +36,14 @@ SMALL = TrainingOptions(
 )  # fmt: skip
 
 
-def small_model() -> Path:
-    """The short form's model; trained again when options, mesh or sources have changed."""
+def small_path() -> Path:
+    """Of the short form's model; another one when options, mesh or sources have changed."""
     found = find_target("hubble")
     digest = hashlib.sha256(repr(SMALL).encode() + found.mesh_path.read_bytes())
     for source in (inspect.getfile(train), appearance.__file__):
         for path in sorted(Path(str(source)).parent.rglob("*.py")):
             digest.update(path.read_bytes())
-    path = CACHE / f"hubble-{digest.hexdigest()[:16]}.rvm"
-    if not path.exists():
-        CACHE.mkdir(parents=True, exist_ok=True)
-        train(load_mesh(found.mesh_path, found.unit), path, name="hubble", options=SMALL)
-    return path
-
-
-def absent() -> Iterator[str]:
-    """A line for every peer that is not in this run, and why."""
-    for package in ("poselib", "nlopt"):
-        if importlib.util.find_spec(package) is None:
-            yield f"{package}: not installed"
-    if driver.compiler() is None:
-        yield "flight code: no C compiler here"
+    return CACHE / f"hubble-{digest.hexdigest()[:16]}.rvm"
 
 
 def show_rows(rows: list[Row]) -> None:
@@ -112,16 +97,19 @@ def run(
     start = time.perf_counter()
     cv2.setNumThreads(1)
     name, mesh = mesh_of("hubble")
-    path = small_model() if short else model or CACHE / "hubble.rvm"
+    path = small_path() if short else model or CACHE / "hubble.rvm"
     if not path.exists():
         CACHE.mkdir(parents=True, exist_ok=True)
-        train(mesh, path, name=name)
+        train(mesh, path, name=name, options=SMALL if short else None)
     with threadpool_limits(1):
         bench = Bench(mesh, path, *(SHORT_SIZE if short else SIZE), seed)
         rows, wrong = measured(bench, 3 if write else 1, check)
     show_rows(rows)
-    for line in absent():
-        print(f"absent: {line}")
+    for package in ("poselib", "nlopt"):
+        if importlib.util.find_spec(package) is None:
+            print(f"absent: {package}: not installed")
+    if driver.compiler() is None:
+        print("absent: flight code: no C compiler here")
     print(f"seed {seed}; {time.perf_counter() - start:.0f} s")
     if write:
         write_rows(rows, write)

@@ -12,6 +12,7 @@ import numpy as np
 from experiments.benchmark.check import Bench, Row, times
 from experiments.frame import CLIENT, MODELS_CAD
 from experiments.reflectors.accuracy import CAMERA, OPTIONS, random_pose
+from experiments.stereo.accuracy import leds_of, spots_of
 from experiments.timing import Way
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.geometry.camera import Camera
@@ -119,7 +120,7 @@ def by_paper(rig: Rig, leds: np.ndarray, currents: np.ndarray) -> None:
 def stereo(bench: Bench) -> Iterator[Row]:
     """Readings of lights beside the paper's iteration in numpy."""
     target = Target.load(MODELS_CAD / "scole")
-    lights = np.array([light.position_m for light in target.leds])
+    lights = leds_of(target)
     laboratory = Laboratory(lights, LaboratoryOptions(), STEREO_SEED)
     rng = np.random.default_rng(STEREO_SEED)
     angles = np.deg2rad(40.0) * np.sin(0.05 * np.arange(STEREO_READINGS))  # to and fro
@@ -130,15 +131,9 @@ def stereo(bench: Bench) -> Iterator[Row]:
 
     def follow() -> None:
         for reading in currents:
-            cameras = zip(rig.cameras, reading, strict=True)
-            spots = [camera.photodiode.read(row) for camera, row in cameras]
-            one_by_one.update(0.1 * next(clock), spots)
+            one_by_one.update(0.1 * next(clock), spots_of(rig, reading))
 
-    ours, plain, count_of = (
-        "stereo, a reading",
-        "the paper's iteration in plain numpy",
-        len(currents),
-    )
-    ways = {ours: Way(follow, count_of),
-            plain: Way(lambda: by_paper(rig, lights, currents), count_of)}  # fmt: skip
+    ours, plain = "stereo, a reading", "the paper's iteration in plain numpy"
+    ways = {ours: Way(follow, len(currents)),
+            plain: Way(lambda: by_paper(rig, lights, currents), len(currents))}  # fmt: skip
     yield from times("stereo-accuracy", bench.race(ways), {ours: (plain,)})

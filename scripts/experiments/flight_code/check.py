@@ -14,18 +14,16 @@ import numpy as np
 import onnxruntime
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import tests_module
+from experiments.frame import mesh_of, tests_module, unit
 from experiments.recognition.accuracy import flight_camera, frame_of, random_pose, signature_of
 from rendezview.export import write_onnx
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.model.signature import Readings, Signature, twist
 from rendezview.sensors.appearance.outline.silhouette import Missing, Silhouette, find_silhouette
 from rendezview.sensors.appearance.outline.votes import Matcher, MatchOptions
 from rendezview.sensors.observation import Status
-from rendezview_ground.mesh.mesh import load_mesh
 
 PERTURBED = 9  # signatures for each that a frame gave
 PRIOR_RAD = np.deg2rad(20.0)
@@ -99,8 +97,8 @@ def run(
         sys.exit("no C compiler here")
     version = subprocess.run([cc, "--version"], capture_output=True, text=True, check=True)
     print(f"seed {seed}; {version.stdout.splitlines()[0]} {OPTIMISE}")
-    views, craft = ViewModel.load(model), Target.load(target)
-    matcher, mesh = Matcher(views), load_mesh(craft.mesh_path, craft.unit)
+    views, (_, mesh) = ViewModel.load(model), mesh_of(target)
+    matcher = Matcher(views)
     camera, rng = flight_camera(mesh), np.random.default_rng([seed, 9])
     nodes, scores = np.arange(len(views.forest)), views.forest_scores()
     rotations = views.views.centred_from_target[: len(nodes)]
@@ -120,8 +118,7 @@ def run(
                     continue
                 for k in range(min(1 + PERTURBED, signatures - len(readings))):
                     view = perturbed(signature.readings, rng) if k else signature.readings
-                    axis = rng.normal(size=3)
-                    turn = PRIOR_RAD * rng.uniform() * axis / np.linalg.norm(axis)
+                    turn = unit(rng) * PRIOR_RAD * rng.uniform()
                     turned = Rotation.from_rotvec(turn).as_matrix()
                     attitude = turned @ signature.centred_from_camera @ pose.rotation
                     roll = twist(attitude, rotations)

@@ -154,17 +154,11 @@ def no_worse(old: Run, new: Run) -> bool:
             "translation": now[5] > _LARGER_ERRORS * was[5],
         }  # fmt: skip
         found = [name for name, is_so in worse.items() if is_so and was[0] and now[0]]
-        pairs = zip(was, now, strict=True)
-        rows.add_row(group, *(" / ".join(map(_cell, pair)) for pair in pairs), ", ".join(found))
+        cells = [f"{a:.4g} / {b:.4g}" for a, b in zip(was, now, strict=True)]
+        rows.add_row(group, *cells, ", ".join(found))
         fine = fine and not found
     show(rows, width=150)
     return fine
-
-
-def _cell(value: float) -> str:
-    if value != value:
-        return "–"
-    return str(value) if isinstance(value, int) else f"{value:.4g}"
 
 
 def _figures(run: Run, group: str) -> tuple[int, int, int, int, float, float]:

@@ -74,11 +74,8 @@ def hard_light(answers: Answers, models: Models, seed: int) -> None:
 
 def joints(answers: Answers, folder: Path, seed: int) -> None:
     """Solar arrays that turn: first poses, then one place in a sequence."""
-    source, camera, rng = (
-        MODELS_CAD / "hubble" / "arrays.toml",
-        default_camera(),
-        np.random.default_rng(seed),
-    )
+    source, camera = MODELS_CAD / "hubble" / "arrays.toml", default_camera()
+    rng = np.random.default_rng(seed)
     mesh, model = trained(folder / "arrays.rvm", source)
     parts, known = with_parts(mesh, Target.load(source)), model.joints
     recognizer = Recognizer(model, camera)

@@ -66,10 +66,7 @@ def answered(folder: Path, scratch: Path) -> Answers:
     appearance.joints(answers, folder, _SEED)
     appearance.photographs(answers, folder, _SEED)
     sensors.approached(answers, known["client"][1], scratch / "run", _SEED)
-    sensors.ring(answers, _SEED)
-    sensors.sizes(answers, _SEED)
-    sensors.reflectors(answers, _SEED)
-    sensors.lights(answers, _SEED)
-    sensors.segments(answers, _SEED)
-    sensors.spins(answers, _SEED)
+    for group in (sensors.ring, sensors.sizes, sensors.reflectors, sensors.lights,
+                  sensors.segments, sensors.spins):  # fmt: skip
+        group(answers, _SEED)
     return answers

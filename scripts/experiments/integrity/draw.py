@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import mesh_of
+from experiments.frame import error_of, mesh_of, unit
 from rendezview.geometry import so3
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
@@ -86,13 +86,13 @@ def sequence(
 ) -> Iterator[tuple[np.ndarray, Pose]]:
     """The pictures of a sequence with their poses; the centre is that of the expected target."""
     if condition.stretch:
-        axis = _unit(rng)
+        axis = unit(rng)
         along = (mesh.vertices_m - mesh.bounding_sphere[0]) @ axis
         longer_m = mesh.vertices_m + condition.stretch * np.outer(along, axis)
         mesh = replace(mesh, vertices_m=longer_m)
     depth_m = radius_m * rng.uniform(*RANGE_RADII)
     rotation = Rotation.random(random_state=rng)
-    turn = Rotation.from_rotvec(math.radians(rng.uniform(*TURN_DEG)) * _unit(rng))
+    turn = Rotation.from_rotvec(math.radians(rng.uniform(*TURN_DEG)) * unit(rng))
     bearing = rng.uniform(-ASIDE, ASIDE, 2)
     if condition.cut:
         bearing = _cut(depth_m / radius_m, rng)
@@ -124,18 +124,11 @@ def _cut(depth_radii: float, rng: np.random.Generator) -> Array:
     return bearing
 
 
-def _unit(rng: np.random.Generator) -> Array:
-    axis = rng.normal(size=3)
-    return axis / np.linalg.norm(axis)
-
-
 def error(found: Pose, truth: Pose | None, model: ViewModel) -> list[float] | None:
     """(6,) rotation vector and translation from the pose to the truth; None: there is none."""
     if truth is None:
         return None
-    near = nearest_alike(found, truth, model.symmetries)
-    turn = so3.between(truth.rotation, near.rotation)
-    return [*turn.tolist(), *(truth.translation_m - near.translation_m).tolist()]
+    return error_of(truth, nearest_alike(found, truth, model.symmetries)).tolist()
 
 
 def alike(recognizer: Recognizer, picture: np.ndarray, truth: Pose, mesh: Mesh) -> Iterator[Pose]:

@@ -19,11 +19,10 @@ Poses = dict[str, Pose | None]
 
 
 def by_opencv(
-    points_m: np.ndarray, spots_px: np.ndarray, camera: Camera, refine: bool = True
+    points_m: np.ndarray, spots_px: np.ndarray, camera: Camera, *, refine: bool = False
 ) -> Pose | None:
-    """SQPNP, and least squares after it where there are more than three spots."""
-    lens = np.array(camera.distortion) if camera.distortion else None
-    given = (points_m, np.ascontiguousarray(spots_px), camera.matrix, lens)
+    """SQPNP, and least squares after it if asked for, of more than three spots; no distortion."""
+    given = (points_m, np.ascontiguousarray(spots_px), camera.matrix, None)
     found, turn, shift = cv2.solvePnP(*given, flags=cv2.SOLVEPNP_SQPNP)
     if not found:
         return None
@@ -43,11 +42,9 @@ def by_poselib(points_m: np.ndarray, spots_px: np.ndarray, camera: Camera) -> Po
     return Pose(pose.R, pose.t) if info["num_inliers"] >= 3 else None
 
 
-def one_camera(
-    points_m: np.ndarray, spots_px: np.ndarray, camera: Camera, *, refine: bool = True
-) -> Poses:
-    """Both answers, by name; ``refine``: of OpenCV's."""
-    answers = by_opencv(points_m, spots_px, camera, refine), by_poselib(points_m, spots_px, camera)
+def one_camera(points_m: np.ndarray, spots_px: np.ndarray, camera: Camera) -> Poses:
+    """Both answers, by name."""
+    answers = by_opencv(points_m, spots_px, camera), by_poselib(points_m, spots_px, camera)
     return dict(zip(PEERS, answers, strict=True))
 
 
@@ -60,7 +57,7 @@ def rig(points_m: np.ndarray, sights: Sights, cameras: Rig) -> Poses:
     first, alone = cameras.cameras[0].camera_from_rig, None
     if len(seen[0]) >= 3:
         plane = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
-        alone = by_opencv(points_m[seen[0]], sights.xy[0][seen[0]], plane)
+        alone = by_opencv(points_m[seen[0]], sights.xy[0][seen[0]], plane, refine=True)
     answers: Poses = dict.fromkeys(PEERS)
     answers["solvePnP"] = None if alone is None else first.inverse() @ alone
     if poselib is not None:

@@ -29,12 +29,7 @@ Record = dict[str, Any]
 
 def compared(observation: AppearanceObservation, truth: Pose, model: ViewModel) -> Record:
     """One answer beside the truth, with all features that may separate right from wrong."""
-    record: Record = {
-        "status": str(observation.status),
-        "confidence": observation.confidence,
-        "trees": float(observation.weights.sum()),
-        "ms": sum(observation.stage_ms.values()),
-    }
+    record: Record = {"ms": sum(observation.stage_ms.values())}
     if observation.found is not None:
         record |= features_of(observation.found, truth, model)
     error = pose_error(observation, truth, model)

@@ -25,8 +25,6 @@ from rendezview_ground.simulate.command import default_camera
 
 RADIUS_PX = (100.0, 220.0)
 MARGIN_PX = 6.0
-
-
 PHASE_DEG = {"low": (0.0, 30.0), "high": (30.0, 70.0), "earth": (0.0, 60.0)}  # by condition
 
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import nees, show, table_of, two
+from experiments.frame import error_of, nees, show, table_of, two
 from rendezview.calibration.as_built import ShapeEstimator, strained
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -41,12 +41,11 @@ def look(recognizer: Recognizer, picture: np.ndarray, truth: Pose, prior: Pose |
     pose = seen.pose or next(iter(seen.candidates), None)
     if pose is None:
         return row | {"rotation_deg": 180.0, "translation": 1.0}
-    off = pose.translation_m - truth.translation_m
-    turn = Rotation.from_matrix(pose.rotation @ truth.rotation.T).as_rotvec()
-    row["rotation_deg"] = float(np.rad2deg(np.linalg.norm(turn)))
-    row["translation"] = float(np.linalg.norm(off) / np.linalg.norm(truth.translation_m))
+    error = error_of(pose, truth)
+    row["rotation_deg"] = float(np.rad2deg(np.linalg.norm(error[:3])))
+    row["translation"] = float(np.linalg.norm(error[3:]) / np.linalg.norm(truth.translation_m))
     if seen.covariance is not None:
-        row["nees"] = nees(np.concatenate([turn, off]), seen.covariance)
+        row["nees"] = nees(error, seen.covariance)
     return row
 
 

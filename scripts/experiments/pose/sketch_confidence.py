@@ -23,7 +23,7 @@ from scipy.stats import chi2
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 
-from experiments.frame import nees
+from experiments.frame import error_of, nees
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
@@ -181,9 +181,8 @@ def _searched(
     if choice is None:
         return None
     squared, best, model = None, choice.pose, search.model
-    spin = Rotation.from_matrix(best.rotation @ truth.rotation.T).as_rotvec()
-    if np.rad2deg(np.linalg.norm(spin)) < NEES_DEG and choice.covariance is not None:
-        error = np.concatenate([spin, best.translation_m - truth.translation_m])
+    error = error_of(best, truth)
+    if np.rad2deg(np.linalg.norm(error[:3])) < NEES_DEG and choice.covariance is not None:
         squared = nees(error, choice.covariance)
     return Searched(
         choice.passes, truth, model.centre_m, model.symmetries, prior is not None, choice.cut,

@@ -9,11 +9,10 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import show, table_of
+from experiments.frame import mesh_of, show, table_of, unit
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Array, Pose, rotation_angle
-from rendezview.io.target import Target
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.model.signature import Signature, twist
 from rendezview.sensors.appearance.outline.silhouette import Missing, Silhouette, find_silhouette
@@ -22,7 +21,7 @@ from rendezview_ground.learn.jobs.open_executor import open_executor
 from rendezview_ground.learn.options import TrainingOptions, view_geometry
 from rendezview_ground.learn.trees.node_trees import IN_EDGES, OUT_EDGES
 from rendezview_ground.learn.views.views import clean_views, look_from
-from rendezview_ground.mesh.mesh import Mesh, load_mesh
+from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.renderers import make_renderer
 from rendezview_ground.simulate import SceneOptions, SensorOptions, ShadingOptions, render_frame
 from rendezview_ground.simulate.scene import sun_at_phase
@@ -66,8 +65,7 @@ def flight_camera(mesh: Mesh) -> Camera:
 
 def random_pose(model: ViewModel, camera: Camera, rng: np.random.Generator) -> tuple[Array, Pose]:
     """Direction of view (3,) and camera_from_target, uniform, the target inside the picture."""
-    direction = rng.normal(size=3)
-    direction /= np.linalg.norm(direction)
+    direction = unit(rng)
     range_m = model.sphere_radius_m * rng.uniform(1.0, 3.0)
     half = np.arctan(0.5 * np.array([camera.width, camera.height]) / camera.fx)
     room = np.maximum(half - np.arcsin(model.target_radius_m / range_m), 0.0)
@@ -123,14 +121,18 @@ def decide(
 
 
 def one_real(mesh: Mesh, model: ViewModel, camera: Camera, seed: int, k: int) -> list[Array]:
-    """One pose under (b), then (c), (d) and (e) end to end."""
+    """One pose under (b), attitude known but for its roll; then (c), (d) and (e) end to end."""
     rng = np.random.default_rng([seed, 1, k])
     direction, pose = random_pose(model, camera, rng)
     roll_error = float(np.deg2rad(rng.normal()))
     frames = [frame_of(mesh, model, camera, pose, phases, rng) for phases in PHASES_DEG]
-    found = [at_the_attitude(frames[0], model, camera, pose, direction, roll_error)]
-    error = rng.normal(size=3)
-    error *= np.deg2rad(rng.uniform(0.0, PRIOR_DEG)) / np.linalg.norm(error)
+    silhouette, signature, attitude = find_silhouette(frames[0]), None, pose.rotation
+    if not isinstance(silhouette, Missing):
+        signature = signature_of(silhouette, camera, model)
+    if signature is not None:
+        attitude = signature.centred_from_camera @ pose.rotation
+    found = [decide(model, signature, attitude, direction, roll_error)]
+    error = unit(rng) * np.deg2rad(rng.uniform(0.0, PRIOR_DEG))
     prior = Pose(Rotation.from_rotvec(error).as_matrix() @ pose.rotation, pose.translation_m)
     recognizer = Recognizer(model, camera, refine=False)
     return found + [end_to_end(recognizer, f, prior, pose, direction) for f in frames]
@@ -140,19 +142,6 @@ def signature_of(silhouette: Silhouette, camera: Camera, model: ViewModel) -> Si
     """As the model reads it."""
     rays = [camera.rays(outline) for outline in silhouette.outlines_px]
     return Signature.of_outlines(rays, model.bins, model.smooth_bins)
-
-
-def at_the_attitude(
-    image: np.ndarray, model: ViewModel, camera: Camera, pose: Pose, direction: Array,
-    roll_error_rad: float,
-) -> Array:  # fmt: skip
-    """Conditions (b): the decisions of one frame, the attitude known but for the roll's error."""
-    silhouette, signature, attitude = find_silhouette(image), None, pose.rotation
-    if not isinstance(silhouette, Missing):
-        signature = signature_of(silhouette, camera, model)
-    if signature is not None:
-        attitude = signature.centred_from_camera @ pose.rotation
-    return decide(model, signature, attitude, direction, roll_error_rad)
 
 
 def end_to_end(
@@ -211,18 +200,17 @@ def run(
     In-views lie within one edge of a node, out-views between 1.32 and 3 edges. A frame without a
     silhouette has all its in-decisions wrong and its out-decisions right.
     """
-    found, loaded = Target.load(target), ViewModel.load(model)
-    mesh = load_mesh(found.mesh_path, found.unit)
+    (name, mesh), loaded = mesh_of(target), ViewModel.load(model)
     shared = (mesh, loaded, flight_camera(mesh), seed)
     with open_executor(-1, None) as workers:
         done = dict(workers.results(one_real, shared, [(k,) for k in range(views)]))
     conditions = {"(a) clean": clean(mesh, loaded, views, seed)}
-    for place, name in enumerate(REAL):
-        conditions[name] = [done[k][place] for k in range(views)]
+    for place, condition in enumerate(REAL):
+        conditions[condition] = [done[k][place] for k in range(views)]
     columns = ("condition", "right %", "in %", "out %", "nodes on", "none on %",
                "direction °, median / 95 %", "rotation °, median / 95 %",
                "range %, median / 95 %", "no pose / wrong %")  # fmt: skip
-    rows = table_of(f"{found.name}: {views} random views, seed {seed}", columns)
-    for name, found_there in conditions.items():
-        rows.add_row(name, *row(np.array(found_there)))
+    rows = table_of(f"{name}: {views} random views, seed {seed}", columns)
+    for condition, found in conditions.items():
+        rows.add_row(condition, *row(np.array(found)))
     show(rows, width=160)

@@ -66,7 +66,7 @@ def by_peers(frames: LitDark, visible: tuple[int, ...], truth: Pose) -> dict[str
     apart_px = np.linalg.norm(spots[None] - PINHOLE.project(truth.apply(points))[:, None], axis=2)
     if not len(spots) or apart_px.min(axis=1).max() > 2.0:
         return dict.fromkeys(PEERS, "none")
-    answers = one_camera(points, spots[apart_px.argmin(axis=1)], CAMERA, refine=False)
+    answers = one_camera(points, spots[apart_px.argmin(axis=1)], CAMERA)
     return {name: kind(pose, None, truth, False) for name, pose in answers.items()}
 
 
@@ -80,14 +80,9 @@ def one(n: int, seed: int, sensor: ReflectorSensor) -> dict[str, Any]:
     sensor.forget()
     reading = sensor.update(0.0, frames)
     answers = {"this sensor": kind(reading.pose, reading.status, truth, reading.roll_ambiguous)}
-    error = 0.0
-    if reading.pose is not None:
-        error = apart(reading.pose, truth, reading.roll_ambiguous)[0]
-    group = f"{len(visible)} visible"
-    if len(visible) < 5:
-        group += ", with post" if 1 in visible else ", without post"
+    error = 0.0 if reading.pose is None else apart(reading.pose, truth, reading.roll_ambiguous)[0]
     answers |= by_peers(frames, visible, truth)
-    return {"group": group, "error_deg": error, "answers": answers}
+    return {"group": f"{len(visible)} visible", "error_deg": error, "answers": answers}
 
 
 def run(*, readings: int = 10_000, seed: int = 1) -> None:
@@ -104,14 +99,11 @@ def run(*, readings: int = 10_000, seed: int = 1) -> None:
     counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     for line in done:
         for name, answer in line["answers"].items():
-            counts[name, line["group"]][answer] += 1
+            for group in (line["group"], "all"):
+                counts[name, group][answer] += 1
     table = table_of(f"{len(done)} readings, seed {seed}", ["solver", "spots", *KINDS], left=2)
-    for name in ("this sensor", *PEERS):
-        for solver, group in sorted(counts):
-            if solver == name:
-                table.add_row(name, group, *[str(counts[name, group][k]) for k in KINDS])
-        whole = Counter(line["answers"][name] for line in done)
-        table.add_row(name, "all", *[f"{100.0 * whole[k] / len(done):.2f} %" for k in KINDS])
+    for (name, group), own in sorted(counts.items()):
+        table.add_row(name, group, *[f"{100.0 * own[k] / own.total():.2f} %" for k in KINDS])
     show(table)
     wrong = [x["error_deg"] for x in done if x["answers"]["this sensor"] == "wrong"]
     print(f"largest error of a wrong pose: {max(wrong, default=0.0):.0f}°")

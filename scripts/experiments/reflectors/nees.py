@@ -8,7 +8,7 @@ from typing import Annotated
 import cv2
 import numpy as np
 
-from experiments.frame import nees, show, table_of
+from experiments.frame import error_of, nees, show, table_of
 from experiments.reflectors.plain import (
     CAMERA,
     FIVE,
@@ -20,7 +20,6 @@ from experiments.reflectors.plain import (
     plain,
 )
 from rendezview.geometry.pose import Pose
-from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import LitDark, ReflectorPattern, ReflectorSensor, TrackingOptions
 from rendezview.sensors.beacons.detect.registration import register
 
@@ -37,7 +36,7 @@ def off(pose: Pose, truth: Pose) -> np.ndarray:
     """(6,) error of a pose, the nearer of two that look alike."""
     half = truth @ HALF_TURN
     near = truth if pose.angle_to(truth) < pose.angle_to(half) else half
-    return np.append(between(pose.rotation, near.rotation), pose.translation_m - near.translation_m)
+    return error_of(pose, near)
 
 
 def jpeg(picture: np.ndarray, quality: int = 75) -> np.ndarray:

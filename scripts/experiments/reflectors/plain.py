@@ -51,11 +51,9 @@ def pictures(
         peak_grey=look.peak, blur_sigma_px=look.blur, noise_sigma_grey=look.noise, leak=look.leak,
         black_level_grey=look.black, even_light=look.even,
     )  # fmt: skip
-    spots = np.empty((0, 9))
+    spots = np.zeros((0 if false is None else len(false), 9))
     if false is not None:
-        x, y, sigma, peak = false.T
-        none = np.zeros(len(false))
-        spots = np.column_stack([x, y, sigma, sigma, none, peak, none, none, none])
+        spots[:, [0, 1, 2, 5]], spots[:, 3] = false, false[:, 2]
     lit, dark = (
         render_pair(
             CAMERA, pattern, Pose(*placed), options, rng, hidden=hidden,

@@ -118,10 +118,7 @@ def accuracy(seed: int, count: int, peer: Path | None) -> None:
         ours: list[tuple[float, float] | None] = []
         consistency: list[float] = []
         scenes = list(drawn(options, count, [seed, number]))
-        for found in (our_poses(scene, image) for scene, image in scenes):
-            if found is None:
-                continue
-            reading, match = found
+        for reading, match in filter(None, (our_poses(*one) for one in scenes)):
             ours.append(errors_of(reading.circles, match))
             pose = nearer(reading.circles, match)
             tilt = tangent_basis(pose.axis).T @ (match.axis - pose.axis)

@@ -14,7 +14,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from experiments.frame import ROOT
+from experiments.frame import ROOT, mesh_of
+from experiments.stereo.accuracy import leds_of, spots_of
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.cli.compiling import recorded
 from rendezview.geometry.camera import Camera
@@ -36,7 +37,6 @@ from rendezview.sensors.observation import Status
 from rendezview_ground.evaluate.pictures.contact import fuse_to_contact
 from rendezview_ground.learn import job
 from rendezview_ground.learn.options import TrainingOptions
-from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.simulate.command import default_camera
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview_ground.simulate.ranger import Ranger, write_echoes
@@ -64,17 +64,15 @@ def track(model: Path, scene: Path) -> list[dict[str, Any]]:
 
 def train(model: Path, scene: Path) -> list[dict[str, Any]]:
     """The loops of ``rendezview train``; the model and the scene are not used."""
-    target = find_target("hubble")
-    mesh = load_mesh(target.mesh_path, target.unit)
+    name, mesh = mesh_of("hubble")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "hubble.rvm"
-        return recorded(lambda: job.train(mesh, path, name="hubble", options=_SMALL, jobs=1))
+        return recorded(lambda: job.train(mesh, path, name=name, options=_SMALL, jobs=1))
 
 
 def demo(model: Path, scene: Path) -> list[dict[str, Any]]:
     """The loops of simulation, ring and fusion; the model and the scene are not used."""
-    target = find_target("client")
-    ring, mesh = target.docking_ring, load_mesh(target.mesh_path, target.unit)
+    ring, (_, mesh) = find_target("client").docking_ring, mesh_of("client")
     assert ring is not None
     straight = TrajectoryOptions(
         frames=8, start_range_m=40.0, end_range_m=2.0, centre_m=tuple(ring.centre_m),
@@ -125,8 +123,7 @@ def reflectors(model: Path, scene: Path) -> list[dict[str, Any]]:
 def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
     """The loops of ``rendezview stereo track``; the model and the scene are not used."""
     target = find_target("scole")
-    leds = np.array([led.position_m for led in target.leds])
-    made = Laboratory(leds, LaboratoryOptions(signal_to_noise=1000.0), seed=71)
+    made = Laboratory(leds_of(target), LaboratoryOptions(signal_to_noise=1000.0), seed=71)
     rng = np.random.default_rng(1)
     rig = calibrate_laboratory(made.calibration(rng, scans=4)).rig
     currents = made.currents(made.stage(np.deg2rad(np.arange(0.0, 20.0, 2.0))), rng)
@@ -137,8 +134,7 @@ def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
             options = TrackerOptions(motion=motion, calibration_error=True)
             tracker = StereoTracker.of_target(rig, target, options)
             for k, seen in enumerate(currents):
-                spots = [c.photodiode.read(row) for c, row in zip(rig.cameras, seen, strict=True)]
-                tracker.update(0.1 * k, spots).record()
+                tracker.update(0.1 * k, spots_of(rig, seen)).record()
 
     return recorded(work)
 

@@ -9,18 +9,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import MODELS_CAD, show, table_of, tests_module
+from experiments.frame import MODELS_CAD, error_of, nees, show, table_of, tests_module
 from experiments.peers.pnp import rig as by_peers
-from experiments.stereo.board import squared_error
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
-from rendezview.sensors.beacons import (
-    Rig,
-    Spots,
-    StereoTracker,
-    TrackerOptions,
-)
+from rendezview.sensors.beacons import Rig, Spots, StereoTracker, TrackerOptions
 from rendezview.sensors.beacons.detect.led_spots import find_spots
 from rendezview_ground.simulate.led_laboratory import LaboratoryOptions
 from rendezview_ground.simulate.led_pictures import PictureOptions
@@ -99,7 +93,7 @@ def followed(
         seen = tracker.update(k / RATE_HZ, spots)
         rotations.append(_NO_POSE if seen.fit is None else seen.fit.rotation)
         if seen.pose is not None:
-            squares.append(squared_error(seen, first @ pose))
+            squares.append(nees(error_of(seen.pose, first @ pose), seen.covariance))
     return np.stack(rotations), squares
 
 

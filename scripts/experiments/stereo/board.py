@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import MODELS_CAD, nees, show, table_of
+from experiments.frame import MODELS_CAD, error_of, nees, show, table_of
 from rendezview.calibration.board import BoardViews, Chessboard, calibrate_board
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
-from rendezview.sensors.beacons import RigCamera, Spots, StereoObservation, StereoTracker
+from rendezview.sensors.beacons import RigCamera, Spots, StereoTracker
 from rendezview.sensors.beacons.stereo_tracker import TrackerOptions
-
-Project = Callable[[np.ndarray], np.ndarray]  # (N, 3), first camera's frame → (N, 2) px
 
 BOARD = Chessboard(9, 6, 0.025)
 SIZE = (1280, 960)
@@ -24,14 +19,7 @@ RIGS, POSES, PAIRS, CORNER_PX = 20, 10, 12, 0.15
 SPOTS_PX = (0.05, 0.15)
 
 
-def squared_error(observation: StereoObservation, truth: Pose) -> float:
-    """NEES of a pose in the first camera's frame; 6 is right."""
-    pose = observation.pose
-    turned, moved = between(pose.rotation, truth.rotation), pose.translation_m - truth.translation_m
-    return nees(np.append(turned, moved), observation.covariance)
-
-
-def pair_of(rng: np.random.Generator) -> list[Project]:
+def pair_of(rng: np.random.Generator) -> list[RigCamera]:
     """Two cameras 0.4 m apart, each with its own lens."""
     found = []
     for name, place in (("left", 0.0), ("right", -0.4)):
@@ -42,11 +30,11 @@ def pair_of(rng: np.random.Generator) -> list[Project]:
         mount = Pose.identity()
         if place:
             mount = mount.perturbed([*rng.normal(0.0, 0.02, 3), place, *rng.normal(0.0, 0.01, 2)])
-        found.append(RigCamera.from_camera(name, camera, mount).project)
+        found.append(RigCamera.from_camera(name, camera, mount))
     return found
 
 
-def views_of(pair: list[Project], rng: np.random.Generator) -> BoardViews:
+def views_of(pair: list[RigCamera], rng: np.random.Generator) -> BoardViews:
     """Corners of a board before both cameras, tilted by up to 40°, half a metre to one away."""
     corners: list[list[np.ndarray | None]] = [[], []]
     while len(corners[0]) < PAIRS:
@@ -54,7 +42,7 @@ def views_of(pair: list[Project], rng: np.random.Generator) -> BoardViews:
         place = np.array([*rng.uniform(-0.15, 0.15, 2), rng.uniform(0.5, 1.0)])
         middle = turn @ BOARD.points_m.mean(axis=0)
         points = BOARD.points_m @ turn.T + place - middle + (0.1, 0.0, 0.0)
-        seen = [project(points) for project in pair]
+        seen = [camera.project(points) for camera in pair]
         inside = [((s > 5.0) & (s < np.subtract(SIZE, 6.0))).all() for s in seen]
         if not any(inside):
             continue
@@ -65,7 +53,7 @@ def views_of(pair: list[Project], rng: np.random.Generator) -> BoardViews:
 
 
 def errors(
-    pair: list[Project], tracker: StereoTracker, rng: np.random.Generator, spot_px: float
+    pair: list[RigCamera], tracker: StereoTracker, rng: np.random.Generator, spot_px: float
 ) -> list[float]:
     """Normalised squared errors of single poses, first camera's frame."""
     squares = []
@@ -75,14 +63,14 @@ def errors(
         far = float(rng.uniform(1.5, 4.0))
         pose = Pose(facing, np.array([*(0.1 * far * rng.uniform(-1.0, 1.0, 2)), far]))
         spots = []
-        for project in pair:
-            places = project(pose.apply(tracker.leds))
+        for camera in pair:
+            places = camera.project(pose.apply(tracker.leds))
             places = places + rng.normal(0.0, spot_px, places.shape)
             sigma = np.full(places.shape, spot_px)
             spots.append(Spots(places, sigma, np.arange(len(places))))
         reading = tracker.update(60.0 * k, spots)  # nothing is left of the pose before
         if reading.pose is not None:
-            squares.append(squared_error(reading, pose))
+            squares.append(nees(error_of(reading.pose, pose), reading.covariance))
     return squares
 
 

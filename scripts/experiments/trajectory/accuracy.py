@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import kept, mesh_of, nees, show, table_of
+from experiments.frame import kept, mesh_of, nees, show, table_of, unit
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
@@ -39,10 +39,8 @@ FRAMES = 100
 STEP_S = 2.0
 SPAN_S = FRAMES * STEP_S
 RATE_RAD_S = 1.0 / SPAN_S
-MEAN_MOTION_RAD_S = 0.0011
 JITTER_RAD = np.deg2rad(0.3)
 INERTIA = (1.0, 1.6, 2.0)
-MOST_PHASE_RAD = math.radians(45.0)  # of the Sun, in the middle of a segment
 CAMERA = Camera.from_fov(1024, 768, float(np.deg2rad(53.0)))
 SHAPES = {"circular": Shape.CIRCULAR, "spiral": Shape.SPIRAL, "vbar": Shape.VBAR}
 
@@ -61,8 +59,7 @@ def true_path(
     axes = Rotation.random(random_state=rng).as_matrix()
     ahead, across, normal = axes
     if kind in ("spin", "tumble"):
-        direction = rng.standard_normal(3)
-        rate = RATE_RAD_S * direction / np.linalg.norm(direction)
+        rate = RATE_RAD_S * unit(rng)
         inertia = INERTIA if kind == "tumble" else (1.0, 1.0, 1.0)
         place = centre_m + 3.5 * radius_m * ahead
         first = looking_at(place, centre_m, normal).rotation
@@ -101,22 +98,6 @@ def true_path(
     return flown, turned
 
 
-def suns(still: Array, phase_rad: float, rng: np.random.Generator) -> Array:
-    """(N, 3) towards the Sun in the camera's axes: it stands still in space, the orbit turns.
-
-    ``still``: (N, 3, 3) from the axes that keep their place in the orbit to the camera's;
-    ``phase_rad``: angle Sun–target–camera in the middle of the segment.
-    """
-    middle = len(still) // 2
-    there = sun_at_phase([0.0, 0.0, 1.0], phase_rad, rng.uniform(0.0, 2.0 * math.pi))
-    first = still[middle].T @ there
-    normal = rng.standard_normal(3)
-    normal /= np.linalg.norm(normal)
-    turns = -MEAN_MOTION_RAD_S * STEP_S * (np.arange(len(still)) - middle)
-    moved = Rotation.from_rotvec(turns[:, None] * normal).apply(first)
-    return np.asarray(np.einsum("nij,nj->ni", still, moved))
-
-
 def observations(model: ViewModel, mesh: Mesh, kind: str, seed: int) -> dict[str, np.ndarray]:
     """One segment through the renderer and both trackers, as arrays."""
     centre_m = model.centre_m
@@ -125,17 +106,14 @@ def observations(model: ViewModel, mesh: Mesh, kind: str, seed: int) -> dict[str
     rotations, truth = turns(times_s)[0], places(times_s)
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
     jitter = Rotation.from_rotvec(JITTER_RAD * rng.standard_normal((FRAMES, 3))).as_matrix()
-    phase_rad = rng.uniform(0.0, MOST_PHASE_RAD)
-    # A turning target turns in the axes of the orbit, which are the camera's.
-    turned = jitter @ rotations
-    light = suns(jitter if kind in ("spin", "tumble") else turned, phase_rad, rng)
     poses = [Pose(j @ r, -(j @ r) @ t) for j, r, t in zip(jitter, rotations, truth, strict=True)]
     both = (Recognizer(model, CAMERA), Recognizer(model, CAMERA, refine=False))
     trackers = [Tracker(recognizer, poses[0]) for recognizer in both]
     between = Interpolator(model)
     refined, nodes, interpolated = [], [], []
     for k, (time_s, pose) in enumerate(zip(times_s.tolist(), poses, strict=True)):
-        frame = render_frame(mesh, CAMERA, pose, light[k], SceneOptions(), rng, time_s)
+        sun = sun_at_phase(pose.apply(centre_m), 0.0, 0.0)
+        frame = render_frame(mesh, CAMERA, pose, sun, SceneOptions(), rng, time_s)
         fine, rough = (tracker.update(time_s, frame) for tracker in trackers)
         refined += [(k, fine.pose, fine.covariance)] * (fine.pose is not None)
         if len(rough.points_m):
@@ -278,12 +256,11 @@ def run(
 ) -> None:  # fmt: skip
     """Draw paths of the client, recognise their frames, and judge segments, predictions and spin.
 
-    FOLDER keeps segments of 100 frames, 2 s apart: 1024 × 768, 53° across, the Sun still in space,
-    0 to 45° from behind the camera in the middle. Two trackers read each frame: one with
-    refinement, one with the trees only. circular: one radian at 3.5 target radii. spiral: the same
-    from 4.5 to 4 radii. vbar: from 6 to 5 radii, with three hops of 3 % of the distance. spin,
-    tumble: the camera is fixed at 3.5 radii, the target turns through one radian about a fixed
-    axis, or freely with moments 1 : 1.6 : 2.
+    FOLDER keeps segments of 100 frames, 2 s apart: 1024 × 768, 53° across, the Sun behind the
+    camera. Two trackers read each frame: one with refinement, one with the trees only. circular:
+    one radian at 3.5 target radii. spiral: the same from 4.5 to 4 radii. vbar: from 6 to 5 radii,
+    with three hops of 3 % of the distance. spin, tumble: the camera is fixed at 3.5 radii, the
+    target turns through one radian about a fixed axis, or freely with moments 1 : 1.6 : 2.
 
     Position errors are medians over the segment, and over the next one predicted. "nodes": the
     trees only. "between nodes": the signatures stored around the nodes. "own attitude": the chaser
