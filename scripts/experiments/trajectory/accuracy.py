@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import kept, mesh_of, nees, show, table_of, unit
+from experiments.frame import kept, mesh_of, nees, show, table_of
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
@@ -59,7 +59,8 @@ def true_path(
     axes = Rotation.random(random_state=rng).as_matrix()
     ahead, across, normal = axes
     if kind in ("spin", "tumble"):
-        rate = RATE_RAD_S * unit(rng)
+        direction = rng.standard_normal(3)
+        rate = RATE_RAD_S * direction / np.linalg.norm(direction)
         inertia = INERTIA if kind == "tumble" else (1.0, 1.0, 1.0)
         place = centre_m + 3.5 * radius_m * ahead
         first = looking_at(place, centre_m, normal).rotation
