@@ -160,3 +160,13 @@ def test_a_wrong_line_is_named(run, logs: Path, line, word):
     ran = run("fuse", logs / "wrong.jsonl", "--target", logs / "box.toml", "-o",
               logs / "state.jsonl")  # fmt: skip
     ran.says("record 1", word)
+
+
+def test_options_of_an_older_version_are_said_to_be_ignored(run, logs):
+    options = logs / "options.json"
+    options.write_text('{"motion": {"linear": 0.01}, "pose": {"gate": 0.001}}')
+    ran = run("fuse", logs / "track.jsonl", "--options", options, "-o", logs / "state.jsonl")
+    assert ran.code == 0, ran.err
+    said = " ".join(ran.err.split())
+    assert "linear of version 0.1 are ignored" in said
+    assert "gate of version 0.1 are ignored" in said

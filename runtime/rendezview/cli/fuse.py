@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
@@ -81,7 +82,7 @@ def fuse(
     context = LogContext(
         ring, read_surfaces(surfaces) if surfaces else (), _mounts(mount or [], names)
     )
-    fusion = Fusion(read_options(options) if options else FusionOptions())
+    fusion = Fusion(_options(options) if options else FusionOptions())
     read = [read_log(path, name, context) for name, path in named]
     measurements = merged(read)
     if not measurements:
@@ -100,6 +101,16 @@ def fuse(
     with ProgressBar() as bar:
         summary = run(lines(), log=output, progress=bar.stage("measurements", len(measurements)))
     _say_outcome(fusion, summary)
+
+
+def _options(path: Path) -> FusionOptions:
+    """Options of a file; says which old keys it ignores, which Python would hide."""
+    with warnings.catch_warnings(record=True) as ignored:
+        warnings.simplefilter("always", DeprecationWarning)
+        read = read_options(path)
+    for warning in ignored:
+        say(f"{path}: {warning.message}")
+    return read
 
 
 def _mounts(texts: list[str], names: list[str]) -> dict[str, Pose]:
