@@ -60,8 +60,6 @@ _NEW_RATE, _NEW_VELOCITY = 0.03, 0.5
 # Probability that a new start gives to a fault of the others. Source: by construction
 _PRESUMED = 0.9
 _WIDER = 4.0  # of the variance of rates that another filter has left. Source: twice the σ
-
-
 _UNIT = np.eye(3)  # Source: by construction
 
 

@@ -259,24 +259,19 @@ def _protection(
     Multiple hypothesis solution separation (Blanch et al., IEEE Trans. Aerospace and Electronic
     Systems 51(1), 2015).
     """
-    factor = math.sqrt(float(chdtri(3, options.risk)))
-    sigmas = np.sqrt(covariance[:6, :6].diagonal())
-    axes = factor * sigmas
-    attitude = factor * math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
-    position_m = factor * math.sqrt(float(np.linalg.eigvalsh(covariance[3:6, 3:6])[-1]))
-    wrong = 0.0
+    factor, wrong = math.sqrt(float(chdtri(3, options.risk))), 0.0
+    possible = [(np.zeros(6), covariance[:6, :6])]  # how far off, and how uncertain
     for rival in snapshot.rivals:
         likely = float(expit(rival.score))
         wrong = max(wrong, likely)
-        if likely < options.risk:
-            continue
-        other, other_covariance = _at(rival, time_s, options)
-        turn = so3.between(np.array(pose.rotation), np.array(other.rotation))
-        off = np.abs(np.concatenate([turn, pose.translation_m - other.translation_m]))
-        spread = other_covariance[:6, :6]
-        axes = np.maximum(axes, off + factor * np.sqrt(spread.diagonal()))
-        attitude = max(attitude, _level(off[:3], spread[:3, :3], factor))
-        position_m = max(position_m, _level(off[3:], spread[3:, 3:], factor))
+        if likely >= options.risk:
+            other, spread = _at(rival, time_s, options)
+            turn = so3.between(np.array(pose.rotation), np.array(other.rotation))
+            off = np.concatenate([turn, pose.translation_m - other.translation_m])
+            possible.append((np.abs(off), spread[:6, :6]))
+    axes = np.max([off + factor * np.sqrt(p.diagonal()) for off, p in possible], axis=0)
+    attitude = max(_level(off[:3], p[:3, :3], factor) for off, p in possible)
+    position_m = max(_level(off[3:], p[3:, 3:], factor) for off, p in possible)
     alarms: tuple[str, ...] = ()
     if wrong > _ALARM or time_s - snapshot.contested_s < options.coasting_after_s:
         alarms = (ESTIMATORS_DISAGREE,)

@@ -178,17 +178,12 @@ def predicted(
     moves = switches(accelerations, kinds, jitter_stay_s, dt)
     x, p, later = mixed(deviations, covariances, weights, moves)
     turn = so3.exp(-dt * rate)
-    moved, sped, new_place, new_velocity = place + dt * velocity, velocity, place * 0.0, rate * 0.0
-    so3.rotate_into(turn, moved, new_place)
-    so3.rotate_into(turn, sped, new_velocity)
-    new_rotation = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            new_rotation[i, j] = (
-                rotation[i, 0] * turn[j, 0]
-                + rotation[i, 1] * turn[j, 1]
-                + rotation[i, 2] * turn[j, 2]
-            )
+    new_place, new_velocity = np.empty(3), np.empty(3)
+    so3.rotate_into(turn, place + dt * velocity, new_place)
+    so3.rotate_into(turn, velocity, new_velocity)
+    turn_seen, new_rotation = np.empty(3), np.empty((3, 3))
+    so3.rotate_into(rotation, dt * rate, turn_seen)
+    so3.perturb_into(turn_seen, rotation, new_rotation)  # R exp(ω) = exp(R ω) R
     so3.orthonormalise(new_rotation)
     before, after = 1e-6, 1e-6
     for i in range(3):

@@ -39,8 +39,6 @@ _GRAZING = 0.05
 # Of another edge than the ring's, beside the ring's own errors: σ of its bearing (rad), range
 # (relative) and axis (rad). Source: ring's edge at docking-ring radii of 0.8 to 1.2
 _OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD = 0.01, 0.3, 0.03
-
-
 # Of a ring's covariance, which takes its edges for independent. Source: fusion-approach, seeds 0–5,
 # and the Mitsuba approach: with 1 the place is 1.3 times as bad below 7.5 m, with 4 1.1 times
 _RING_INFLATION = 4.0

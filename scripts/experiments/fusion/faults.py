@@ -8,9 +8,8 @@ from typing import Annotated
 
 import numpy as np
 
-from experiments.frame import nees, show, table_of
+from experiments.frame import error_of, nees, show, table_of
 from rendezview.fusion import Fusion, Measurement, PoseMeasurement
-from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Status
 from rendezview_ground.simulate.drawn_readings import FAULTS, RING, STEP_S, Draw, faulty, grid
@@ -18,7 +17,6 @@ from rendezview_ground.simulate.drawn_readings import FAULTS, RING, STEP_S, Draw
 BINS_M = ((99.0, 26.0), (26.0, 8.0), (8.0, 0.0))
 _PEER_DENSITY = 1e-2  # m/s² √s squared, of the peer: set by hand
 _FEW = 4  # readings of a sensor in a bin, below which it is not compared
-_BACK = 5  # readings after a fault, from when the state must be right again
 
 
 @dataclass(frozen=True)
@@ -80,10 +78,8 @@ def _sample(fusion: Fusion, time_s: float, truth: Pose, peer: _Peer) -> Sample:
 
 
 def _errors(pose: Pose, truth: Pose, covariance: Array) -> Array:
-    turn = so3.between(np.array(pose.rotation), np.array(truth.rotation))
-    off = pose.translation_m - truth.translation_m
-    both = np.concatenate([turn, off])
-    return np.array([np.linalg.norm(off), np.linalg.norm(turn), nees(both, covariance)])
+    off = error_of(pose, truth)
+    return np.array([np.linalg.norm(off[3:]), np.linalg.norm(off[:3]), nees(off, covariance)])
 
 
 class _Peer:
@@ -128,7 +124,7 @@ def _rms(values: Array) -> float:
 
 
 def ratios(samples: list[Sample], far: float, near: float) -> Array:
-    """(5,) place and attitude over the best sensor's, NEES, that sensor's NEES, place over peer."""
+    """(4,) place and attitude over the best sensor's, NEES, place over peer."""
     chosen = [s for s in samples if near <= s.range_m < far]
     names = {name for s in chosen for name in s.single}
     single = {
@@ -137,7 +133,7 @@ def ratios(samples: list[Sample], far: float, near: float) -> Array:
         if len(found := np.array([s.single[name] for s in chosen if name in s.single])) >= _FEW
     }
     if not single:
-        return np.full(5, np.nan)
+        return np.full(4, np.nan)
     fused = np.array([s.fused for s in chosen])
     best = [min(single.values(), key=lambda e: _rms(e[:, k])) for k in (0, 1)]
     return np.array(
@@ -145,7 +141,6 @@ def ratios(samples: list[Sample], far: float, near: float) -> Array:
             _rms(fused[:, 0]) / _rms(best[0][:, 0]),
             _rms(fused[:, 1]) / _rms(best[1][:, 1]),
             np.nanmean(fused[:, 2]),
-            best[0][:, 2].mean(),
             _rms(fused[:, 0]) / _rms(np.array([s.peer for s in chosen])),
         ]
     )
@@ -177,7 +172,7 @@ def run(
         table.add_row(
             f"{far:g}–{near:g}", *(_mean(found[:, k], "{:.2f} ({:.2f})") for k in (0, 1)),
             _mean(found[:, 2], "{:.1f} ({:.1f})"), f"{100 * inside:.0f}",
-            _mean(found[still, 4], "{:.2f} ({:.2f})"),
+            _mean(found[still, 3], "{:.2f} ({:.2f})"),
         )  # fmt: skip
     show(table)
     every = [s for _, result in flown for s in result.samples]

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import CLIENT, nees
+from experiments.frame import CLIENT, error_of, nees
 from rendezview.errors import RendezviewError
 from rendezview.fusion import (
     Fusion,
@@ -24,7 +24,6 @@ from rendezview.fusion import (
     RingMeasurement,
 )
 from rendezview.fusion.logs import LogContext, merged, read_log
-from rendezview.geometry import so3
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.results import JsonLinesWriter, read_json_lines
@@ -217,9 +216,7 @@ def _sample(
     pose, fused, squared = estimate.pose, np.full(4, np.nan), np.nan
     if pose is not None:
         fused = four_errors(pose, truth, ring)
-        turn = so3.between(pose.rotation, truth.rotation)
-        off = np.concatenate([turn, pose.translation_m - truth.translation_m])
-        squared = nees(off, estimate.covariance[:6, :6])
+        squared = nees(error_of(pose, truth), estimate.covariance[:6, :6])
     single = {}
     for name, measurement in spoke.items():
         if isinstance(measurement, PoseMeasurement):
