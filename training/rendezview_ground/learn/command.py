@@ -20,6 +20,7 @@ from rendezview.io.camera_files import load_camera
 from rendezview_ground.learn.command_options import Dask, Jobs
 from rendezview_ground.learn.job import Trained
 from rendezview_ground.learn.jobs.open_executor import open_executor
+from rendezview_ground.learn.look_alike_words import look_alike_words
 from rendezview_ground.learn.options import Neighbourhood, TrainingOptions
 from rendezview_ground.learn.target_job import train_target
 from rendezview_ground.mesh.mesh import load_mesh
@@ -169,6 +170,9 @@ def summary(trained: Trained) -> str:
             f"{len(model.contours.shells_m)} distances, {lit} shadowed silhouettes; "
             + (f"{len(model.symmetries)} symmetries" if model.symmetries else "no symmetry")
         )
+    words = None if model.shape is None else look_alike_words(model.shape)
+    if words is not None:
+        lines.append(words)
     for k, joint in enumerate(model.joints):
         angles = sorted(
             {float(np.rad2deg(m.angles_rad[k])) for m in (model, *model.configurations)}

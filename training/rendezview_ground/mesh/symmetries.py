@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.mesh.surface_sample import surface_sample
 
 _POINTS = 4000  # on the surface
 _SAME = 0.01  # of the radius; a rotated point this close to the surface lies on it
@@ -23,9 +24,9 @@ def find_symmetries(mesh: Mesh, seed: int = 0) -> tuple[Symmetry, ...]:
     The coordinate axes and the surface's principal axes are tested. Target files cannot express a
     symmetry whose axis misses the origin, so these are not tested.
     """
-    points = _surface(mesh, np.random.default_rng(seed))
+    points = surface_sample(mesh, _POINTS, np.random.default_rng(seed))
     centre_m, radius_m = mesh.bounding_sphere
-    tree = cKDTree(_surface(mesh, np.random.default_rng(seed + 1), 20 * _POINTS))
+    tree = cKDTree(surface_sample(mesh, 20 * _POINTS, np.random.default_rng(seed + 1)))
     found: list[Symmetry] = []
     for axis in _axes(points):
         # The bounding sphere's centre must lie on the axis.
@@ -40,19 +41,6 @@ def find_symmetries(mesh: Mesh, seed: int = 0) -> tuple[Symmetry, ...]:
                 found.append(Symmetry("discrete", axis, angle))
                 break
     return tuple(found)
-
-
-def _surface(mesh: Mesh, rng: np.random.Generator, count: int = _POINTS) -> Array:
-    """Random points (count, 3), uniform over the surface."""
-    corners = mesh.vertices_m[mesh.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1)
-    chosen = rng.choice(len(area), size=count, p=area / area.sum())
-    a, b = rng.random((2, count))
-    flip = a + b > 1.0
-    a, b = np.where(flip, 1.0 - a, a), np.where(flip, 1.0 - b, b)
-    p = corners[chosen]
-    return np.asarray(p[:, 0] + a[:, None] * (p[:, 1] - p[:, 0]) + b[:, None] * (p[:, 2] - p[:, 0]))
 
 
 def _axes(points: Array) -> list[Array]:

@@ -20,6 +20,7 @@ from rendezview.sensors.appearance.edges.alignment import (
     CLOSE_PX,
     CUT_SPREADS,
     DIVERGED,
+    LOOSE_PX,
     SPREAD,
     VIEWS,
     Stage,
@@ -189,6 +190,15 @@ class Refiner:
         rotation, centre = self._centred(start)
         stages = self._stages[1:] if closely else self._stages
         return self._refined(image, sky.vector, stages, rotation, centre)
+
+    def ratio_at(self, image: Picture, sky: Sky, pose: Pose) -> float:
+        """Inlier ratio of a pose as it stands, with edges a few pixels off counted."""
+        rotation, centre = self._centred(pose)
+        outline, inner, _ = inlier_ratios(
+            image, self._lens, sky.vector, self.views, rotation, centre, LOOSE_PX, 1,
+            np.zeros((self._rows, COLUMNS)),
+        )  # fmt: skip
+        return float((2.0 * outline + inner) / 3.0)
 
     def measured(self, image: Picture, sky: Sky, start: Pose) -> MeasuredEdges | None:
         """The edges at the pose next to ``start`` that fits them; None where it finds no hold."""

@@ -22,6 +22,7 @@ from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.forest import ForestScores, ScoreForest
 from rendezview.sensors.appearance.model.near_views import NearSphere
 from rendezview.sensors.appearance.model.shadowed_silhouettes import ShadowedSilhouettes
+from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.appearance.model.sketches import ViewSketches
 from rendezview.sensors.appearance.model.surface import Surface
 from rendezview.sensors.appearance.model.trees import Forest
@@ -109,6 +110,7 @@ class ViewModel:
         None  # order and confirm first poses; None: trained without, or earlier
     )
     sketches: ViewSketches | None = None  # for photographs; None: trained without, or earlier
+    shape: Shape | None = None  # of rivals; None: trained without, or earlier
     error_model: ErrorModel | None = None  # of refined poses; None: the packaged one serves
     # (6, 6) of the strain that calibration left: xx, yy, zz, xy, xz, yz; None: not calibrated
     shape_covariance: Array | None = None
@@ -252,6 +254,7 @@ class ViewModel:
             surface=_part(arrays, "surface", Surface),
             score_forest=_part(arrays, "voters", ScoreForest),
             sketches=_part(arrays, "sketches", ViewSketches),
+            shape=_part(arrays, "shape", Shape),
             symmetries=tuple(
                 Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
                 for s in header.get("symmetries", [])
@@ -309,6 +312,8 @@ class ViewModel:
             self.score_forest.check(nodes)
         if self.sketches is not None:
             self.sketches.check()
+        if self.shape is not None:
+            self.shape.check()
         if len(self.angles_rad) != len(self.joints):
             raise ValueError(f"{len(self.angles_rad)} angles of {len(self.joints)} joints")
         for configuration in self.configurations:
@@ -365,5 +370,6 @@ _PARTS = {
     "surface": "surface",
     "score_forest": "voters",
     "sketches": "sketches",
+    "shape": "shape",
 }
 _ARRAYS = ("centre_m", "leaf_on", "leaf_off", "training_accuracy", "held_out_accuracy")
