@@ -28,7 +28,8 @@ _STEP_RAD = np.deg2rad(12.0)  # of the grid of rotations
 _FARTHEST = 0.15  # of the radius: what lies farther off counts no more
 _ON_SURFACE = 0.02  # of the radius; a moved point this near to the surface falls onto it
 _TRIMMED, _LEAST_TRIM = 0.8, 0.03  # share of the points, and of the radius, that move a turn
-_ROUNDS = 15  # of closest points
+_ROUNDS, _LAST_ROUNDS = 15, 5  # of closest points; the last of them with the nearest only
+_LEAST_USED = 30  # of them
 _SETTLED = 3e-4  # rad, and of the radius
 _DAMPING = 1e-4  # of the planes' weight: what they leave open does not move
 _MOST_STEP = 0.2  # rad, and of the radius
@@ -131,14 +132,19 @@ class _Search:
     def _moved(self, turn: Array) -> NearSymmetry:
         """The near-symmetry next to a turn."""
         shift = np.zeros(3)
-        for _ in range(_ROUNDS):
+        for k in range(_ROUNDS):
             moved = self.some @ turn.T + shift
             far, nearest = self.tree.query(moved)
-            used = far <= max(_LEAST_TRIM * self.radius_m, float(np.quantile(far, _TRIMMED)))
+            limit = max(_LEAST_TRIM * self.radius_m, float(np.quantile(far, _TRIMMED)))
+            if k >= _ROUNDS - _LAST_ROUNDS:
+                limit = _ON_SURFACE * self.radius_m  # parts that differ would draw it aside
+            used = far <= limit
+            if np.count_nonzero(used) < _LEAST_USED:
+                break
             step = self._step(moved[used], nearest[used])
             small = Rotation.from_rotvec(step[:3]).as_matrix()
             turn, shift = small @ turn, small @ shift + self.radius_m * step[3:]
-            if np.abs(step).max() < _SETTLED:
+            if k >= _ROUNDS - _LAST_ROUNDS and np.abs(step).max() < _SETTLED:
                 break
         forth, _ = self.tree.query(self.some @ turn.T + shift)
         back, _ = self.tree.query((self.some - shift) @ turn)

@@ -204,11 +204,7 @@ class Drawn:
 
     def under(self, sun_camera: Array) -> Explained:
         """What stays unexplained under a Sun (3,)."""
-        window = self.window
-        sun = self.pose.rotation.T @ sun_camera
-        depth, tilt, scale = self.evidence.shadow_map(sun)
-        sunlit = np.empty(len(self.where))
-        _sunlit(self.points, self.normals, self.albedo, sun, tilt, scale, depth, sunlit)
+        window, sunlit = self.window, self.sunlit(sun_camera)
         seen = window.levels.ravel()[self.where].astype(np.float64)
         a, b = _strengths(seen, sunlit, self.albedo, window.tolerance_grey)
         drawn = window.sky.copy()
@@ -217,6 +213,14 @@ class Drawn:
         cost = _unexplained(window.levels, drawn, window.seen, window.tolerance_grey)
         cost /= window.cell_px
         return Explained(max(cost, _LEAST_COST), sun_camera)
+
+    def sunlit(self, sun_camera: Array) -> Array:
+        """(N,) albedo times the cosine to a Sun (3,), 0 in shadow."""
+        sun = self.pose.rotation.T @ sun_camera
+        depth, tilt, scale = self.evidence.shadow_map(sun)
+        sunlit = np.empty(len(self.where))
+        _sunlit(self.points, self.normals, self.albedo, sun, tilt, scale, depth, sunlit)
+        return sunlit
 
     def under_best(self, begin: Explained) -> Explained:
         """What stays unexplained under the Sun that fits best, from one that may be near."""
