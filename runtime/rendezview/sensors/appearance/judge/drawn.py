@@ -84,8 +84,8 @@ class Window:
         free = (1 - near).astype(np.float32)
         size = (0, 0), _SKY_BLUR_PX
         weight = cv2.GaussianBlur(free, *size)
-        sky = cv2.GaussianBlur(free * self.levels, *size) / np.maximum(weight, 1e-6)
-        sky = np.where(weight > 1e-3, sky, np.float32(0.0)).astype(np.float32)
+        blurred = cv2.GaussianBlur(free * self.levels, *size) / np.maximum(weight, 1e-6)
+        sky = np.where(weight > 1e-3, blurred, 0.0).astype(np.float32)
         return replace(self, sky=sky, seen=np.flatnonzero(near.ravel()))
 
 
@@ -149,8 +149,8 @@ class DrawnEvidence:
         at = np.empty((side, side, 2), np.float32)
         at[..., 0], at[..., 1] = u - left, v - top
         return np.asarray(
-            cv2.remap(part, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
-                      borderValue=black)
+            cv2.remap(part, at[..., 0], at[..., 1], cv2.INTER_LINEAR,
+                      borderMode=cv2.BORDER_CONSTANT, borderValue=black)
         )  # fmt: skip
 
     def drawn(self, window: Window, pose: Pose) -> Drawn | None:
