@@ -109,3 +109,5 @@ def test_a_record_without_a_point_is_about_the_origin() -> None:
     assert (new.kind, new.angle_rad) == ("continuous", None)
     np.testing.assert_array_equal(new.axis, X)
     np.testing.assert_array_equal(new.point_m, CENTRE)
+    with pytest.raises(ValueError, match="reshape"):
+        Symmetry.of_record(new.record() | {"point_m": [1.0, 2.0]})

@@ -51,10 +51,14 @@ class Symmetry:
 
     @classmethod
     def of_record(cls, record: dict[str, Any]) -> Symmetry:
-        """The inverse of `record`."""
-        axis, angle_rad = np.array(record["axis"], dtype=np.float64), record["angle_rad"]
-        point_m = np.array(record.get("point_m", [0.0, 0.0, 0.0]), dtype=np.float64)
-        return cls(record["kind"], axis, angle_rad, point_m)
+        """The inverse of `record`.
+
+        Raises:
+            ValueError: axis or point are no three numbers.
+        """
+        axis = np.array(record["axis"], dtype=np.float64).reshape(3)
+        point_m = np.array(record.get("point_m", [0.0, 0.0, 0.0]), dtype=np.float64).reshape(3)
+        return cls(record["kind"], axis, record["angle_rad"], point_m)
 
 
 def nearest_alike(estimate: Pose, truth: Pose, symmetries: Sequence[Symmetry]) -> Pose:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,10 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.symmetry import Symmetry, common_point, discrete_turns
+from rendezview.sensors.appearance import ViewModel
+from rendezview_ground.learn.command import summary
+from rendezview_ground.learn.job import Trained
+from rendezview_ground.learn.options import TrainingOptions, view_geometry
 from rendezview_ground.mesh.colours import GREY
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.mesh.symmetries import described, find_symmetries
@@ -142,3 +147,13 @@ def test_symmetries_are_described_with_their_point() -> None:
         "looks the same when turned by any angle about (0.00, 0.00, 1.00); the axis passes "
         "through (1.50, 1.00, 0.00) m"
     )
+
+
+def test_training_names_the_symmetries(tiny_model: ViewModel, bumpy_mesh: Mesh) -> None:
+    geometry = view_geometry(bumpy_mesh, TrainingOptions(), None)
+    z, point_m = np.array([0.0, 0.0, 1.0]), np.array([1.5, 1.0, 0.0])
+    round_model = replace(tiny_model, symmetries=(Symmetry("continuous", z, None, point_m),))
+    assert "the target has no symmetry" in summary(Trained(tiny_model, None, geometry))
+    words = summary(Trained(round_model, None, geometry))
+    assert "the target looks the same when turned by any angle about (0.00, 0.00, 1.00)" in words
+    assert "the axis passes through (1.50, 1.00, 0.00) m" in words
