@@ -102,6 +102,16 @@ def test_a_round_solid_aside_turns_by_any_angle(
         assert np.linalg.norm(missed) < 1e-3
 
 
+def test_an_axis_through_the_origin_needs_no_point() -> None:
+    cone = SOLIDS.cone(1.0, 2.0, sections=6)
+    cone.apply_translation([0.0, 0.0, 5.0])  # along its axis
+    (sixth,) = find_symmetries(as_mesh(cone))
+    np.testing.assert_array_equal(sixth.point_m, np.zeros(3))
+    cone.apply_translation([0.1, 0.0, 0.0])
+    (moved,) = find_symmetries(as_mesh(cone))
+    np.testing.assert_allclose(moved.point_m[:2], [0.1, 0.0], atol=1e-9)
+
+
 def test_an_antenna_of_half_a_percent_of_the_surface_breaks_a_symmetry() -> None:
     assert count(find_symmetries(as_mesh(aside(box_with(0.06, 0.06, 0.4))))) == (0, 1)
     # One of 0.05 % does not.

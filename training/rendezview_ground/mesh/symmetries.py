@@ -8,6 +8,7 @@ it where two are equal, and any where all are. Each is tested on the surface.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,6 +34,7 @@ _MOST_OF_GRID = 90  # turns that are polished; an icosahedron has 59
 _LEAST_RAD = np.deg2rad(4.0)  # a smaller turn is none
 _SAME_RAD = np.deg2rad(2.0)  # turns closer than this are one
 _MOST_TURNS = 60  # of a body without a continuous axis: those of an icosahedron
+_AT_ORIGIN = 1e-4  # radii; an axis so near to the origin passes through it: 0.01 px of a view
 _POINTS = 300, 1000  # that are turned, of the grid and of a scan
 
 
@@ -63,7 +65,7 @@ def find_symmetries(mesh: Mesh, seed: int = 0) -> tuple[Symmetry, ...]:
             return _continuous(surface, axis)
         candidates = _about(surface, axis)
     turns = _exact(_closed(surface, candidates))
-    return _generators(turns, _point(surface))
+    return _placed(_generators(turns), surface)
 
 
 def described(symmetries: Sequence[Symmetry]) -> str:
@@ -91,10 +93,12 @@ def _numbers(vector: Array) -> str:
     return ", ".join(f"{v:.2f}" for v in np.round(vector, 2) + 0.0)
 
 
-def _point(surface: TurnedSurface) -> Array:
-    """The centroid (3,) as the point of the axes; the origin if it is there."""
-    at_origin = np.linalg.norm(surface.centroid_m) < 1e-9 * surface.radius_m
-    return np.zeros(3) if at_origin else surface.centroid_m
+def _placed(found: list[Symmetry], surface: TurnedSurface) -> tuple[Symmetry, ...]:
+    """The symmetries through the centroid, without a point if all axes pass through the origin."""
+    missed_m = [np.linalg.norm(np.cross(s.axis, surface.centroid_m)) for s in found]
+    if max(missed_m, default=0.0) < _AT_ORIGIN * surface.radius_m:
+        return tuple(found)
+    return tuple(replace(symmetry, point_m=surface.centroid_m) for symmetry in found)
 
 
 def _turn(axis: Array, angle_rad: float) -> Array:
@@ -125,13 +129,12 @@ def _forwards(vector: Array) -> Array:
 def _continuous(surface: TurnedSurface, axis: Array) -> tuple[Symmetry, ...]:
     """Any turn about an axis, with what else the body then has: another such axis, or a flip."""
     across, _ = _across(axis)
-    point_m = _point(surface)
-    found = [Symmetry("continuous", _forwards(axis), None, point_m)]
+    found = [Symmetry("continuous", _forwards(axis), None)]
     if _is_continuous(surface, across):
-        found.append(Symmetry("continuous", _forwards(across), None, point_m))
+        found.append(Symmetry("continuous", _forwards(across), None))
     elif _holds(surface, _turn(across, np.pi)):
-        found.append(Symmetry("discrete", _forwards(across), np.pi, point_m))
-    return tuple(found)
+        found.append(Symmetry("discrete", _forwards(across), np.pi))
+    return _placed(found, surface)
 
 
 def _about(surface: TurnedSurface, axis: Array) -> list[Array]:
@@ -211,12 +214,12 @@ def _exact(turns: list[Array]) -> list[Array]:
     return list(group)
 
 
-def _generators(turns: list[Array], point_m: Array) -> tuple[Symmetry, ...]:
+def _generators(turns: list[Array]) -> list[Symmetry]:
     """Few symmetries that generate the turns (3, 3), those by the smallest angles first."""
     found: list[Symmetry] = []
     for turn in sorted(turns[1:], key=lambda turn: round(rotation_angle(turn), 6)):
         if not _is_new(turn, discrete_turns(found), _SAME_RAD):
             continue
         vector = Rotation.from_matrix(turn).as_rotvec()
-        found.append(Symmetry("discrete", _forwards(vector), rotation_angle(turn), point_m))
-    return tuple(found)
+        found.append(Symmetry("discrete", _forwards(vector), rotation_angle(turn)))
+    return found
