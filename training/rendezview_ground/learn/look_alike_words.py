@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rendezview.geometry.pose import Array
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.model.shape import Shape
 
 _NAMED = 3  # likest turns that are named. Source: by construction
+_SAME_RAD = np.deg2rad(2.0)  # an exact symmetry, as it is found. Source: by construction
 _TOLD = 0.8  # share of the surface; less is not called nearly symmetric. Source: by construction
 
 
-def look_alike_words(shape: Shape) -> str | None:
-    """Which turns leave most of the surface where it was; None where none does."""
+def look_alike_words(shape: Shape, symmetries: Sequence[Symmetry] = ()) -> str | None:
+    """Which turns leave most of the surface where it was; None where none does.
+
+    Args:
+        shape: of the model.
+        symmetries: turns that leave all of it; they are left out.
+    """
+    here = Pose.identity()
+
+    def differs(turn: Array) -> bool:
+        return angle_between(Pose(turn, np.zeros(3)), here, symmetries) > _SAME_RAD
+
     order = np.argsort(-shape.alike, kind="stable")
     told = [k for k in order if shape.alike[k] >= _TOLD and np.linalg.det(shape.turns[k]) > 0.0]
+    told = [k for k in told if differs(shape.turns[k])]
     if not told:
         return None
     # A turn and the turn back are one.

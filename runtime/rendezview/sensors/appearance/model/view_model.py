@@ -209,10 +209,7 @@ class ViewModel:
             "target_radius_m": self.target_radius_m,
             "smooth_bins": self.smooth_bins,
             "held_out": {f.name: getattr(self.held_out, f.name) for f in fields(HeldOut)},
-            "symmetries": [
-                {"kind": s.kind, "axis": np.asarray(s.axis).tolist(), "angle_rad": s.angle_rad}
-                for s in self.symmetries
-            ],
+            "symmetries": [symmetry.record() for symmetry in self.symmetries],
             "shape_error": self.shape_error,
             "provenance": self.provenance,
         }
@@ -255,10 +252,7 @@ class ViewModel:
             score_forest=_part(arrays, "voters", ScoreForest),
             sketches=_part(arrays, "sketches", ViewSketches),
             shape=_part(arrays, "shape", Shape),
-            symmetries=tuple(
-                Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
-                for s in header.get("symmetries", [])
-            ),
+            symmetries=tuple(Symmetry.of_record(s) for s in header.get("symmetries", [])),
             shape_error=float(header.get("shape_error", 0.0)),
             error_model=_error_model(header),
             shape_covariance=_shape_covariance(header),
