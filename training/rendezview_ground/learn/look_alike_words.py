@@ -26,7 +26,7 @@ def look_alike_words(shape: Shape, symmetries: Sequence[Symmetry] = ()) -> str |
     here = Pose.identity()
 
     def differs(turn: Array) -> bool:
-        return angle_between(Pose(turn, np.zeros(3)), here, symmetries) > _SAME_RAD
+        return bool(angle_between(Pose(turn, np.zeros(3)), here, symmetries) > _SAME_RAD)
 
     order = np.argsort(-shape.alike, kind="stable")
     told = [k for k in order if shape.alike[k] >= _TOLD and np.linalg.det(shape.turns[k]) > 0.0]

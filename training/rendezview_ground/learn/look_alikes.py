@@ -1,14 +1,15 @@
 """Look-alikes: the turns that nearly map a craft onto itself, found from its mesh.
 
 Every rotation of a grid, with and without a reflection, moves some surface points, and a distance
-grid tells how far they come to lie from the surface. The best are moved exactly by trimmed iterative
-closest points (D. Chetverikov et al., ICPR 2002) against the planes of the surface (Y. Chen and
-G. Medioni, Object modelling by registration of multiple range images, 1992): a point may slide.
+grid tells how far they come to lie from the surface. The best are moved exactly by trimmed
+iterative closest points (D. Chetverikov et al., ICPR 2002) against the planes of the surface
+(Y. Chen and G. Medioni, Object modelling by registration of multiple range images, 1992).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -19,16 +20,18 @@ from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.mesh.turned_surface import TurnedSurface
 
-_COARSE_POINTS, _ICP_POINTS = 400, 1500  # on the surface
+_COARSE_POINTS, _ICP_POINTS = 400, 800  # on the surface
 _STEP_RAD = np.deg2rad(12.0)  # of the grid of rotations
-_ON_SURFACE = 0.02  # of the radius; a moved point this near to the surface falls onto it
+_ON_SURFACE = 0.01  # of the radius; a moved point this near to the surface falls onto it
+_LEAST_LAST_TRIM = 0.003  # of the radius; at last half of the points move a turn
 _TRIMMED, _LEAST_TRIM = 0.8, 0.03  # share of the points, and of the radius, that move a turn
-_ROUNDS, _LAST_ROUNDS = 15, 5  # of closest points; the last of them with the nearest only
+_ROUNDS, _LAST_ROUNDS = 15, 8  # of closest points; the last of them with the nearest half only
 _LEAST_USED = 30  # of them
 _SETTLED = 3e-4  # rad, and of the radius
 _DAMPING = 1e-4  # of the planes' weight: what they leave open does not move
 _MOST_STEP = 0.2  # rad, and of the radius
 _TRIED = 48  # turns of each kind that are moved exactly
+_MULTIPLIED, _KNOWN_RAD = 12, np.deg2rad(2.0)  # likest turns, and how near a product is known
 _MOST = 48  # that are kept
 _LEAST_KEPT = 6  # likest turns that are kept whatever they map …
 _LEAST_ALIKE = 0.6  # … and of the others those that map as much of the surface
@@ -55,6 +58,12 @@ def look_alikes(mesh: Mesh, centre_m: Array, seed: int = 0) -> list[NearSymmetry
     """
     surface = TurnedSurface.of(mesh, seed)
     found = [one for mirrored in (False, True) for one in _turns(surface, mirrored)]
+    found.sort(key=lambda one: -one.alike)
+    # Two near-symmetries, one after the other, are a third, which the grid may have missed.
+    for one, other in product(found[:_MULTIPLIED], repeat=2):
+        turn = one.turn @ other.turn
+        if all(_angle(turn, known.turn) > _KNOWN_RAD for known in found):
+            found.append(_moved(surface, turn))
     found.sort(key=lambda one: -one.alike)
     kept: list[NearSymmetry] = []
     for one in found:
@@ -99,8 +108,8 @@ def _moved(surface: TurnedSurface, turn: Array) -> NearSymmetry:
         moved = own @ turn.T + shift
         far, nearest = surface.tree.query(moved)
         limit = max(_LEAST_TRIM * surface.radius_m, float(np.quantile(far, _TRIMMED)))
-        if k >= _ROUNDS - _LAST_ROUNDS:
-            limit = near_m  # parts that differ would draw it aside
+        if k >= _ROUNDS - _LAST_ROUNDS:  # parts that differ would draw it aside
+            limit = max(_LEAST_LAST_TRIM * surface.radius_m, float(np.median(far)))
         used = far <= limit
         if np.count_nonzero(used) < _LEAST_USED:
             break
