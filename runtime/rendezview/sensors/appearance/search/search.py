@@ -50,9 +50,9 @@ _WORTH_TURNING = 0.2
 # The same after coarse alignment: of 252 right poses of Mitsuba none had less. Source: the same
 _WORTH_REFINING = 0.15
 _WORTH_REFINING_LAST = 0.08  # in the search after the sketch. Source: the same
-# Inlier ratio of a look-alike as it stands, behind the best pose's: of 680 that come near its
-# merit, 3 % are farther behind. Source: docs/notes/rivals.md
-_MOST_BEHIND = 0.45
+# Inlier ratio of a look-alike after the coarse stages, behind the best pose's: of 300 that come
+# within 0.15 of its merit, 1 % are farther behind. Source: docs/notes/rivals.md
+_MOST_BEHIND = 0.3
 # Source: commits 7a5ba6e and 1cf9b72, experiment pose-accuracy
 _ROUNDS = 2  # of looks around the best two poses where none is confident; after a sketch one
 # rad; a local optimum lies about that far from the right pose. Source: spacing of the nodes' views,
@@ -198,11 +198,7 @@ class PoseSearch:
             asked.append(found.best)
             others = self.rivals.look_alikes(found.best.pose)
             worth = found.best.inlier_ratio - _MOST_BEHIND
-            refined = [
-                self.refiner.refine(image, sky, pose)
-                for pose in others
-                if self.refiner.ratio_at(image, sky, pose) >= worth
-            ]
+            refined = [self.refiner.refine(image, sky, pose, least=worth) for pose in others]
             candidates.add([r for r in refined if r is not None])
             found = candidates.choose()
         return candidates.weighed(self.rivals)
@@ -370,8 +366,10 @@ class PoseSearch:
     def _half_turned(self, image: Picture, sky: Sky, pose: Pose) -> list[Refined]:
         """Poses from half turns of one: many craft look nearly the same from behind or below.
 
-        Each is refined directly and after coarse alignment, which may move it away.
+        None where the model knows its look-alikes, which are asked at last. Each is refined directly and after coarse alignment, which may move it away.
         """
+        if self.rivals is not None:
+            return []
         rotations = pose.rotation @ self._half_turns
         centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
         starts = map(Pose, rotations, centres - rotations @ self.model.centre_m)
