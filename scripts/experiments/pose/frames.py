@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import mesh_of
@@ -22,6 +23,7 @@ from rendezview_ground.simulate import (
     sun_at_phase,
 )
 from rendezview_ground.simulate.command import default_camera
+from rendezview_ground.simulate.near_symmetric_craft import CRAFT
 
 RADIUS_PX = (100.0, 220.0)
 MARGIN_PX = 6.0
@@ -61,7 +63,7 @@ def one_frame(
 
 def run(
     frames: Annotated[Path, "folder of the scenes"],
-    targets: Annotated[list[str], "meshes or bundled targets"],
+    targets: Annotated[list[str], "meshes, bundled targets, twelve-sides or four-panels"],
     *, count: int = 200, seed: int = 77,
 ) -> None:  # fmt: skip
     """Draw the frames of pose-accuracy with Mitsuba, as BOP scenes.
@@ -69,11 +71,15 @@ def run(
     FRAMES/<target>/<condition> has frames of random attitudes: 640 × 480, 53° across, the bounding
     sphere 100–220 px in radius anywhere in the image, each frame with its own exposure and Sun.
     Conditions: low: Sun phase 0–30°, black sky; high: 30–70°, black sky; earth: 0–60°, the Earth
-    behind, whose limb crosses some of the frames. An existing scene is kept.
+    behind, whose limb crosses some of the frames. An existing scene is kept. The near-symmetric
+    craft twelve-sides and four-panels are also written, as FRAMES/<target>.stl, to train on.
     """
     camera = default_camera()
     for target in targets:
         target_name, mesh = mesh_of(target)
+        if target in CRAFT:
+            frames.mkdir(parents=True, exist_ok=True)
+            trimesh.Trimesh(mesh.vertices_m, mesh.faces).export(frames / f"{target}.stl")
         for stream, name in enumerate(PHASE_DEG):
             folder = frames / target_name / name
             if folder.exists():
