@@ -16,7 +16,6 @@ from rendezview.io.grey_frame import Picture, check_frame
 from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
 from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
-from rendezview.sensors.appearance.edges.refinement import Refined
 from rendezview.sensors.appearance.integrity.evidence import Second
 from rendezview.sensors.appearance.joint_configurations import around, best_of
 from rendezview.sensors.appearance.judge.confidence import Found
@@ -34,26 +33,25 @@ from rendezview.sensors.appearance.search.close import CloseSearch
 from rendezview.sensors.appearance.search.levels import LevelSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
+from rendezview.sensors.appearance.verdict import (
+    LEAST_POSTERIOR,
+    NEAR_RAD,
+    agree,
+    is_known,
+    refused,
+    tells,
+)
 from rendezview.sensors.observation import Status
 
-# Of the outline: it was whole, and refinement says why there is no pose.
-_WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
-# Rad; error of a pose whose joint is at a wrong angle. Source: experiment pose-joints (0.1)
-_NEAR_RAD = np.deg2rad(8.0)
 # Confidence: with less after the likeliest starts, a sketch is tried before all others. Of 79
 # frames of Hubble, Sun 30° and 60° aside, 4 have less although grey edges find their pose at last.
 # Source: by hand, seeds 5 and 6 of rendezview simulate --trajectory random
 _LEAST_CONFIDENT = 0.1
 # Configurations of a target with joints that are searched whole. Source: pose-joints (0.1)
 _CONFIGURATIONS = 3
-# Of a pose among its look-alikes.
-_LEAST_POSTERIOR = 0.9
 # merit; chance decides between two poses nearer to each other, where no look-alike was drawn.
 # Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
-# Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
-# tells how far. Source: by construction
-_MOST_SIGMA = 0.5
 
 
 class _Request(NamedTuple):
@@ -191,7 +189,7 @@ class Recognizer:
         if best.found is None or best.found.best.angles_rad is None:
             return best
         # Edges of a part may have led to a local optimum of its angle.
-        near = request._replace(prior=best.found.best.pose, prior_error_rad=_NEAR_RAD)
+        near = request._replace(prior=best.found.best.pose, prior_error_rad=NEAR_RAD)
         others = around(self.model.joints, best.found.best.angles_rad)
         again = [at(angles)._turned_to(angles, near) for angles in others]
         return best_of([*observations, *again], models, self._judged)
@@ -228,7 +226,7 @@ class Recognizer:
         assert seen.found is not None
         if self._confident(seen.found):
             return self._given(seen, seen.found)
-        return _refused(seen, seen.found)
+        return refused(seen, seen.found)
 
     def second_estimate(self, image: npt.ArrayLike, pose: Pose) -> Second | None:
         """The pose that the sketch of a frame shows, searched without a prior, beside another one.
@@ -285,7 +283,7 @@ class Recognizer:
         if found is None and prior is not None:
             traced_view = self.outline.recognize(traced, prior, prior_error_rad, clock)
             if self.overflows(prior):
-                return _refused(traced_view, None)
+                return refused(traced_view, None)
             also = [] if traced_view.pose is None else [traced_view.pose]
             found = search.near(frame, sky, prior, error_rad, traced.outlines, also)
             clock.lap("refine")
@@ -305,12 +303,12 @@ class Recognizer:
                 if proposed is not None and self._confident(proposed):
                     pose = proposed.best.pose
                     return self._given(self.outline.seen(traced, pose, clock), proposed)
-                if proposed is not None and proposed.weighed:
+                if proposed is not None and tells(proposed):
                     found = proposed
-            if sketched is not None and self._confident(sketched) and _agree(found, sketched):
+            if sketched is not None and self._confident(sketched) and agree(found, sketched):
                 pose = sketched.best.pose
                 # Grey edges are the finer ones, where they are seen.
-                closer = search.at(frame, sky, pose, _NEAR_RAD)
+                closer = search.at(frame, sky, pose, NEAR_RAD)
                 clock.lap("refine")
                 found = sketched if closer is None else closer
                 return self._given(self.outline.seen(traced, pose, clock), found)
@@ -319,7 +317,7 @@ class Recognizer:
                 clock.lap("refine")
                 if found is not None and self._confident(found):
                     return self._given(self.outline.seen(traced, found.best.pose, clock), found)
-            weighed = found is not None and len(found.weighed) > 0
+            weighed = found is not None and tells(found)
             if (
                 sketched is not None
                 and not weighed
@@ -328,7 +326,7 @@ class Recognizer:
                 found = sketched
         if traced_view is None:
             traced_view = self.outline.recognize(traced, prior, prior_error_rad, clock)
-        return _refused(traced_view, found)
+        return refused(traced_view, found)
 
     def overflows(self, pose: Pose) -> bool:
         """Whether a target there is too near for a whole view: no search near it can find one."""
@@ -364,67 +362,7 @@ class Recognizer:
     def _confident(self, found: Found) -> bool:
         """Whether a pose is given: it is likely right, and without a prior it has no rival."""
         if found.weighed:
-            close = found.posterior < _LEAST_POSTERIOR
+            close = found.posterior < LEAST_POSTERIOR
         else:
             close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
-        return found.confidence >= self.least_confidence and not close and _is_known(found.best)
-
-
-def _agree(weighed: Found | None, other: Found) -> bool:
-    """Whether another pose is the likeliest beside its look-alikes, if they were asked."""
-    if weighed is None or not weighed.weighed:
-        return True
-    apart = weighed.best.pose.angle_to(other.best.pose)
-    return weighed.posterior >= _LEAST_POSTERIOR and apart < _NEAR_RAD
-
-
-def _is_known(refined: Refined) -> bool:
-    """Whether the edges of the frame determine the pose at all: σ of attitude and of range."""
-    covariance, place_m = refined.covariance, refined.pose.translation_m
-    range_m = float(np.linalg.norm(place_m))
-    along_m2 = float(place_m @ covariance[3:, 3:] @ place_m) / max(range_m, 1e-9) ** 2
-    turn_rad2 = float(np.trace(covariance[:3, :3]))
-    return turn_rad2 < _MOST_SIGMA**2 and along_m2 < (_MOST_SIGMA * range_m) ** 2
-
-
-def _refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObservation:
-    """The observation without a pose, and with the reason why refinement gives none."""
-    status, reason = seen.status, seen.reason
-    if found is None:
-        if status in _WHOLE_OUTLINE:
-            status, reason = Status.UNRECOGNIZED, "no pose of the target fits the edges"
-    elif isinstance(found, SketchFound) and status not in _WHOLE_OUTLINE:
-        pass  # the outline says why
-    elif found.weighed and found.posterior < _LEAST_POSTERIOR:
-        first, second = found.weighed[:2]
-        apart = first.pose.angle_to(second.pose)
-        status = Status.AMBIGUOUS
-        reason = (
-            f"{np.rad2deg(apart):.0f}° apart, two poses explain this frame with probabilities "
-            f"{first.probability:.2f} and {second.probability:.2f}: give a prior, the Sun's "
-            "direction, or more frames"
-        )
-    elif not found.weighed and found.rival is not None and found.margin < CLOSE_MARGIN:
-        apart = found.best.pose.angle_to(found.rival.pose)
-        status = Status.AMBIGUOUS
-        reason = (
-            f"two poses {np.rad2deg(apart):.0f}° apart fit this frame: "
-            "give a prior, or look at more frames"
-        )
-    else:
-        status = Status.LOST
-        reason = (
-            f"the best pose explains {100 * found.best.outline:.0f} % of its outline and "
-            f"{100 * found.best.inner:.0f} % of its inner edges: too little to be confident"
-        )
-    return replace(
-        seen,
-        status=status,
-        reason=reason,
-        pose=None,
-        covariance=None,
-        confidence=None if found is None else found.confidence,
-        joints=None,
-        outline=replace(seen.reading, points_m=np.zeros((0, 3))),
-        found=found,
-    )
+        return found.confidence >= self.least_confidence and not close and is_known(found.best)

@@ -181,11 +181,10 @@ def test_a_pose_alone_is_not_drawn(model: ViewModel) -> None:
     assert np.isnan(alone[0].cost)
 
 
-def test_poses_outside_the_frame_leave_nothing_to_choose(model: ViewModel) -> None:
+def test_poses_that_no_frame_shows_are_not_weighed(model: ViewModel) -> None:
     frame = np.zeros((320, 320), np.uint8)
-    gone = [Pose(SIDE.rotation, np.array([9.0, 0.0, z])) for z in (6.0, 6.5)]
+    tiny = [Pose(SIDE.rotation, np.array([0.0, 0.0, z])) for z in (900.0, 950.0)]
     weighed = Rivals(model, CAMERA).weigh(
-        frame, Sky(0.0, 1.0, dark=True), gone, [1.0, 1.0], [SUN, SUN]
+        frame, Sky(0.0, 1.0, dark=True), tiny, [1.0, 1.0], [SUN, SUN]
     )
-    assert all(np.isfinite(one.probability) for one in weighed)
-    assert weighed[0].probability < 0.9
+    assert weighed == []

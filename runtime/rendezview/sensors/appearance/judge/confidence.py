@@ -127,6 +127,12 @@ class _Candidate:
         return None if self.shade is None else self.shade.agreement
 
 
+def _sun_of(candidate: _Candidate) -> Array:
+    """(3,) where the surface points have the Sun; behind the camera where they do not tell."""
+    shade = candidate.shade
+    return _FRONT if shade is None or not shade.sun_camera.any() else shade.sun_camera
+
+
 @dataclass(slots=True, eq=False)
 class Candidates:
     """All refined poses of one frame; each costs its overshoot and its shading once."""
@@ -197,8 +203,10 @@ class Candidates:
                 apart.append(c)
         weighed = rivals.weigh(
             self.image, self.sky, [c.refined.pose for c in apart], [merits[id(c)] for c in apart],
-            [_FRONT if c.shade is None else c.shade.sun_camera for c in apart],
+            [_sun_of(c) for c in apart],
         )  # fmt: skip
+        if not weighed:
+            return found
         best = next(c for c in apart if c.refined.pose is weighed[0].pose)
         j = self._rival(best, [merits[id(c)] for c in self._all])
         return replace(

@@ -21,9 +21,10 @@ from rendezview.sensors.appearance.judge.drawn import DrawnEvidence, Explained, 
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.sky import Sky
 
-COST_WEIGHT = 22.0  # of the log of the cells that stay unexplained
-MERIT_WEIGHT = 18.0  # of the merit
-# Of the score: a rival so far behind under the Sun of its surface points is not drawn under others.
+# Of the log of the cells that stay unexplained, and of the merit. Source: docs/notes/rivals.md
+COST_WEIGHT, MERIT_WEIGHT = 22.0, 18.0
+# Of the score: a rival so far behind under the Suns of the likeliest is drawn under no others.
+# Source: docs/notes/rivals.md, 40 is no better
 _IN_DOUBT = 12.0
 
 
@@ -34,6 +35,7 @@ class Weighed:
     pose: Pose
     merit: float
     cost: float  # cells of the frame that it leaves unexplained; inf: too small; NaN: no rival
+    share: float  # the same of the cells of the craft; NaN: no rival
     sun_camera: Array
     probability: float  # among all that were weighed
 
@@ -67,7 +69,7 @@ class Rivals:
     def weigh(
         self, image: Picture, sky: Sky, poses: list[Pose], merits: list[float], suns: list[Array]
     ) -> list[Weighed]:
-        """Poses of one frame with their probabilities, the likeliest first.
+        """Poses of one frame with their probabilities, the likeliest first; [] if none is seen.
 
         Args:
             image: (H, W) frame.
@@ -77,13 +79,13 @@ class Rivals:
             suns: (3,) towards the Sun of each, camera frame, as the surface points have it.
         """
         if len(poses) == 1:
-            return [Weighed(poses[0], merits[0], math.nan, suns[0], 1.0)]
+            return [Weighed(poses[0], merits[0], math.nan, math.nan, suns[0], 1.0)]
         window = self._evidence.window(image, sky, poses[0])
         drawn = [self._evidence.drawn(window, pose) for pose in poses]
         window = window.beside([one for one in drawn if one is not None])
         drawn = [None if one is None else replace(one, window=window) for one in drawn]
         explained = [
-            Explained(math.inf, sun) if one is None else one.under(sun)
+            Explained(math.inf, math.inf, sun) if one is None else one.under(sun)
             for one, sun in zip(drawn, suns, strict=True)
         ]
         order = np.argsort(-_scores(merits, explained), kind="stable")
@@ -97,11 +99,13 @@ class Rivals:
             if one is not None and scores[k] >= scores.max() - _IN_DOUBT:
                 explained[k] = one.under_best(explained[k])
         scores = _scores(merits, explained)
-        odds = np.exp(scores - max(float(scores.max()), -1e300))
-        shares = odds / max(float(odds.sum()), 1e-300)
+        if not np.isfinite(scores.max()):
+            return []
+        odds = np.exp(scores - scores.max())
+        shares = odds / odds.sum()
         weighed = [
-            Weighed(pose, edges, seen.cost, seen.sun_camera, float(share))
-            for pose, edges, seen, share in zip(poses, merits, explained, shares, strict=True)
+            Weighed(pose, edges, seen.cost, seen.share, seen.sun_camera, float(odd))
+            for pose, edges, seen, odd in zip(poses, merits, explained, shares, strict=True)
         ]
         return sorted(weighed, key=lambda w: -w.probability)
 

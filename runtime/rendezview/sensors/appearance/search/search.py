@@ -366,11 +366,8 @@ class PoseSearch:
     def _half_turned(self, image: Picture, sky: Sky, pose: Pose) -> list[Refined]:
         """Poses from half turns of one: many craft look nearly the same from behind or below.
 
-        None where the model knows its look-alikes, which are asked at last. Each is refined
-        directly and after coarse alignment, which may move it away.
+        Each is refined directly and after coarse alignment, which may move it away.
         """
-        if self.rivals is not None:
-            return []
         rotations = pose.rotation @ self._half_turns
         centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
         starts = map(Pose, rotations, centres - rotations @ self.model.centre_m)
