@@ -18,7 +18,7 @@ _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
 NEAR_RAD = np.deg2rad(8.0)
 # Of a pose among its look-alikes. Source: docs/notes/rivals.md
 LEAST_POSTERIOR = 0.9
-# Share of the craft that its picture leaves unexplained before a bright sky. Source:
+# Share of the craft that its picture may leave unexplained, to contradict a sketch. Source:
 # docs/notes/rivals.md: half of the Mitsuba frames have less, a sixth of the photographs
 _MOST_UNEXPLAINED = 0.2
 # Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
@@ -35,10 +35,8 @@ def agree(weighed: Found | None, other: Found) -> bool:
 
 
 def tells(found: Found) -> bool:
-    """Whether drawn pictures explain the frame: before a bright sky often none does."""
-    if not found.weighed:
-        return False
-    return found.dark or found.weighed[0].share < _MOST_UNEXPLAINED
+    """Whether drawn pictures explain the frame: of foil and black paint often none does."""
+    return len(found.weighed) > 0 and found.weighed[0].share < _MOST_UNEXPLAINED
 
 
 def is_known(refined: Refined) -> bool:

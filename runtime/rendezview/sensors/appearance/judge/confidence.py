@@ -42,6 +42,7 @@ _RIVAL_RAD = np.deg2rad(5.0)
 # Of overshoot and of margin in the regression, which saturate there. Source: fixed with the fit of
 # error_model.json
 _MOST_FEATURE = 0.3
+_MOST_RIVALS = 16  # that are drawn, of most merit. Source: by construction, a bound of time
 _FRONT = np.array([0.0, 0.0, -1.0])  # Sun behind the camera. Source: by construction
 
 
@@ -201,6 +202,7 @@ class Candidates:
                 angle_between(pose, other.refined.pose, symmetries) > _RIVAL_RAD for other in apart
             ):
                 apart.append(c)
+        apart = apart[:_MOST_RIVALS]
         weighed = rivals.weigh(
             self.image, self.sky, [c.refined.pose for c in apart], [merits[id(c)] for c in apart],
             [_sun_of(c) for c in apart],
