@@ -21,6 +21,7 @@ LEAST_POSTERIOR = 0.9
 # Share of the craft that its picture may leave unexplained, to contradict a sketch. Source:
 # docs/notes/rivals.md: half of the Mitsuba frames have less, a sixth of the photographs
 _MOST_UNEXPLAINED = 0.2
+_SURE = 0.9  # confidence of grey edges. Source: docs/notes/rivals.md
 # Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
 # tells how far. Source: by construction
 _MOST_SIGMA = 0.5
@@ -35,8 +36,12 @@ def agree(weighed: Found | None, other: Found) -> bool:
 
 
 def tells(found: Found) -> bool:
-    """Whether drawn pictures explain the frame: of foil and black paint often none does."""
-    return len(found.weighed) > 0 and found.weighed[0].share < _MOST_UNEXPLAINED
+    """Whether drawn pictures explain the frame, or its grey edges are sure.
+
+    Of foil and black paint often none does.
+    """
+    explained = len(found.weighed) > 0 and found.weighed[0].share < _MOST_UNEXPLAINED
+    return explained or (len(found.weighed) > 1 and found.confidence >= _SURE)
 
 
 def is_known(refined: Refined) -> bool:
