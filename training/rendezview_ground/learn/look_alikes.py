@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry import so3
-from rendezview.geometry.pose import Array
+from rendezview.geometry.pose import Array, rotation_angle
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.mesh.turned_surface import TurnedSurface
 
@@ -83,7 +83,7 @@ def _angle(a: Array, b: Array) -> float:
     between = a @ b.T
     if np.linalg.det(between) < 0.0:
         return float("inf")
-    return float(np.arccos(np.clip(0.5 * (np.trace(between) - 1.0), -1.0, 1.0)))
+    return rotation_angle(between)
 
 
 def _turns(surface: TurnedSurface, mirrored: bool) -> list[NearSymmetry]:

@@ -96,10 +96,12 @@ def test_the_sun_is_found_from_nearby(
 
 def test_a_sun_that_is_known_is_used(model: ViewModel, drum: Mesh) -> None:
     frame, known = picture(drum, SIDE), np.array([0.0, 0.0, -1.0])
-    evidence = DrawnEvidence(model.shape, model, CAMERA)
-    drawn = evidence.drawn(evidence.window(frame, Sky.of(frame, known), SIDE), SIDE)
-    assert drawn is not None
-    np.testing.assert_array_equal(drawn.under_best(drawn.under(known)).sun_camera, known)
+    poses = [SIDE, aside(SIDE, 60.0)]
+    weighed = Rivals(model, CAMERA).weigh(
+        frame, Sky.of(frame, known), poses, [1.0, 1.0], [SUN, SUN]
+    )
+    for one in weighed:
+        np.testing.assert_array_equal(one.sun_camera, known)
 
 
 def test_shadows_fall_where_the_simulator_has_them(model: ViewModel, drum: Mesh) -> None:

@@ -21,7 +21,7 @@ from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.geometry.so3 import rotate_back_into
 from rendezview.geometry.zbuffer import draw_parallel, draw_perspective, empty_buffers
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.lighting import BEHIND
+from rendezview.sensors.appearance.edges.lighting import BEHIND, light_strengths
 from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -47,12 +47,12 @@ _BRIGHT_QUANTILE = 0.9  # of the levels where the craft is. Source: by construct
 _CELLS_ACROSS = 20.0
 # About the best Sun, hexagons. Source: spacing of the surface's nodes, 8.6°, halved twice
 _STEPS_RAD = np.deg2rad([10.0, 5.0, 2.5])
-_FITS = 6  # of the two strengths of light, by weights. Source: by construction, they settle
+# Of the two strengths of light. Source: docs/notes/rivals.md, three are too few
+_ROUNDS = 6
 # The compared pixels reach so far beyond the craft. Source: by construction, three σ of blur
 _AROUND_PX = 3
-_SKY_BLUR_PX = (
-    12.0  # σ: the sky beside the craft, behind it. Source: by construction, a fifth of it
-)
+# σ: the sky beside the craft, behind it. Source: by construction, a fifth of its radius
+_SKY_BLUR_PX = 12.0
 _LEAST_DRAWN_PX = 60  # pixels of the craft. Source: as for the points of shading
 # σ before a picture is shrunk, of the times. Source: by construction, squares of as many have 0.29
 _SHRUNK_BLUR = 0.4
@@ -81,7 +81,6 @@ class Window:
     cy: float
     tolerance_grey: float
     cell_px: float  # pixels of an independent cell
-    sun_camera: Array | None  # if it is known
     sky: Float32s  # (H, W) levels as they are expected beside the craft
     seen: npt.NDArray[np.intp]  # (M,) pixels that are compared
 
@@ -134,9 +133,7 @@ class DrawnEvidence:
         tolerance = _TOLERANCE * max(bright, 0.0) + sky.noise_grey
         cell_px = (radius_px / times / _CELLS_ACROSS) ** 2
         nothing, all_of_it = np.zeros_like(levels), np.arange(levels.size)
-        return Window(
-            levels, fx, fy, cx, cy, tolerance, cell_px, sky.sun_camera, nothing, all_of_it
-        )
+        return Window(levels, fx, fy, cx, cy, tolerance, cell_px, nothing, all_of_it)
 
     def _undistorted(
         self, image: Picture, side: int, intrinsics: tuple[float, ...], times: float, black: float
@@ -219,9 +216,10 @@ class Drawn:
         """What stays unexplained under a Sun (3,)."""
         window, sunlit = self.window, self.sunlit(sun_camera)
         seen = window.levels.ravel()[self.where].astype(np.float64)
-        a, b = _strengths(seen, sunlit, self.albedo, window.tolerance_grey)
+        strengths = np.empty(2)
+        light_strengths(seen, sunlit, self.albedo, window.tolerance_grey, strengths, _ROUNDS)
         drawn = window.sky.copy()
-        drawn.ravel()[self.where] = a * sunlit + b * self.albedo
+        drawn.ravel()[self.where] = strengths[0] * sunlit + strengths[1] * self.albedo
         drawn = np.asarray(cv2.GaussianBlur(drawn, (0, 0), _DRAWN_BLUR_PX))
         cost = _unexplained(window.levels, drawn, window.seen, window.tolerance_grey)
         cost /= window.cell_px
@@ -239,8 +237,6 @@ class Drawn:
     def under_best(self, begin: Explained) -> Explained:
         """What stays unexplained under the Sun that fits best, from one that may be near."""
         best = begin
-        if self.window.sun_camera is not None:
-            return best
         for step in _STEPS_RAD:
             tilt = minimal_rotation(np.array([0.0, 0.0, 1.0]), best.sun_camera)
             for k in range(6):
@@ -266,34 +262,6 @@ def _unexplained(
         r = (levels[y, x] - drawn[y, x]) / tolerance
         total += r * r / (1.0 + r * r)
     return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _strengths(seen: Array, lit: Array, dull: Array, tolerance: float) -> tuple[float, float]:
-    """Strengths ≥ 0 of the Sun and of light from all around: robust fit of the levels (N,)."""
-    a, b = 0.0, 0.0
-    for step in range(_FITS):
-        aa, ab, bb, ca, cb = 1e-9, 0.0, 1e-9, 0.0, 0.0
-        for k in range(len(seen)):
-            if step == 0:
-                w = max(seen[k], 0.0) + 1e-3
-            else:
-                r = (seen[k] - a * lit[k] - b * dull[k]) / tolerance
-                w = 1.0 / (1.0 + r * r)
-                w *= w
-            aa += w * lit[k] * lit[k]
-            ab += w * lit[k] * dull[k]
-            bb += w * dull[k] * dull[k]
-            ca += w * lit[k] * seen[k]
-            cb += w * dull[k] * seen[k]
-        bb *= 1.001
-        both = aa * bb - ab * ab
-        a, b = (ca * bb - cb * ab) / both, (cb * aa - ca * ab) / both
-        if b < 0.0:
-            a, b = ca / aa, 0.0
-        elif a < 0.0:
-            a, b = 0.0, cb / bb
-    return a, b
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)

@@ -17,7 +17,7 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.judge.drawn import DrawnEvidence, Explained, cost_of
+from rendezview.sensors.appearance.judge.drawn import Drawn, DrawnEvidence, Explained, cost_of
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.sky import Sky
 
@@ -76,8 +76,12 @@ class Rivals:
             sky: behind the target.
             poses: camera_from_target, one at least.
             merits: of their edges.
-            suns: (3,) towards the Sun of each, camera frame, as the surface points have it.
+            suns: (3,) towards the Sun of each, camera frame, as the surface points have it. If
+                the Sun is known, that one counts.
         """
+        known = sky.sun_camera
+        if known is not None:
+            suns = [known] * len(poses)
         if len(poses) == 1:
             return [Weighed(poses[0], merits[0], math.nan, math.nan, suns[0], 1.0)]
         window = self._evidence.window(image, sky, poses[0])
@@ -88,16 +92,8 @@ class Rivals:
             Explained(math.inf, math.inf, sun) if one is None else one.under(sun)
             for one, sun in zip(drawn, suns, strict=True)
         ]
-        order = np.argsort(-_scores(merits, explained), kind="stable")
-        others = [explained[k].sun_camera for k in order[:2]]
-        explained = [
-            seen if one is None else min([seen, *map(one.under, others)], key=cost_of)
-            for one, seen in zip(drawn, explained, strict=True)
-        ]
-        scores = _scores(merits, explained)
-        for k, one in enumerate(drawn):
-            if one is not None and scores[k] >= scores.max() - _IN_DOUBT:
-                explained[k] = one.under_best(explained[k])
+        if known is None:
+            explained = self._under_best_suns(merits, drawn, explained)
         scores = _scores(merits, explained)
         if not np.isfinite(scores.max()):
             return []
@@ -108,6 +104,22 @@ class Rivals:
             for pose, edges, seen, odd in zip(poses, merits, explained, shares, strict=True)
         ]
         return sorted(weighed, key=lambda w: -w.probability)
+
+    def _under_best_suns(
+        self, merits: list[float], drawn: list[Drawn | None], explained: list[Explained]
+    ) -> list[Explained]:
+        """Each under the Suns of the two likeliest, too; those in doubt under Suns around."""
+        order = np.argsort(-_scores(merits, explained), kind="stable")
+        others = [explained[k].sun_camera for k in order[:2]]
+        explained = [
+            seen if one is None else min([seen, *map(one.under, others)], key=cost_of)
+            for one, seen in zip(drawn, explained, strict=True)
+        ]
+        scores = _scores(merits, explained)
+        for k, one in enumerate(drawn):
+            if one is not None and scores[k] >= scores.max() - _IN_DOUBT:
+                explained[k] = one.under_best(explained[k])
+        return explained
 
 
 def _scores(merits: list[float], explained: list[Explained]) -> Array:
