@@ -142,9 +142,8 @@ def facing(
 
     The axis leans ``tilt`` from the line of sight, towards ``way``; its foot is at ``place_px``.
     """
-    sight = np.array([
-        (place_px[0] - camera.cx) / camera.focal_px, (place_px[1] - camera.cy) / camera.focal_px, 1.0
-    ])  # fmt: skip
+    x, y = (place_px[0] - camera.cx) / camera.focal_px, (place_px[1] - camera.cy) / camera.focal_px
+    sight = np.array([x, y, 1.0])
     sight /= np.linalg.norm(sight)
     across = np.cross([0.0, 0.0, 1.0], sight)
     off = float(np.linalg.norm(across))

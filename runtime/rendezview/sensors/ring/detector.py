@@ -69,7 +69,7 @@ class RingEdge:
     rms_px: float  # of the edge places about the ellipse
     pair: int = -1  # number of the lip whose two edges were fitted as one; -1: of none
     # σ of what neighbouring places of the edge have in common and the ellipse has not: the rear
-    # edge of a lip, a shadow, a part beside a small ring. It is no part of the ellipse's covariance.
+    # edge of a lip, a shadow, a part beside a small ring. The ellipse's covariance is without it.
     systematic_px: float = 0.0
 
     @property

@@ -37,7 +37,7 @@ def odds_cost(square: Array, sigma_share: Array) -> Array:
 def angles(directions: Array, known: Array) -> Array:
     """(N,) angles of unit directions (N, 3) to a known one (3,), rad."""
     across = np.linalg.norm(np.cross(directions, known), axis=1)
-    return np.arctan2(across, directions @ known)
+    return np.asarray(np.arctan2(across, directions @ known), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

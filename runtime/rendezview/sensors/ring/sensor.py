@@ -209,7 +209,8 @@ class RingSensor:
             return np.ones(len(edges), dtype=bool)
         long = Ellipse.from_shape(expected).semi_axes_px[0]
         places = np.array([edge.ellipse.centre_px for edge in edges])
-        return np.hypot(*(places - expected[:2]).T) < _PLACE_TOLERANCE * long
+        aside = np.hypot(*(places - expected[:2]).T)
+        return np.asarray(aside < _PLACE_TOLERANCE * long)
 
     def _choose(
         self, poses: tuple[CirclePose, ...], misfits: tuple[float, ...], prior: RingPrior,
@@ -220,12 +221,12 @@ class RingSensor:
             return by_attitude(poses, prior.axis)
         if single is not None:
             return single
-        planar = by_plane(misfits)
-        if planar.index is not None:
-            return planar
         if which.axis is not None and which.other_cost > RIVAL_COST:
             nearest = int(np.argmax([pose.axis @ which.axis for pose in poses]))
             return Choice(nearest, "the target's circles and the last frames fit this axis only")
+        planar = by_plane(misfits)
+        if planar.index is not None:
+            return planar
         return self._motion.update(poses)
 
 

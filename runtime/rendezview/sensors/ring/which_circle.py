@@ -47,9 +47,6 @@ _MOST_RIVALS = 5  # named. Source: by construction, a bound of time
 # Of the range; two edges that differ by less are one, whichever it is. Source: the 0.5 % asked for
 _SAME_RANGE = 0.004
 _RIVAL_SCORE = 0.05  # of the best score, without a range; a weaker one is none. Source: the same
-# Of the semi-axis; circles about one axis lie no further apart. Source: a tilt of 35°, half a
-# radius behind the ring
-_ASIDE = 0.3
 # From here edges of one group are known to be of one plane. Source: the groups' own tolerance
 _PLANE_TILT_RAD = math.radians(10.0)
 # How far a known circle's picture may lie from its ellipse: a share of its size, and so many px.
@@ -272,9 +269,9 @@ def _is_alone(edges: Sequence[RingEdge], k: int) -> bool:
 
 
 def _by_score(camera: Camera, edges: Sequence[RingEdge], radius_m: float) -> Which:
-    """Nothing is known but the radius: it is taken for that of the outermost edge of the best group.
+    """Nothing is known but the radius: it is that of the outermost edge of the best group.
 
-    Circles about the same line of sight are rivals unless they are seen to lie in its plane.
+    Other ellipses are rivals unless they are weak, or seen to lie in its plane.
     """
     poses = [circle_poses(camera, edge.ellipse, radius_m)[:1] for edge in edges]
     if not poses[0]:
@@ -285,12 +282,10 @@ def _by_score(camera: Camera, edges: Sequence[RingEdge], radius_m: float) -> Whi
     rivals = []
     for k in range(1, len(edges)):
         edge = edges[k]
-        long = max(best.ellipse.semi_axes_px[0], edge.ellipse.semi_axes_px[0])
-        aside = float(np.linalg.norm(edge.ellipse.centre_px - best.ellipse.centre_px))
         one_plane = edge.group == best.group and tilt > _PLANE_TILT_RAD
         weak = edge.score < _RIVAL_SCORE * best.score
         same = abs(ranges[k] / ranges[0] - 1.0) < _SAME_RANGE
-        if aside < _ASIDE * long and not (one_plane or weak or same):
+        if not (one_plane or weak or same):
             rivals.append(k)
     if not rivals:
         alone = sum(edge.group == best.group for edge in edges) == 1
