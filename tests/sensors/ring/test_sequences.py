@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +16,11 @@ from tests.sensors.ring.plain_ellipses import CAMERA as PINHOLE
 from tests.sensors.ring.plain_ellipses import approach, detected
 
 from rendezview.geometry.camera import Camera
+from rendezview.io.bundled import find_target
+from rendezview.io.sequences import open_sequence
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import CirclePose, RingDetector, RingPrior, RingSensor, shape_of_circle
-from rendezview.sensors.ring.circle_pose import shapes_of_circles
+from rendezview.sensors.ring.circle_pose import circle_poses, shapes_of_circles, widened
 from rendezview.sensors.ring.memory import Memory
 from rendezview.sensors.ring.which_circle import RIVAL_COST, Knowledge, which_circle
 
@@ -117,25 +122,40 @@ def seen(parts, range_m, tilt, seed, **light):
     return rotation, centre, picture(PINHOLE, rotation, centre, parts, lit, rng)
 
 
-def test_far_away_ellipses_and_their_axes_are_as_unsure_as_they_say():
-    """Ellipses of 18 to 28 px: their edges disturb each other, and the tilt is hardly seen."""
-    radius_m, circles, _ = VEHICLES["bus"]
+def test_far_away_the_axis_is_as_unsure_as_it_says():
+    """A ring of 18 to 27 px on a plate 8 px wider: the axis is 1° to 13° off."""
+    parts = [
+        plain_rings.Rectangle(-0.28, (1.1, 1.2), 0.3),
+        plain_rings.Annulus(-0.02, 0.0, 0.68, 0.5),
+        plain_rings.Annulus(0.0, 0.0, 0.6, 0.95),
+    ]
     odd = []
-    for seed, range_m in enumerate((14.0, 16.0, 18.0, 20.0)):
-        rotation, centre, image = seen(vehicle(), range_m, 0.35, seed)
+    for seed in range(10):
+        rotation, centre, image = seen(parts, 14.0 + seed % 8, 0.1 + 0.02 * seed, seed)
         axis = rotation[:, 2]
-        prior = RingPrior(range_m=range_m, range_sigma_m=0.01 * range_m)
+        true = shape_of_circle(CAMERA, centre, axis, 0.6)
+        edges = RingDetector(CAMERA).detect(image).edges
+        nearest = min(edges, key=lambda e: float(np.abs(e.ellipse.shape - true).max()))
+        if np.abs(nearest.ellipse.shape - true).max() > 1.6:
+            continue
+        poses = [
+            widened(CAMERA, pose, nearest.systematic_px)
+            for pose in circle_poses(CAMERA, nearest.ellipse, 0.6)
+        ]
+        pose = max(poses, key=lambda p: float(p.axis @ axis))
+        odd.append(math.acos(min(1.0, float(pose.axis @ axis))) / pose.axis_sigma_rad)
+        assert pose.axis_sigma_rad < 0.4
+    assert len(odd) >= 7
+    assert math.sqrt(np.mean(np.square(odd))) < 1.2
+
+
+@pytest.mark.parametrize("range_m", [14.5, 19.0])
+def test_a_vehicle_far_away_is_right_or_open(range_m):
+    radius_m, circles, _ = VEHICLES["bus"]
+    rotation, centre, image = seen(vehicle(), range_m, 0.35, round(range_m))
+    for prior in (RingPrior(range_m=range_m, range_sigma_m=0.01 * range_m), RingPrior()):
         reading = RingSensor(CAMERA, radius_m, circles=circles).update(0.0, image, prior)
         assert verdict(reading, rotation, centre) != "wrong"
-        for edge in RingDetector(CAMERA).detect(image).edges:
-            for height_m, circle_m in ((0.0, radius_m), *circles):
-                true = shape_of_circle(CAMERA, centre + height_m * axis, axis, circle_m)
-                off = edge.ellipse.shape - true
-                if np.abs(off).max() < 1.3:
-                    sigma = edge.ellipse.shape_covariance + edge.systematic_px**2 * np.eye(5)
-                    odd.append(float(off @ np.linalg.solve(sigma, off)) / 5.0)
-    assert len(odd) >= 4
-    assert np.median(odd) < 2.5
 
 
 def test_the_targets_circles_tell_which_of_two_axes_is_right():
@@ -164,6 +184,28 @@ def test_many_circles_have_the_pictures_of_each():
     assert {bool(np.isfinite(s).all()) for s in shapes} == {True, False}
     for shape, own in zip(shapes, single, strict=True):
         np.testing.assert_allclose(shape, np.full(5, np.nan) if own is None else own, rtol=1e-9)
+
+
+def test_on_frames_of_another_renderer_the_ring_is_right_up_to_the_end():
+    """Mitsuba's frames from 6.7 to 1.2 m, 7 s apart, with memory and no range."""
+    data = os.environ.get("RENDEZVIEW_TEST_DATA")
+    scene = Path(data or "") / "approach_mitsuba"
+    if not data or not scene.is_dir():
+        pytest.skip("approach_mitsuba is not here: set RENDEZVIEW_TEST_DATA to the test data")
+    ring = find_target("client").docking_ring
+    sensor, said = None, Counter()
+    truth = json.loads((scene / "scene_gt.json").read_text())
+    for frame in list(open_sequence(scene, None))[27:]:
+        (pose,) = truth[str(frame.im_id)]
+        rotation = np.reshape(pose["cam_R_m2c"], (3, 3))
+        centre = rotation @ ring.centre_m + 1e-3 * np.array(pose["cam_t_m2c"])
+        if sensor is None:
+            sensor = RingSensor(frame.camera.pinhole, ring.radius_m, circles=ring.circles)
+        reading = sensor.update(frame.time_s, frame.read())
+        facing_us = np.column_stack([np.zeros((3, 2)), rotation @ ring.axis])
+        said[verdict(reading, facing_us, centre)] += 1
+    assert said["wrong"] == 0
+    assert said["right"] >= 8
 
 
 @pytest.mark.parametrize(("range_m", "tilt"), [(7.5, 0.15), (11.0, 0.4)])
