@@ -12,10 +12,10 @@ from rendezview.sensors.ring.circle_pose import CirclePose
 
 Array = npt.NDArray[np.float64]
 
-# How fast a ring moves, one σ: a share of its range a second, in any direction, and a turn of its
-# axis. Source: a chosen limit; twice the closing rate of a fast approach
+# How fast a ring moves, one σ: a share of its range a second, in any direction. Source: a chosen
+# limit, the closing rate of a fast approach and a half
 _SPEED_SHARE = 0.03
-_SPIN_RAD = math.radians(2.0)
+_SPIN_RAD = math.radians(2.0)  # a second, one σ, of its axis. Source: a chosen limit
 # Odds that what was given or remembered is wrong. Source: a chosen limit
 _WRONG = 0.01
 # ln of the largest to the smallest circle that a frame shows: a chance ellipse has any size of

@@ -34,7 +34,8 @@ from rendezview.sensors.ring.memory import SIZES, Memory, odds_cost
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
-RING = -1  # in place of a known circle's index: the ring's own edge
+# In place of a known circle's index: the ring's own edge. Source: by construction
+RING = -1
 
 _RANGE_FLOOR = 0.003  # of the range; least σ of the point it is measured to. Source: a rim's depth
 # From the given range; beyond it an ellipse is none of the ring's. Source: ring-vehicle (0.1),
