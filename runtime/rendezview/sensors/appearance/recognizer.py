@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -36,10 +37,10 @@ from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.appearance.verdict import (
     LEAST_POSTERIOR,
     NEAR_RAD,
+    Near,
     agree,
     is_known,
     refused,
-    tells,
 )
 from rendezview.sensors.observation import Status
 
@@ -244,104 +245,128 @@ class Recognizer:
         return Second(other.angle_to(pose), choice.confidence)
 
     def _recognize(
-        self,
-        frame: Picture,
-        prior: Pose | None,
-        prior_error_rad: float | None,
-        sun_camera: npt.ArrayLike | None,
-        enough_inliers: float,
-    ) -> AppearanceObservation:
+        self, frame: Picture, prior: Pose | None, prior_error_rad: float | None,
+        sun_camera: npt.ArrayLike | None, enough_inliers: float,
+    ) -> AppearanceObservation:  # fmt: skip
         clock, search = StageClock(), self.search
         if search is None:
             traced = self.outline.trace(frame, prior, clock, bright_sky=False)
             return self.outline.recognize(traced, prior, prior_error_rad, clock, alone=True)
         sky = Sky.of(frame, sun_camera)
-        error_rad = prior_error_rad or self.prior_error_rad
-        found = None
-        if prior is not None and self.close is not None:
-            found = self.close.at(frame, sky, prior, enough_inliers)
+        if prior is None:
+            return self._anywhere(search, frame, sky, clock)
+        near = Near(prior, prior_error_rad or self.prior_error_rad)
+        seen = self._next_to(search, frame, sky, near, enough_inliers, clock)
+        return seen or self._near(search, frame, sky, near, clock)
+
+    def _anywhere(
+        self, search: LevelSearch, frame: Picture, sky: Sky, clock: StageClock
+    ) -> AppearanceObservation:
+        """Without a prior: by the outline, then on a sketch, then by the outline thoroughly."""
+        traced = self.outline.trace(frame, None, clock, bright_sky=not sky.dark)
+        by_outline = partial(search.anywhere, frame, sky, traced.outlines, sky.sun_camera)
+        found, sketched = None, None
+        if traced.outlines:
+            found = by_outline(give_up=0.0 if self.sketch is None else _LEAST_CONFIDENT)
+            clock.lap("refine")
+        best = found if self._confident(found) else None
+        if best is None and self.sketch is not None:
+            sketched = SketchFound.of(self.sketch.best(frame, sky), dark=sky.dark)
+            clock.lap("sketch")
+            doubtful = found is None or found.confidence < _LEAST_CONFIDENT
+            answers = [] if found is None or doubtful else found.answers
+            if sketched is not None:
+                # Grey edges judge what the sketch proposes, and are the finer ones.
+                answers = sketched.answers + answers
+                doubted = not self._confident(sketched) or sketched.margin < CLOSE_MARGIN
+                proposed = search.proposed(
+                    frame, sky, answers, traced.outlines, half_turns=doubted, sketched=sketched
+                )
+                found = found if proposed is None else proposed
+            best = self._likelier(search, frame, sky, found, sketched)
+            if best is None and traced.outlines and doubtful:
+                answers += [] if found is None else found.answers
+                found = by_outline(again=True, also=answers, sketched=sketched)
+                best = self._likelier(search, frame, sky, found, sketched)
+            clock.lap("refine")
+        if best is not None:
+            return self._given(self.outline.seen(traced, best.best.pose, clock), best)
+        view = self.outline.recognize(traced, None, None, clock)
+        return refused(view, self._refusable(found, sketched))
+
+    def _next_to(
+        self, search: LevelSearch, frame: Picture, sky: Sky, near: Near, enough_inliers: float,
+        clock: StageClock,
+    ) -> AppearanceObservation | None:  # fmt: skip
+        """The pose next to a prior; None unless it is confident at once."""
+        if self.close is not None:
+            found = near.bounds(self.close.at(frame, sky, near.prior, enough_inliers))
             clock.lap("refine")
             if found is not None:
                 return self._given(AppearanceObservation(Status.OK, stage_ms=clock.stage_ms), found)
-        if prior is not None:
-            found = search.at(frame, sky, prior, error_rad, enough_inliers)
-            clock.lap("refine")
-            if found is not None and self._confident(found):
-                seen = AppearanceObservation(Status.OK, stage_ms=clock.stage_ms)
-                if self.trees:
-                    pose, bright = found.best.pose, not sky.dark
-                    seen = self.outline.seen_from(frame, pose, clock, bright_sky=bright)
-                return self._given(seen, found)
+        found = near.bounds(search.at(frame, sky, near.prior, near.error_rad, enough_inliers))
+        clock.lap("refine")
+        if found is None or not self._confident(found):
+            return None
+        seen = AppearanceObservation(Status.OK, stage_ms=clock.stage_ms)
+        if self.trees:
+            pose, bright = found.best.pose, not sky.dark
+            seen = self.outline.seen_from(frame, pose, clock, bright_sky=bright)
+        return self._given(seen, found)
+
+    def _near(
+        self, search: LevelSearch, frame: Picture, sky: Sky, near: Near, clock: StageClock
+    ) -> AppearanceObservation:
+        """Within the error of a prior: by outline and rotations of it, then on a sketch."""
+        prior, error_rad = near.prior, near.error_rad
         traced = self.outline.trace(frame, prior, clock, bright_sky=not sky.dark)
-        if prior is None and traced.outlines:
-            least = 0.0 if self.sketch is None else _LEAST_CONFIDENT
-            found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera, give_up=least)
-            clock.lap("refine")
-            if found is not None and self._confident(found):
-                return self._given(self.outline.seen(traced, found.best.pose, clock), found)
-        traced_view = None
-        if found is None and prior is not None:
-            traced_view = self.outline.recognize(traced, prior, prior_error_rad, clock)
-            if self.overflows(prior):
-                return refused(traced_view, None)
-            also = [] if traced_view.pose is None else [traced_view.pose]
-            found = search.near(frame, sky, prior, error_rad, traced.outlines, also)
-            clock.lap("refine")
-            if found is not None and self._confident(found):
-                return self._given(traced_view, found)
+        view = self.outline.recognize(traced, prior, error_rad, clock)
+        if self.overflows(prior):
+            return refused(view, None)
+        also = [] if view.pose is None else [view.pose]
+        found = near.bounds(search.near(frame, sky, prior, error_rad, traced.outlines, also))
+        clock.lap("refine")
+        if found is not None and self._confident(found):
+            return self._given(view, found)
+        sketched = None
         if self.sketch is not None:
-            sketched = self._sketched(self.sketch, frame, sky, prior, error_rad)
+            sketched = SketchFound.of(self.sketch.near(frame, sky, prior, error_rad), dark=sky.dark)
+            sketched = near.bounds(sketched)
             clock.lap("sketch")
-            doubtful = found is None or found.confidence < _LEAST_CONFIDENT
-            if sketched is not None and prior is None:
-                # Grey edges judge what the sketch proposes, and are the finer ones.
-                answers = sketched.answers + ([] if found is None or doubtful else found.answers)
-                doubted = not self._confident(sketched) or sketched.margin < CLOSE_MARGIN
-                bodies = traced.outlines
-                proposed = search.proposed(frame, sky, answers, bodies, half_turns=doubted)
-                clock.lap("refine")
-                if proposed is not None and self._confident(proposed):
-                    pose = proposed.best.pose
-                    return self._given(self.outline.seen(traced, pose, clock), proposed)
-                if proposed is not None and tells(proposed):
-                    found = proposed
-            if sketched is not None and self._confident(sketched) and agree(found, sketched):
-                pose = sketched.best.pose
-                # Grey edges are the finer ones, where they are seen.
-                closer = search.at(frame, sky, pose, NEAR_RAD)
-                clock.lap("refine")
-                found = sketched if closer is None else closer
-                return self._given(self.outline.seen(traced, pose, clock), found)
-            if prior is None and traced.outlines and doubtful:
-                found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera, again=True)
-                clock.lap("refine")
-                if found is not None and self._confident(found):
-                    return self._given(self.outline.seen(traced, found.best.pose, clock), found)
-            weighed = found is not None and tells(found)
-            if (
-                sketched is not None
-                and not weighed
-                and (found is None or sketched.confidence > found.confidence)
-            ):
-                found = sketched
-        if traced_view is None:
-            traced_view = self.outline.recognize(traced, prior, prior_error_rad, clock)
-        return refused(traced_view, found)
+            best = near.bounds(self._likelier(search, frame, sky, found, sketched))
+            clock.lap("refine")
+            if best is not None:
+                return self._given(self.outline.seen(traced, best.best.pose, clock), best)
+        return refused(view, self._refusable(found, sketched))
+
+    def _likelier(
+        self, search: LevelSearch, frame: Picture, sky: Sky, found: Found | None,
+        sketched: SketchFound | None,
+    ) -> Found | None:  # fmt: skip
+        """What grey edges found, or else a sketch; None where neither is confident."""
+        if self._confident(found):
+            return found
+        if not self._confident(sketched) or not self._agree(found, sketched):
+            return None
+        assert sketched is not None
+        # Grey edges are the finer ones, where they are seen.
+        return search.at(frame, sky, sketched.best.pose, NEAR_RAD) or sketched
+
+    def _refusable(self, found: Found | None, sketched: SketchFound | None) -> Found | None:
+        """What is the reason for no pose: the more confident of both, unless they disagree."""
+        if sketched is None or not self._agree(found, sketched):
+            return found
+        if found is None or sketched.confidence > found.confidence:
+            return sketched
+        return found
+
+    def _agree(self, found: Found | None, sketched: SketchFound | None) -> bool:
+        return sketched is not None and agree(found, sketched, self.model.symmetries)
 
     def overflows(self, pose: Pose) -> bool:
         """Whether a target there is too near for a whole view: no search near it can find one."""
         depth_m = pose.apply(self.model.centre_m)[2]
         return bool(depth_m < NEAREST_RADII * self.model.target_radius_m)
-
-    def _sketched(
-        self, search: SketchSearch, frame: Picture, sky: Sky, prior: Pose | None, error_rad: float
-    ) -> SketchFound | None:
-        """The best pose on a sketch of the frame."""
-        if prior is None:
-            choice = search.best(frame, sky)
-        else:
-            choice = search.near(frame, sky, prior, error_rad)
-        return None if choice is None else SketchFound.of(choice, dark=sky.dark)
 
     def _given(self, seen: AppearanceObservation, found: Found) -> AppearanceObservation:
         """The observation with the refined pose."""
@@ -359,8 +384,10 @@ class Recognizer:
             found=found,
         )
 
-    def _confident(self, found: Found) -> bool:
+    def _confident(self, found: Found | None) -> bool:
         """Whether a pose is given: it is likely right, and without a prior it has no rival."""
+        if found is None:
+            return False
         if found.weighed:
             close = found.posterior < LEAST_POSTERIOR
         else:

@@ -47,6 +47,9 @@ class TrackerOptions:
     # 0 … 1; a restart needs more than a pose near a prediction. Source: by hand;
     # pose-trials (0.1) sequences
     restart_confidence: float = 0.9
+    # share of the range; a restart farther off than that, or than the search reached near the
+    # prediction, waits for the next frame to confirm it. Source: a chosen limit
+    restart_range: float = 0.25
     # frames; a pose that a search confirmed is accepted so long … Source: by hand;
     # pose-trials (0.1) sequences
     confirmed_frames: int = 15
@@ -105,6 +108,7 @@ class Tracker:
         self._last_time_s = -np.inf
         self._misses = 0
         self._rivals: list[tuple[Pose, float]] = []
+        self._jump: Pose | None = None  # of the frame before, to be confirmed
         self._confirmed = (0.0, 0)  # inlier ratio in the last search, frames since
         self._expected: tuple[Pose, float] | None = None  # at the next frame, and how far off, rad
         self._joints: JointFilter | None = None  # of a target with joints, after its first pose
@@ -253,6 +257,10 @@ class Tracker:
         """Near the prediction, and everywhere after a few frames without a pose."""
         options = self.options
         prior = self.predicted(time_s)
+        if self._jump is not None:
+            confirmed = self._confirm(self._jump, time_s, image, sun_camera)
+            if confirmed is not None:
+                return confirmed
         error_rad = min(
             self.recognizer.prior_error_rad + self._misses * options.widening_rad,
             options.widest_rad,
@@ -268,11 +276,34 @@ class Tracker:
         if late and observation.pose is None and self.recognizer.search is not None:
             again = self.recognizer.recognize(image, None, None, sun_camera, time_s=time_s)
             if again.pose is not None and (again.confidence or 0.0) >= options.restart_confidence:
-                self._motion = None  # a restart: no rates from the pose before
-                return self._as_before(again, prior, time_s, image, sun_camera)
+                restarted = self._as_before(again, prior, time_s, image, sun_camera)
+                if prior is None or self._may_follow(prior, restarted, error_rad):
+                    self._motion = None  # a restart: no rates from the pose before
+                    return restarted
+                self._jump = restarted.pose
+                return _unconfirmed(restarted)
         if observation.status is Status.AMBIGUOUS and self._motion is None:
             self._rivals = [(pose, 0.0) for pose in observation.candidates]
         return observation
+
+    def _may_follow(self, prior: Pose, seen: AppearanceObservation, error_rad: float) -> bool:
+        """Whether a restart lies where the target may have moved to since the last pose."""
+        assert seen.pose is not None
+        centre_m = self.recognizer.model.centre_m
+        before_m, now_m = (float(np.linalg.norm(p.apply(centre_m))) for p in (prior, seen.pose))
+        near = abs(np.log(now_m / max(before_m, 1e-9))) <= np.log1p(self.options.restart_range)
+        return bool(near) and seen.pose.angle_to(prior) <= error_rad
+
+    def _confirm(
+        self, jump: Pose, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None
+    ) -> AppearanceObservation | None:
+        """The pose next to the one of the frame before; None where it is not there again."""
+        self._jump = None
+        seen = self.recognizer.recognize(image, jump, None, sun_camera, time_s=time_s)
+        if seen.pose is None or not self._may_follow(jump, seen, self.recognizer.prior_error_rad):
+            return None
+        self._motion = None  # a restart: no rates from the pose before
+        return seen
 
     def _as_before(
         self,
@@ -340,7 +371,7 @@ class Tracker:
             rates = rates_between(last.pose, pose, time_s - last.time_s, centre_m)
             turn_rad_s, move_m_s = rates[:3], rates[3:]
         self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s)
-        self._misses, self._rivals = 0, []
+        self._misses, self._rivals, self._jump = 0, [], None
         found = observation.found
         if found is None or isinstance(found, SketchFound):  # its inlier ratio is another
             self._confirmed = (0.0, 0)
@@ -348,3 +379,14 @@ class Tracker:
             self._confirmed = (self._confirmed[0], self._confirmed[1] + 1)
         else:
             self._confirmed = (found.best.inlier_ratio, 0)
+
+
+def _unconfirmed(seen: AppearanceObservation) -> AppearanceObservation:
+    return replace(
+        seen,
+        status=Status.AMBIGUOUS,
+        reason="the pose found is far from where the target was lost; the next frame decides",
+        pose=None,
+        covariance=None,
+        joints=None,
+    )

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
+from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.edges.refinement import Refined
 from rendezview.sensors.appearance.judge.confidence import Found
 from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.observation import CLOSE_MARGIN, AppearanceObservation
 from rendezview.sensors.observation import Status
+
+F = TypeVar("F", bound=Found)
 
 # Of the outline: it was whole, and refinement says why there is no pose.
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
@@ -18,30 +25,39 @@ _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
 NEAR_RAD = np.deg2rad(8.0)
 # Of a pose among its look-alikes. Source: docs/notes/rivals.md
 LEAST_POSTERIOR = 0.9
-# Share of the craft that its picture may leave unexplained, to contradict a sketch. Source:
-# docs/notes/rivals.md: half of the Mitsuba frames have less, a sixth of the photographs
-_MOST_UNEXPLAINED = 0.2
-_SURE = 0.9  # confidence of grey edges. Source: docs/notes/rivals.md
+_SIGMAS = 3.0  # of a pose beyond the error of its prior. Source: normal distribution, 99.7 %
 # Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
 # tells how far. Source: by construction
 _MOST_SIGMA = 0.5
 
 
-def agree(weighed: Found | None, other: Found) -> bool:
-    """Whether another pose is the likeliest beside its look-alikes, if their pictures tell."""
-    if weighed is None or not tells(weighed):
+def agree(weighed: Found | None, other: Found, symmetries: Sequence[Symmetry]) -> bool:
+    """Whether another pose is likely enough beside its look-alikes, if they were weighed."""
+    if weighed is None or not weighed.weighed:
         return True
-    apart = weighed.best.pose.angle_to(other.best.pose)
-    return weighed.posterior >= LEAST_POSTERIOR and apart < NEAR_RAD
+    pose = other.best.pose
+
+    def near(one: Pose | None) -> bool:
+        return one is not None and angle_between(one, pose, symmetries) < NEAR_RAD
+
+    same = (w.probability for w in weighed.weighed if near(w.pose) or near(w.on_sketch))
+    return sum(same) >= LEAST_POSTERIOR
 
 
-def tells(found: Found) -> bool:
-    """Whether drawn pictures explain the frame, or its grey edges are sure.
+@dataclass(frozen=True, slots=True, eq=False)
+class Near:
+    """A prior, and how far off its attitude may be."""
 
-    Of foil and black paint often none does.
-    """
-    explained = len(found.weighed) > 0 and found.weighed[0].share < _MOST_UNEXPLAINED
-    return explained or (len(found.weighed) > 1 and found.confidence >= _SURE)
+    prior: Pose  # camera_from_target
+    error_rad: float
+
+    def bounds(self, found: F | None) -> F | None:
+        """What was found, unless it is farther off than the error and three σ of the pose."""
+        if found is None:
+            return None
+        sigma_rad = math.sqrt(float(np.linalg.eigvalsh(found.best.covariance[:3, :3])[-1]))
+        apart = found.best.pose.angle_to(self.prior)
+        return found if apart <= self.error_rad + _SIGMAS * sigma_rad else None
 
 
 def is_known(refined: Refined) -> bool:

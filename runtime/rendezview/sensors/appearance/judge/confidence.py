@@ -6,18 +6,27 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.refinement import Refined, Refiner
-from rendezview.sensors.appearance.judge.rivals import Rivals, Weighed
+from rendezview.sensors.appearance.judge.rivals import (
+    MERIT_WEIGHT,
+    Rivals,
+    Weighed,
+    edge_scores,
+)
 from rendezview.sensors.appearance.judge.shading import Shade, Shading
+from rendezview.sensors.appearance.judge.sketch_choice import Aligned, SketchPose
 from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
 from rendezview.sensors.appearance.sky import Sky
+
+Indices = npt.NDArray[np.intp]
 
 # Weights of the merit, beside an inlier ratio of weight 1.
 # Of mean radii of the silhouette. Source: by hand, seeds of docs/notes/refinement.md
@@ -187,40 +196,77 @@ class Candidates:
             error_model=self.refiner.error_model,
         )
 
-    def weighed(self, rivals: Rivals) -> Found | None:
-        """The likeliest pose beside its rivals, by drawn evidence; None without any pose."""
+    def weighed(self, rivals: Rivals, on_sketch: Aligned | None = None) -> Found | None:
+        """The likeliest pose beside its rivals, by drawn evidence; None without any pose.
+
+        ``on_sketch``: of the sketch, where one was drawn of the frame. Poses that it leads to the
+        same pose are one answer.
+        """
         found = self.choose()
         if found is None:
             return None
-        symmetries = self.refiner.model.symmetries
-        merits = {id(c): merit(c.refined, c.overshoot, c.shading) for c in self._all}
-        least = found.merit - _IN_DOUBT
-        apart: list[_Candidate] = []
-        for c in sorted(self._all, key=lambda c: -merits[id(c)]):
-            pose = c.refined.pose
-            if merits[id(c)] >= least and all(
-                angle_between(pose, other.refined.pose, symmetries) > _RIVAL_RAD for other in apart
-            ):
-                apart.append(c)
-        apart = apart[:_MOST_RIVALS]
+        merits = [merit(c.refined, c.overshoot, c.shading) for c in self._all]
+        apart = self._apart(merits, found.merit - _IN_DOUBT if on_sketch is None else -np.inf)
+        asked = [self._all[k] for k in apart]
+        sketch = None if on_sketch is None else on_sketch([c.refined.pose for c in asked])
+        edges = edge_scores(
+            np.array([merits[k] for k in apart]),
+            None
+            if sketch is None
+            else np.array([np.nan if s is None else s.merit for s in sketch]),
+        )
+        order = np.argsort(-edges, kind="stable")
+        order = order[edges[order] >= edges.max() - MERIT_WEIGHT * _IN_DOUBT]
+        if sketch is not None:
+            order = self._one_each(order, sketch)
+        order = order[:_MOST_RIVALS]
         weighed = rivals.weigh(
-            self.image, self.sky, [c.refined.pose for c in apart], [merits[id(c)] for c in apart],
-            [_sun_of(c) for c in apart],
+            self.image, self.sky, [asked[k].refined.pose for k in order], edges[order],
+            [_sun_of(asked[k]) for k in order],
+            None if sketch is None else [sketch[k] for k in order],
         )  # fmt: skip
         if not weighed:
             return found
-        best = next(c for c in apart if c.refined.pose is weighed[0].pose)
-        j = self._rival(best, [merits[id(c)] for c in self._all])
+        k = next(k for k, c in enumerate(self._all) if c.refined.pose is weighed[0].pose)
+        best = self._all[k]
+        j = self._rival(best, merits)
         return replace(
             found,
             best=best.refined,
             overshoot=best.overshoot,
-            margin=1.0 if j is None else merits[id(best)] - merits[id(self._all[j])],
+            margin=1.0 if j is None else merits[k] - merits[j],
             rival=None if j is None else self._all[j].refined,
             shading=best.shading,
             votes=self._votes(best.refined),
             weighed=tuple(weighed),
         )
+
+    def _one_each(self, order: Indices, sketch: list[SketchPose | None]) -> Indices:
+        """Of the poses that a sketch leads to the same pose the first."""
+        symmetries = self.refiner.model.symmetries
+        kept: list[int] = []
+        for k in order:
+            pose = sketch[k]
+            others = (sketch[j] for j in kept)
+            if pose is None or all(
+                o is None or angle_between(o.pose, pose.pose, symmetries) > _RIVAL_RAD
+                for o in others
+            ):
+                kept.append(int(k))
+        return np.array(kept)
+
+    def _apart(self, merits: list[float], least: float) -> list[int]:
+        """Of the poses of one answer the one of most merit, in the order of merit."""
+        symmetries = self.refiner.model.symmetries
+        apart: list[int] = []
+        for k in np.argsort(-np.array(merits), kind="stable"):
+            pose = self._all[k].refined.pose
+            if merits[k] >= least and all(
+                angle_between(pose, self._all[j].refined.pose, symmetries) > _RIVAL_RAD
+                for j in apart
+            ):
+                apart.append(int(k))
+        return apart
 
     def _rival(self, best: _Candidate, merits: list[float]) -> int | None:
         """The pose of most merit that is another answer than the best."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
@@ -58,6 +58,10 @@ class SketchPose:
         return float(self.features @ packaged().merit)
 
 
+# Where a sketch leads poses (N) to, with what agrees there; None: no hold.
+Aligned = Callable[[Sequence[Pose]], list[SketchPose | None]]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Passes:
     """The poses of one frame that were aligned, in the order in which they were found."""
@@ -109,6 +113,7 @@ class SketchChoice:
     agree: bool = False  # … whether both are the same answer
     covariance: Array | None = None  # (6, 6) rotation vector, translation; camera frame, left
     residual_px: float = float("nan")  # root mean square over the edges found
+    aligned: Aligned | None = None  # other poses on the finer sketch
 
     @property
     def margin(self) -> float:

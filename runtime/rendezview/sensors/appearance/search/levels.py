@@ -8,6 +8,7 @@ that is found is refined once more in a finer picture.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -20,6 +21,7 @@ from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.judge.confidence import Found
 from rendezview.sensors.appearance.judge.rivals import Rivals
 from rendezview.sensors.appearance.judge.shading import Shading
+from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.search.search import PoseSearch
@@ -70,6 +72,8 @@ class LevelSearch:
         brief: bool = False,
         give_up: float = 0.0,
         again: bool = False,
+        also: Sequence[Pose] = (),
+        sketched: SketchFound | None = None,
     ) -> Found | None:
         """``PoseSearch.anywhere``; the outlines tell the size of the target."""
         area_sr = float(np.median([body.signature.area_sr for body in bodies]))
@@ -79,8 +83,9 @@ class LevelSearch:
         if times > 1:
             bodies = [Outlines([r[::times].copy() for r in b.rays], b.signature) for b in bodies]
         found = search.anywhere(
-            picture, its_sky, bodies, sun_camera, brief=brief, give_up=give_up, again=again
-        )
+            picture, its_sky, bodies, sun_camera, brief=brief, give_up=give_up, again=again,
+            also=also, sketched=sketched,
+        )  # fmt: skip
         return self._finished(found, image, sky)
 
     def at(
@@ -98,11 +103,13 @@ class LevelSearch:
 
     def proposed(
         self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
-        half_turns: bool = True,
+        half_turns: bool = True, sketched: SketchFound | None = None,
     ) -> Found | None:  # fmt: skip
         """``PoseSearch.proposed``; the first proposal tells the size of the target."""
         level = self._near(image, sky, proposals[0])
-        found = level[0].proposed(*level[1:], proposals, bodies, half_turns=half_turns)
+        found = level[0].proposed(
+            *level[1:], proposals, bodies, half_turns=half_turns, sketched=sketched
+        )
         return self._finished(found, image, sky)
 
     def near(

@@ -8,6 +8,7 @@ regression gives the confidence of the best (``confidence``).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,11 +24,13 @@ from rendezview.sensors.appearance.edges.refinement import (
 from rendezview.sensors.appearance.judge.confidence import Candidates, Found
 from rendezview.sensors.appearance.judge.rivals import Rivals
 from rendezview.sensors.appearance.judge.shading import Shading
+from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
 from rendezview.sensors.appearance.search.starts import (
+    furthest_rad,
     half_turns,
     rotated_about,
     rotated_about_axes,
@@ -132,6 +135,8 @@ class PoseSearch:
         brief: bool = False,
         give_up: float = 0.0,
         again: bool = False,
+        also: Sequence[Pose] = (),
+        sketched: SketchFound | None = None,
     ) -> Found | None:
         """The pose without a prior, from one or several readings of the outline.
 
@@ -139,6 +144,8 @@ class PoseSearch:
             brief: of the likeliest starts only, confident or not.
             give_up: confidence that the likeliest starts must reach, else no others are tried.
             again: after giving up: all starts at once, thoroughly, and one look around the best.
+            also: poses that something else proposes.
+            sketched: what a sketch shows; it is weighed, too.
         """
         least = worth = 0.0
         if again or give_up > 0.0:  # beside a sketch, which is better at what is hard here
@@ -150,6 +157,7 @@ class PoseSearch:
             for body in bodies
         ]
         candidates = self._candidates(image, sky, bodies, self.forest_scores)
+        candidates.add(self._refined(image, sky, also))
         if self.forest_scores is not None and len(bodies) == 1 and not again:
             agreed = self._agreed(image, sky, candidates, bodies[0], *starts[0], least)
             if agreed is not None:
@@ -183,11 +191,12 @@ class PoseSearch:
                 return self._beside_look_alikes(image, sky, candidates, found)
         rounds = 1 if again else _ROUNDS
         found = self._around_best_two(image, sky, candidates, found, turned, rounds)
-        return self._beside_look_alikes(image, sky, candidates, found)
+        return self._beside_look_alikes(image, sky, candidates, found, sketched)
 
     def _beside_look_alikes(
-        self, image: Picture, sky: Sky, candidates: Candidates, found: Found | None
-    ) -> Found | None:
+        self, image: Picture, sky: Sky, candidates: Candidates, found: Found | None,
+        sketched: SketchFound | None = None,
+    ) -> Found | None:  # fmt: skip
         """The likeliest pose after each look-alike of the best has had one alignment."""
         if self.rivals is None or found is None:
             return found
@@ -201,7 +210,10 @@ class PoseSearch:
             refined = [self.refiner.refine(image, sky, pose, least=worth) for pose in others]
             candidates.add([r for r in refined if r is not None])
             found = candidates.choose()
-        return candidates.weighed(self.rivals)
+        if sketched is None:
+            return candidates.weighed(self.rivals)
+        candidates.add([sketched.without_grey_edges])
+        return candidates.weighed(self.rivals, sketched.aligned)
 
     def _voted(self, body: Outlines, rotations: Array, centres: Array) -> tuple[Array, Array]:
         """Starting poses in the order of similarity and votes together, likeliest first."""
@@ -283,7 +295,7 @@ class PoseSearch:
         refined = self.refiner.refine(image, sky, prior)
         if refined is None or refined.inlier_ratio < min(sufficient_inlier_ratio, usual):
             return None
-        if refined.pose.angle_to(prior) > _furthest_rad(error_rad):
+        if refined.pose.angle_to(prior) > furthest_rad(error_rad):
             return None
         single = self._candidates(image, sky, [], prior=True)
         single.add([refined])
@@ -297,22 +309,22 @@ class PoseSearch:
 
     def proposed(
         self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
-        half_turns: bool = True,
+        half_turns: bool = True, sketched: SketchFound | None = None,
     ) -> Found | None:  # fmt: skip
         """The best of some poses that another estimator proposes, and of half turns of it.
 
         Args:
             proposals: right to a few degrees, or another answer.
             half_turns: ``False`` where the second estimator has ruled them out.
+            sketched: what a sketch shows; it is weighed, too.
         """
         candidates = self._candidates(image, sky, bodies, self.forest_scores)
-        refined = [self.refiner.refine(image, sky, pose) for pose in proposals]
-        candidates.add([r for r in refined if r is not None])
+        candidates.add(self._refined(image, sky, proposals))
         if half_turns:
             best = candidates.most_inliers
             pose = proposals[0] if best is None else best.pose
             candidates.add(self._half_turned(image, sky, pose))
-        return self._beside_look_alikes(image, sky, candidates, candidates.choose())
+        return self._beside_look_alikes(image, sky, candidates, candidates.choose(), sketched)
 
     def near(
         self,
@@ -363,6 +375,10 @@ class PoseSearch:
         found.append(self.refiner.refine(image, sky, prior))
         return [refined for refined in found if refined is not None]
 
+    def _refined(self, image: Picture, sky: Sky, poses: Sequence[Pose]) -> list[Refined]:
+        each = [self.refiner.refine(image, sky, pose) for pose in poses]
+        return [refined for refined in each if refined is not None]
+
     def _half_turned(self, image: Picture, sky: Sky, pose: Pose) -> list[Refined]:
         """Poses from half turns of one: many craft look nearly the same from behind or below.
 
@@ -377,9 +393,4 @@ class PoseSearch:
 
 
 def _within(refined: list[Refined], prior: Pose, error_rad: float) -> list[Refined]:
-    return [r for r in refined if r.pose.angle_to(prior) < _furthest_rad(error_rad)]
-
-
-def _furthest_rad(error_rad: float) -> float:
-    """How far from a prior a pose may be: the error of the prior and a tenth, and a degree."""
-    return float(1.1 * error_rad + np.deg2rad(1.0))
+    return [r for r in refined if r.pose.angle_to(prior) < furthest_rad(error_rad)]

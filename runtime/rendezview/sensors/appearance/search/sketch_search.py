@@ -9,8 +9,10 @@ A forest gives the probability that the best of them is right (``choice``).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -46,7 +48,7 @@ from rendezview.sensors.appearance.model.sketches import COVER, CREASE, EDGE, Fl
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
 from rendezview.sensors.appearance.search.by_sketch import SketchRetrieval
-from rendezview.sensors.appearance.search.starts import rotated_about
+from rendezview.sensors.appearance.search.starts import furthest_rad, rotated_about
 from rendezview.sensors.appearance.sky import Sky
 
 # Stages of alignment: reach and spread (sketch px), steps, stride, weight of inner edges. A third
@@ -137,7 +139,7 @@ class SketchSearch:
         rotations, centres = self.retrieval.starts(sketch, _RETRIEVED)
         reading = self.read(sketch, sky)
         poses = self.aligned(reading, rotations, centres)
-        return self._closer(frame, sky, reading, poses, prior=False, turned=turned)
+        return self._closer(frame, sky, reading, poses, None, turned=turned)
 
     def near(self, frame: Picture, sky: Sky, prior: Pose, error_rad: float) -> SketchChoice | None:
         """The best pose within some angle of a prior; None where there is none."""
@@ -151,10 +153,8 @@ class SketchSearch:
         rotations = np.concatenate([around, around, alike])
         centres = np.concatenate([stay, self.retrieval.placed(sketch, around), places])
         reading = self.read(sketch, sky)
-        poses = self.aligned(reading, rotations, centres)
-        furthest = 1.1 * error_rad + _VIEW_RAD
-        within = [p for p in poses if p.pose.angle_to(prior) < furthest]
-        return self._closer(frame, sky, reading, within, prior=True, turned=False)
+        poses = _within(self.aligned(reading, rotations, centres), prior, error_rad + _VIEW_RAD)
+        return self._closer(frame, sky, reading, poses, (prior, error_rad), turned=False)
 
     def with_tables(self, model: ViewModel, views: ViewTables, camera: Camera) -> SketchSearch:
         """The same search for the model with its contour points moved, and a camera alike."""
@@ -201,6 +201,16 @@ class SketchSearch:
             _maps(sketch), sketch.grey, lens, _last(sketch), lines, lines_lens, sky.vector
         )
 
+    def _each_aligned(self, reading: Reading, poses: Sequence[Pose]) -> list[SketchPose | None]:
+        """Where the closer pass leads each pose to; None: no hold."""
+        each = (
+            self._aligned(
+                reading, p.rotation[None].copy(), p.apply(self.model.centre_m)[None], _FINE
+            )
+            for p in poses
+        )
+        return [found[0] if found else None for found in each]
+
     def _aligned(
         self, reading: Reading, rotations: Array, centres: Array, stages: Array
     ) -> list[SketchPose]:
@@ -222,8 +232,8 @@ class SketchSearch:
         return found
 
     def _closer(
-        self, frame: Picture, sky: Sky, first: Reading, poses: list[SketchPose], *, prior: bool,
-        turned: bool,
+        self, frame: Picture, sky: Sky, first: Reading, poses: list[SketchPose],
+        prior: tuple[Pose, float] | None, *, turned: bool,
     ) -> SketchChoice | None:  # fmt: skip
         """The best of some poses of a first sketch after a closer pass at the target."""
         best = distinct(poses, _LOOKED_AT, _APART_RAD)
@@ -237,12 +247,18 @@ class SketchSearch:
         around = self._aligned(reading, starts, places, _FINE)
         starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
         places = np.array([b.pose.apply(centre_m) for b in best[1:]]).reshape(-1, 3)
-        passes = Passes(poses, around, self._aligned(reading, starts, places, _FINE))
-        choice = chosen(passes, self.model.symmetries, prior=prior, cut=sketch.is_cut)
+        others = self._aligned(reading, starts, places, _FINE)
+        if prior is not None:
+            around, others = (_within(found, *prior) for found in (around, others))
+        passes, near = Passes(poses, around, others), prior is not None
+        choice = chosen(passes, self.model.symmetries, prior=near, cut=sketch.is_cut)
         if choice is None:
             return None
         pose, spread_deg, scatter = self._mean(choice.best.pose, [first, reading])
-        choice = replace(choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows)
+        choice = replace(
+            choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows,
+            aligned=partial(self._each_aligned, reading),
+        )  # fmt: skip
         covariance, strained, residual_px = pose_covariance(
             reading.maps, reading.lens, self._views, reading.last[-1], pose.rotation.copy(),
             pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
@@ -300,6 +316,10 @@ class SketchSearch:
             return -1.0, -1.0, -1.0, -1.0  # nothing of it is ahead: outside the frame
         left, top, right, bottom = (float(v) for v in (*px.min(0), *px.max(0)))
         return left, top, right, bottom
+
+
+def _within(poses: list[SketchPose], prior: Pose, error_rad: float) -> list[SketchPose]:
+    return [p for p in poses if p.pose.angle_to(prior) < furthest_rad(error_rad)]
 
 
 def _last(sketch: Sketch) -> Array:

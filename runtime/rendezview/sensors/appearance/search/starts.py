@@ -63,3 +63,8 @@ def second_moments(points: npt.NDArray[np.int16], kinds: npt.NDArray[np.uint8]) 
                 for j in range(3):
                     moments[i, j] += float(points[k, i]) * float(points[k, j])
     return moments
+
+
+def furthest_rad(error_rad: float) -> float:
+    """How far from a prior a pose may be: the error of the prior and a tenth, and a degree."""
+    return float(1.1 * error_rad + np.deg2rad(1.0))
