@@ -138,6 +138,24 @@ def test_a_lens_is_taken_out_of_the_window(model: ViewModel) -> None:
         assert window.levels[row, column] == pytest.approx(0.5 * u, abs=1.0)
 
 
+@pytest.mark.parametrize("range_m", [6.0, 2.6, 1.4])
+def test_a_window_shows_the_frame_where_its_camera_has_it(model: ViewModel, range_m: float) -> None:
+    """A blurred spot between pixels, in windows of one to four times fewer of them."""
+    u, v, sigma = 171.3, 149.6, 4.0
+    rows, columns = np.mgrid[:320, :320]
+    blob = 200.0 * np.exp(-0.5 * ((columns - u) ** 2 + (rows - v) ** 2) / sigma**2)
+    frame = np.rint(blob).astype(np.uint8)
+    evidence = DrawnEvidence(model.shape, model, CAMERA)
+    pose = Pose(SIDE.rotation, np.array([0.02, -0.03, range_m]))
+    window = evidence.window(frame, Sky(0.0, 1.0, dark=True), pose)
+    at_row, at_column = np.mgrid[: window.levels.shape[0], : window.levels.shape[1]]
+    total = window.levels.sum()
+    x = ((at_column * window.levels).sum() / total - window.cx) / window.fx
+    y = ((at_row * window.levels).sum() / total - window.cy) / window.fy
+    assert x * CAMERA.fx + CAMERA.cx == pytest.approx(u, abs=0.1)
+    assert y * CAMERA.fy + CAMERA.cy == pytest.approx(v, abs=0.1)
+
+
 def test_from_afar_look_alikes_have_the_outline_of_the_pose(model: ViewModel) -> None:
     camera = Camera.from_fov(320, 320, np.deg2rad(3.0))
     side = Pose(SIDE.rotation, np.array([0.3, -0.2, 80.0]))
