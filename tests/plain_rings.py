@@ -17,6 +17,16 @@ FINE = 3
 _NEAR_M = 1e-4  # a shadow ray starts so far off its surface
 
 
+def _across(
+    height_m: float, aside_m: tuple[float, float], origin: np.ndarray, way: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distances (N,) to a plane across the axis, and places x, y (N,) from a part's middle."""
+    far = (height_m - origin[:, 2]) / way[:, 2]
+    x = origin[:, 0] + far * way[:, 0] - aside_m[0]
+    y = origin[:, 1] + far * way[:, 1] - aside_m[1]
+    return far, x, y
+
+
 @dataclass(frozen=True)
 class Annulus:
     """A flat ring of a plane across the axis; ``inner_m`` 0: a disc."""
@@ -29,9 +39,7 @@ class Annulus:
 
     def meet(self, origin: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances (N,), inf for none, and normals (N, 3)."""
-        far = (self.height_m - origin[:, 2]) / way[:, 2]
-        x = origin[:, 0] + far * way[:, 0] - self.aside_m[0]
-        y = origin[:, 1] + far * way[:, 1] - self.aside_m[1]
+        far, x, y = _across(self.height_m, self.aside_m, origin, way)
         off2 = x * x + y * y
         good = (off2 >= self.inner_m**2) & (off2 <= self.outer_m**2) & (far > _NEAR_M)
         return np.where(good, far, np.inf), np.broadcast_to([0.0, 0.0, 1.0], way.shape)
@@ -48,9 +56,7 @@ class Rectangle:
 
     def meet(self, origin: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances (N,), inf for none, and normals (N, 3)."""
-        far = (self.height_m - origin[:, 2]) / way[:, 2]
-        x = origin[:, 0] + far * way[:, 0] - self.aside_m[0]
-        y = origin[:, 1] + far * way[:, 1] - self.aside_m[1]
+        far, x, y = _across(self.height_m, self.aside_m, origin, way)
         good = (np.abs(x) <= self.half_m[0]) & (np.abs(y) <= self.half_m[1]) & (far > _NEAR_M)
         return np.where(good, far, np.inf), np.broadcast_to([0.0, 0.0, 1.0], way.shape)
 

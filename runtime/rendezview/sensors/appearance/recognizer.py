@@ -346,22 +346,20 @@ class Recognizer:
         """What grey edges found, or else a sketch; None where neither is confident."""
         if self._confident(found):
             return found
-        if not self._confident(sketched) or not self._agree(found, sketched):
+        if sketched is None or not self._confident(sketched):
             return None
-        assert sketched is not None
+        if not agree(found, sketched, self.model.symmetries):
+            return None
         # Grey edges are the finer ones, where they are seen.
         return search.at(frame, sky, sketched.best.pose, NEAR_RAD) or sketched
 
     def _refusable(self, found: Found | None, sketched: SketchFound | None) -> Found | None:
         """What is the reason for no pose: the more confident of both, unless they disagree."""
-        if sketched is None or not self._agree(found, sketched):
+        if sketched is None or not agree(found, sketched, self.model.symmetries):
             return found
         if found is None or sketched.confidence > found.confidence:
             return sketched
         return found
-
-    def _agree(self, found: Found | None, sketched: SketchFound | None) -> bool:
-        return sketched is not None and agree(found, sketched, self.model.symmetries)
 
     def overflows(self, pose: Pose) -> bool:
         """Whether a target there is too near for a whole view: no search near it can find one."""

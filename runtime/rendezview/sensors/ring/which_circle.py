@@ -73,6 +73,11 @@ class Knowledge:
     range_sigma_m: float = 0.0
     memory: Memory | None = None
 
+    @property
+    def every_circle(self) -> list[tuple[int, tuple[float, float]]]:
+        """Index, height and radius of the ring and of the known circles."""
+        return [(RING, (0.0, self.radius_m)), *enumerate(self.circles)]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Which:
@@ -99,6 +104,11 @@ class _Proposed:
     centre_m: Array  # (N, 3) of the ring
     axis: Array  # (N, 3)
 
+    @property
+    def range_m(self) -> Array:
+        """(N,) of the ring."""
+        return np.asarray(np.linalg.norm(self.centre_m, axis=1))
+
 
 def which_circle(
     camera: Camera, edges: Sequence[RingEdge], known: Knowledge, possible: Bools | None = None
@@ -111,9 +121,8 @@ def which_circle(
         known: what is known of the ring.
         possible: (K,) edges that may be the ring, by their place; None: all.
     """
-    found = _propose(camera, edges, known.radius_m, known.circles, possible)
-    ranges = np.linalg.norm(found.centre_m, axis=1)
-    if len(ranges) == 0:
+    found = _propose(camera, edges, known, possible)
+    if len(found.edge) == 0:
         return Which(None, (), "no ellipse is a circle's picture")
     if known.range_m is None and known.memory is None and not known.circles:
         return _by_score(camera, edges, known.radius_m)
@@ -125,7 +134,7 @@ def which_circle(
     if known.range_m is not None:
         given = math.hypot(known.range_sigma_m / known.range_m, _RANGE_FLOOR)
         spread = np.hypot(given, own)
-        off = (ranges / known.range_m - 1.0) / spread
+        off = (found.range_m / known.range_m - 1.0) / spread
         if not (np.abs(off) < _FARTHEST_SIGMAS).any():
             return Which(None, (), "no ellipse as large as the ring should be at that range")
         cost += np.where(np.abs(off) < _FARTHEST_SIGMAS, odds_cost(off**2, spread), np.inf)
@@ -138,9 +147,8 @@ def which_circle(
 
 
 def _propose(
-    camera: Camera, edges: Sequence[RingEdge], radius_m: float,
-    circles: Sequence[tuple[float, float]], possible: Bools | None,
-) -> _Proposed:  # fmt: skip
+    camera: Camera, edges: Sequence[RingEdge], known: Knowledge, possible: Bools | None
+) -> _Proposed:
     """Every possible ellipse as every circle, with both poses."""
     rows: list[tuple[int, int]] = []
     places, ways = [], []
@@ -151,7 +159,7 @@ def _propose(
             continue
         if circles_of_picture(lens, edge.ellipse.shape, 1.0, centres, axes) == 0:
             continue
-        for j, (height_m, circle_m) in ((RING, (0.0, radius_m)), *enumerate(circles)):
+        for j, (height_m, circle_m) in known.every_circle:
             rows += [(k, j), (k, j)]
             places.append(circle_m * centres - height_m * axes)
             ways.append(axes.copy())
@@ -173,12 +181,12 @@ def _cost_of_known(
     if not known.circles:
         return cost
     shapes = np.array([edge.ellipse.shape for edge in edges])
-    for j, (height_m, circle_m) in ((RING, (0.0, known.radius_m)), *enumerate(known.circles)):
+    for j, (height_m, circle_m) in known.every_circle:
         expected = shapes_of_circles(
             camera, found.centre_m + height_m * found.axis, found.axis, circle_m
         )
-        size = 0.5 * (expected[:, 2] + expected[:, 4])
-        limit = _KNOWN_SHARE * size + _KNOWN_PX
+        size = _size_px(expected)
+        limit = _limit_px(size)
         miss = np.abs(expected[:, None, :] - shapes).max(axis=2) / limit[:, None]
         miss[np.arange(len(cost)), found.edge] = np.inf  # an ellipse is one circle
         # A chance ellipse has any size: so often it lies within the limit.
@@ -205,10 +213,9 @@ def _decided(
     best = int(order[0])
     twin = best ^ 1  # the other pose of the same circle
     place, axis = found.centre_m[best], found.axis[best]
-    ranges = np.linalg.norm(found.centre_m, axis=1)
+    ranges = found.range_m
     expected = {
-        j: shape_of_circle(camera, place + h * axis, axis, r)
-        for j, (h, r) in ((RING, (0.0, known.radius_m)), *enumerate(known.circles))
+        j: shape_of_circle(camera, place + h * axis, axis, r) for j, (h, r) in known.every_circle
     }
     rivals: list[tuple[int, int]] = []
     named = [best]
@@ -251,8 +258,17 @@ def _miss(expected: Array | None, shape: Array) -> float:
     """How far an ellipse is from where a circle should be; 1 is the limit."""
     if expected is None:
         return math.inf
-    size = float(0.5 * (expected[2] + expected[4]))
-    return float(np.abs(shape - expected).max()) / (_KNOWN_SHARE * size + _KNOWN_PX)
+    return float(np.abs(shape - expected).max() / _limit_px(_size_px(expected)))
+
+
+def _size_px(shapes: Array) -> Array:
+    """(…) mean semi-axis of ellipses (…, 5)."""
+    return np.asarray(0.5 * (shapes[..., 2] + shapes[..., 4]))
+
+
+def _limit_px(size_px: Array) -> Array:
+    """(…) how far a known circle's picture may lie from its ellipse."""
+    return np.asarray(_KNOWN_SHARE * size_px + _KNOWN_PX)
 
 
 def _size_sigma(edge: RingEdge) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import angle_between
+from rendezview.geometry.symmetry import angle_between, first_of_each
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.refinement import Refined, Refiner
 from rendezview.sensors.appearance.judge.rivals import (
@@ -243,30 +243,17 @@ class Candidates:
 
     def _one_each(self, order: Indices, sketch: list[SketchPose | None]) -> Indices:
         """Of the poses that a sketch leads to the same pose the first."""
+        led = [(int(k), one.pose) for k in order if (one := sketch[k]) is not None]
         symmetries = self.refiner.model.symmetries
-        kept: list[int] = []
-        for k in order:
-            pose = sketch[k]
-            others = (sketch[j] for j in kept)
-            if pose is None or all(
-                o is None or angle_between(o.pose, pose.pose, symmetries) > _RIVAL_RAD
-                for o in others
-            ):
-                kept.append(int(k))
-        return np.array(kept)
+        firsts = first_of_each((pose for _, pose in led), _RIVAL_RAD, symmetries)
+        kept = {led[i][0] for i in firsts}
+        return np.array([k for k in order if sketch[k] is None or int(k) in kept])
 
     def _apart(self, merits: list[float], least: float) -> list[int]:
         """Of the poses of one answer the one of most merit, in the order of merit."""
-        symmetries = self.refiner.model.symmetries
-        apart: list[int] = []
-        for k in np.argsort(-np.array(merits), kind="stable"):
-            pose = self._all[k].refined.pose
-            if merits[k] >= least and all(
-                angle_between(pose, self._all[j].refined.pose, symmetries) > _RIVAL_RAD
-                for j in apart
-            ):
-                apart.append(int(k))
-        return apart
+        order = [int(k) for k in np.argsort(-np.array(merits), kind="stable") if merits[k] >= least]
+        poses = (self._all[k].refined.pose for k in order)
+        return [order[i] for i in first_of_each(poses, _RIVAL_RAD, self.refiner.model.symmetries)]
 
     def _rival(self, best: _Candidate, merits: list[float]) -> int | None:
         """The pose of most merit that is another answer than the best."""
