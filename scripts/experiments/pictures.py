@@ -135,9 +135,12 @@ def curve(range_m: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return middles, np.array([np.median(error[inside[k]]) for k in full])
 
 
-def fusion(runs: Path) -> None:
+def fusion(runs: Path, model: Path) -> None:
     """Errors of sensors and filter over the range, of the runs of fusion-approach."""
-    rows = [sample for run in sorted(runs.iterdir()) for sample in fly(load_run(run)).samples]
+    views = ViewModel.load(model)
+    rows = [
+        sample for run in sorted(runs.iterdir()) for sample in fly(load_run(run, views)).samples
+    ]
     range_m = np.array([row.range_m for row in rows])
     found = [row.single | {"fused": row.fused} for row in rows]
     figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.8), constrained_layout=True)

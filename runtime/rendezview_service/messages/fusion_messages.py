@@ -98,13 +98,13 @@ class FusionRequest(Message):
     """Data on a session's sensors; every key is optional."""
 
     ring: RingMessage | None = Field(
-        default=None, description="for the ring sensor, ring logs, and ranges without surfaces"
+        default=None, description="for the ring sensor and ring logs"
     )
     reflectors: Annotated[list[ReflectorMessage], Field(max_length=MOST_REFLECTORS)] = Field(
         default=[], description="of the target, for the reflector sensor"
     )
     surfaces: Annotated[list[SurfaceMessage], Field(max_length=32)] = Field(
-        default=[], description="that a ranger's beam may hit, in order"
+        default=[], description="that a ranger's beam may hit, in order; default: the model's mesh"
     )
     mounts: Annotated[dict[Name, PoseMessage], Field(max_length=32)] = Field(
         default={}, description="sensor_from_camera by sensor; default: at the camera"

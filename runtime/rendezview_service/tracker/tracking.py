@@ -134,7 +134,7 @@ class SessionTracker:
         self._sensors = FrameSensors(request, self.camera)
         fuses = request.sensors is not None and bool(request.sensors.fusion)
         self.filter = SessionFilter(
-            request.fusion, most_sensors, forgotten, self._sensors.names, fuses
+            request.fusion, most_sensors, forgotten, self._sensors.names, fuses, model.beam_mesh()
         )
         if handover is not None:
             self.filter.resume(handover)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -22,10 +23,11 @@ from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.forest import ForestScores, ScoreForest
 from rendezview.sensors.appearance.model.near_views import NearSphere
 from rendezview.sensors.appearance.model.shadowed_silhouettes import ShadowedSilhouettes
-from rendezview.sensors.appearance.model.shape import Shape
+from rendezview.sensors.appearance.model.shape import SHAPE_RELIEF, Shape
 from rendezview.sensors.appearance.model.sketches import ViewSketches
 from rendezview.sensors.appearance.model.surface import Surface
 from rendezview.sensors.appearance.model.trees import Forest
+from rendezview.sensors.beam import BeamMesh
 
 _Part = TypeVar("_Part")
 
@@ -146,6 +148,13 @@ class ViewModel:
     def bins(self) -> int:
         """Number of readings in a signature."""
         return int(self.views.readings.shape[1])
+
+    def beam_mesh(self) -> BeamMesh | None:
+        """The shape in the target frame, for a ranger's beam; None: trained without, or jointed."""
+        if self.shape is None or self.joints:
+            return None
+        relief_m = self.target_radius_m * math.hypot(SHAPE_RELIEF, self.shape_error)
+        return BeamMesh(self.shape.vertices_m + self.centre_m, self.shape.faces, relief_m)
 
     @property
     def geodesic(self) -> Geodesic:
