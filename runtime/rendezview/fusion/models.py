@@ -53,6 +53,11 @@ class Forecast:
     log_prior: float = 0.0
     other_edge: bool = False
 
+    @property
+    def sigmas(self) -> Array:
+        """(k,) σ of the reading."""
+        return np.asarray(np.sqrt((self.root**2).sum(axis=1)))
+
 
 def forecasts(
     state: FilterState, measurement: Measurement, options: FusionOptions

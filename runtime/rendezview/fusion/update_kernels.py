@@ -50,6 +50,26 @@ def with_bias(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def renewed(deviations: Array, covariances: Array, start: int, kept: Array) -> tuple[Array, Array]:
+    """Deviations and covariances after some biases, of variance 1, lost memory in part.
+
+    Args:
+        start: index of the first of k biases.
+        kept: (k,) correlation of each bias with what it was.
+    """
+    x, p = deviations.copy(), covariances.copy()
+    for m in range(len(x)):
+        for i in range(len(kept)):
+            b = start + i
+            x[m, b] *= kept[i]
+            for j in range(x.shape[1]):
+                p[m, b, j] *= kept[i]
+                p[m, j, b] *= kept[i]
+            p[m, b, b] += 1.0 - kept[i] ** 2
+    return x, p
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def log_mean(weights: Array, logs: Array) -> float:
     """Logarithm of the weighted mean of exp(``logs``), both (M,)."""
     best, total = -np.inf, 0.0

@@ -97,9 +97,7 @@ class SurfaceMessage(Message):
 class FusionRequest(Message):
     """Data on a session's sensors; every key is optional."""
 
-    ring: RingMessage | None = Field(
-        default=None, description="for the ring sensor and ring logs"
-    )
+    ring: RingMessage | None = Field(default=None, description="for the ring sensor and ring logs")
     reflectors: Annotated[list[ReflectorMessage], Field(max_length=MOST_REFLECTORS)] = Field(
         default=[], description="of the target, for the reflector sensor"
     )
