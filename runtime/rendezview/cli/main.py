@@ -38,7 +38,8 @@ _SUMMARIES = {
     "replay": "Repeat a recorded run bit for bit, or mend its log.",
     "rrd": "Convert a run into a recording for the Rerun viewer.",
     "evaluate": "Compare results with the truth of their scene.",
-    "campaign": "Measure a model on random simulated frames.",
+    "assess": "Say how accurate a model is on its craft, on simulated frames.",
+    "campaign": "The former name of assess.",
     "show": "Draw any file that rendezview writes.",
     "export": "Print a model's decision trees, or write flight code: C99, ONNX.",
 }

@@ -53,5 +53,9 @@ def doctor(
     Console().print(table)
     with atomic_write(place, durable=False) as file:
         file.write(png(doctor_picture(diagnosis, f"{found.name}: {mesh.notes[0]}")))
-    advice = "nothing needs to be done" if diagnosis.healthy else "see the lines marked act"
+    advice = (
+        "nothing needs to be done; after training, `rendezview assess` says how accurate it is"
+        if diagnosis.healthy
+        else "see the lines marked act"
+    )
     say(f"{place}: {advice}")
