@@ -182,19 +182,25 @@ def sketch(model: Path) -> None:
 
 
 DRAWN = {"readme": readme, "simulation": simulation, "ring": ring, "reflectors": reflectors,
-         "fusion": fusion, "sketch": sketch}  # fmt: skip
+         "sketch": sketch}  # fmt: skip
 
 
 def run(
     name: Literal["readme", "simulation", "ring", "reflectors", "fusion", "sketch"],
-    source: Path | None = None,
-) -> None:
+    source: Path | None = None, *,
+    model: Path | None = None,
+) -> None:  # fmt: skip
     """Draw one picture of the README or the docs again, into docs/pictures.
 
-    readme needs the folder that rendezview demo wrote; fusion, the runs of fusion-approach; sketch,
-    a model of hubble.
+    readme needs the folder that rendezview demo wrote; fusion, the runs of fusion-approach and
+    their --model; sketch, a model of hubble.
     """
     if source is None and name in ("readme", "fusion", "sketch"):
         raise SystemExit(f"picture {name} needs a SOURCE, see --help")
-    DRAWN[name](source or PICTURES)
+    if name == "fusion":
+        if model is None:
+            raise SystemExit("picture fusion needs --model, that of the runs")
+        fusion(source or PICTURES, model)
+    else:
+        DRAWN[name](source or PICTURES)
     print(PICTURES, name)
