@@ -97,8 +97,7 @@ def _with_new_bias(state: FilterState, sensor: str, forecast: Forecast) -> Filte
     last = state.sigmas.get(sensor)
     if last is None or forecast.other_edge:
         return state
-    ratio = forecast.sigmas / last
-    kept = np.minimum(ratio, 1.0 / ratio)
+    kept = np.minimum(forecast.sigmas, last) / np.maximum(forecast.sigmas, last)
     if kept.min() > _SAME_SIGMA:
         return state
     deviations, covariances = renewed(

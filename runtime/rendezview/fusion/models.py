@@ -49,14 +49,10 @@ class Forecast:
     noise: Array  # (k, k) covariance of the white noise
     root: Array  # (k, k) of the whole covariance that the sensor reports
     shares: Array  # (k,) white share of it
+    sigmas: Array  # (k,) of the reading
     teaches: bool = True  # the shares are learnt from it
     log_prior: float = 0.0
     other_edge: bool = False
-
-    @property
-    def sigmas(self) -> Array:
-        """(k,) σ of the reading."""
-        return np.asarray(np.sqrt((self.root**2).sum(axis=1)))
 
 
 def forecasts(
@@ -79,7 +75,7 @@ def _forecast(
     """With the bias's columns; None where the covariance cannot be used."""
     slot = state.slots[measurement.sensor]
     start = slot.start + bias
-    fits, design, noise, root = with_bias(
+    fits, design, noise, root, sigmas = with_bias(
         motion, whole, shares, start, state.deviations.shape[1]
     )  # fmt: skip
     if not fits:
@@ -88,7 +84,7 @@ def _forecast(
         moving = state.velocity - np.cross(state.rate, state.place_m)
         speed = motion[:, :3] @ (state.rotation @ state.rate) + motion[:, 3:6] @ moving
         design[:, slot.lateness] = -late_s * speed
-    return Forecast(residual, design, noise, root, shares, teaches, log_prior, bias > 0)
+    return Forecast(residual, design, noise, root, shares, sigmas, teaches, log_prior, bias > 0)
 
 
 def _pose(state: FilterState, measurement: PoseMeasurement, sensor: SensorOptions) -> Forecast:
