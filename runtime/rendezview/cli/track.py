@@ -21,14 +21,14 @@ from rendezview.cli.guide import (
     PlanFile,
     ShapeName,
 )
+from rendezview.cli.inputs import given_sequence
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
-from rendezview.io.camera_files import load_camera
 from rendezview.io.ccsds import parse_epoch
 from rendezview.io.files import check_place, read_json
 from rendezview.io.pose_log import poses_by_frame
-from rendezview.io.sequences import Sequence, open_sequence
+from rendezview.io.sequences import Sequence
 from rendezview.sensors.appearance import SilhouetteOptions, Threshold, ViewModel
 from rendezview.sensors.appearance.following import follow, record, result_row
 from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
@@ -113,9 +113,7 @@ def track(
     _check_places(output, log, video, model, oem, aem, plan, chaser)
     moment = parse_epoch(epoch)
     loaded = ViewModel.load(model)
-    sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
-    for note in sequence.notes:
-        say(note)
+    sequence = given_sequence(scene, camera, obj_id)
     others = None if prior is None or not prior.endswith(".jsonl") else Path(prior)
     expected = None if others is None else poses_by_frame(others, lambda *known: known)
     first = _prior(prior, sequence, loaded) if others is None else None

@@ -12,10 +12,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from rendezview.cli.inputs import given_camera
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
-from rendezview.io.camera_files import load_camera
 from rendezview.sensors.appearance import ViewModel
 from rendezview_ground.evaluate.campaign import Answers, CampaignOptions
 from rendezview_ground.evaluate.campaign import campaign as run_campaign
@@ -78,7 +78,7 @@ def campaign(
         answers = run_campaign(
             views,
             mesh,
-            load_camera(camera) if camera else default_camera(),
+            given_camera(camera) or default_camera(),
             output,
             executor,
             options,

@@ -15,10 +15,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
+from rendezview.geometry.camera import Camera, intrinsics_of
 from rendezview.geometry.pose import Pose, nearest_rotation
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import checked, read_json
+from rendezview.io.plausible import questioned
 from rendezview.io.sequences.fitting import bits_of, check_sizes, depth_note, sampled
 from rendezview.io.sequences.frame import Frame, Sequence
 from rendezview.io.sequences.images import list_images, read_grey
@@ -145,16 +146,11 @@ def _scene_camera(folder: Path, first_image: Path) -> Camera:
 
 
 def _with_matrix(camera: Camera, values: list[float], where: str) -> Camera:
-    fx, skew, cx, below, fy, cy, *last = values
-    if abs(skew) > 1e-6 * abs(fx) or below != 0.0 or last != [0.0, 0.0, 1.0]:
-        raise RendezviewError(
-            f"{where}: must be [fx 0 cx; 0 fy cy; 0 0 1] row-wise (no skew), not {values}: "
-            f"correct the scene"
-        )
-    if (fx, fy, cx, cy) == (camera.fx, camera.fy, camera.cx, camera.cy):
-        return camera  # one object for all frames of a fixed camera
     try:
-        return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy)
+        fx, fy, cx, cy = intrinsics_of(values)
+        if (fx, fy, cx, cy) == (camera.fx, camera.fy, camera.cx, camera.cy):
+            return camera  # one object for all frames of a fixed camera
+        return questioned(replace(camera, fx=fx, fy=fy, cx=cx, cy=cy), "give it by --camera")
     except ValueError as error:
         raise RendezviewError(f"{where}: {error}: correct the scene") from error
 

@@ -23,12 +23,14 @@ def open_image_folder(folder: Path, camera: Camera | None = None) -> Sequence:
         RendezviewError: no images, or no camera.
     """
     images = list_images(folder)
+    if not images and (folder / "rgb").is_dir():  # with cam_K.txt beside it: FoundationPose
+        images = list_images(folder / "rgb")
     if not images:
         raise RendezviewError(
             f"{folder}: no images in it, and it is no BOP scene (scene_camera.json) and no "
             f"SPEED folder (camera.json and labels): check the path"
         )
-    return open_images(images, required_camera(camera, folder, folder), folder)
+    return open_images(images, required_camera(camera, folder, folder, images[0]), folder)
 
 
 def open_images(images: list[Path], camera: Camera, source: Path) -> Sequence:

@@ -19,7 +19,7 @@ from rendezview.io.sequences.frame import GreyImage
 IMAGE_SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp"}
 )
-CAMERA_NAMES = ("camera.json", "camera.yaml", "camera.yml")
+CAMERA_NAMES = ("camera.json", "camera.yaml", "camera.yml", "cam_K.txt")
 
 
 def read_grey(path: Path, bits: int | None = None) -> GreyImage:
@@ -81,21 +81,29 @@ def natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
     return [(int(p), "") if p[0] in "0123456789" else (-1, p.lower()) for p in parts], name
 
 
-def camera_beside(folder: Path) -> Camera | None:
-    """The camera of ``camera.json``, ``camera.yaml`` or ``camera.yml`` in a folder, if any."""
+def camera_beside(folder: Path, image: Path | None = None) -> Camera | None:
+    """The camera of one of `CAMERA_NAMES` in a folder, if any; an image has the size it lacks."""
+
+    def size() -> tuple[int, int]:
+        assert image is not None
+        height, width = read_grey(image).shape
+        return width, height
+
     for name in CAMERA_NAMES:
         if (folder / name).is_file():
-            return load_camera(folder / name)
+            return load_camera(folder / name, None if image is None else size)
     return None
 
 
-def required_camera(camera: Camera | None, folder: Path, source: Path) -> Camera:
-    """The camera given, else the one found in ``folder``.
+def required_camera(
+    camera: Camera | None, folder: Path, source: Path, image: Path | None = None
+) -> Camera:
+    """The camera given, else the one found in ``folder``; ``image`` as for `camera_beside`.
 
     Raises:
         RendezviewError: there is none.
     """
-    found = camera if camera is not None else camera_beside(folder)
+    found = camera if camera is not None else camera_beside(folder, image)
     if found is None:
         raise RendezviewError(
             f"{source}: no camera: give a camera file, or put one into {folder} "
