@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.cli.inputs import given_camera
+from rendezview.cli.inputs import given_camera, say_once
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
@@ -63,6 +63,7 @@ def campaign(
     views = ViewModel.load(model)
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)
+    say_once(*mesh.doubts)
     if abs(mesh.bounding_sphere[1] / views.target_radius_m - 1.0) > 0.1:
         raise RendezviewError(
             f"the target of {model} has a radius of {views.target_radius_m:.3g} m, {target} has "

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from rendezview.cli.inputs import given_camera
+from rendezview.cli.inputs import given_camera, say_once
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -182,6 +182,7 @@ def simulate(
     else:
         mesh = with_parts(load_mesh(found.mesh_path, unit or found.unit), found, unit)
         mesh = with_blankets(mesh, found, unit, np.random.default_rng([seed, PARTS_STREAM]))
+    say_once(*mesh.doubts)
     moving = joint_motion([parts.joint for parts in found.joints], joint or [])
     flight_camera = given_camera(camera) or default_camera()
     options = SceneOptions(
