@@ -153,8 +153,9 @@ TRANSFORM = "KHR_texture_transform"
         ({"offset": [0.0, 0.5]}, BLUE),
         ({"scale": [3.0, 1.0]}, GREEN),
         ({"scale": [1.0, 3.0]}, BLUE),
-        ({"offset": [1.0, 0.25], "rotation": -0.5 * math.pi}, GREEN),
-        ({"offset": [0.2, 0.9], "rotation": 0.5 * math.pi, "scale": [0.1, 0.1]}, BLUE),
+        ({"offset": [1.0, 0.0], "rotation": -0.5 * math.pi}, GREEN),
+        # The example of the extension: the lower left quarter.
+        ({"offset": [0.0, 1.0], "rotation": 0.5 * math.pi, "scale": [0.5, 0.5]}, BLUE),
         ({"texCoord": 1}, GREEN),
         ({"texCoord": 1, "offset": [-0.5, 0.0]}, RED),
         (None, GREEN),

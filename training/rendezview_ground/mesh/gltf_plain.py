@@ -200,7 +200,7 @@ def _texture_change(
         return f"TEXCOORD_{chosen}", None, np.zeros(2)
     angle, scale = change.get("rotation", 0.0), change.get("scale", (1.0, 1.0))
     cosine, sine = math.cos(angle), math.sin(angle)
-    # Source: KHR_texture_transform: translation · rotation · scale
+    # Source: KHR_texture_transform: translation · rotation · scale; its example shows the sign
     turn = np.array([[cosine, sine], [-sine, cosine]]) * scale
     return f"TEXCOORD_{chosen}", turn, np.array(change.get("offset", (0.0, 0.0)))
 

@@ -20,7 +20,7 @@ from rendezview.geometry.pose import Pose, nearest_rotation
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import checked, read_json
 from rendezview.io.plausible import questioned
-from rendezview.io.sequences.fitting import bits_of, check_sizes, depth_note, sampled
+from rendezview.io.sequences.fitting import fitted
 from rendezview.io.sequences.frame import Frame, Sequence
 from rendezview.io.sequences.images import list_images, read_grey
 
@@ -82,9 +82,7 @@ def open_bop_scene(
         )
     images_folder, images = _images(folder)
     base = camera if camera is not None else _scene_camera(folder, next(iter(images.values())))
-    samples = sampled(list(images.values()))
-    check_sizes(samples, base, images_folder)
-    bits = bits_of(samples, base)
+    bits, notes = fitted(list(images.values()), base, images_folder)
     frames = []
     for im_id, entry in sorted(cameras.items()):
         own = camera
@@ -109,7 +107,7 @@ def open_bop_scene(
         scene_id=_scene_id(folder),
         frames=tuple(frames),
         source=folder,
-        notes=depth_note(bits, base),
+        notes=notes,
     )
 
 

@@ -13,11 +13,11 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write, read_bytes
-from rendezview.io.sequences.decoding import decode_grey
+from rendezview.io.sequences.decoding import decode_grey, is_animated
 from rendezview.io.sequences.frame import GreyImage
 
 IMAGE_SUFFIXES = frozenset(
-    {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp"}
+    {".png", ".jpg", ".jpeg", ".jfif", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp"}
 )
 CAMERA_NAMES = ("camera.json", "camera.yaml", "camera.yml", "cam_K.txt")
 
@@ -38,10 +38,8 @@ def read_grey(path: Path, bits: int | None = None) -> GreyImage:
     except RendezviewError as error:
         raise RendezviewError(f"{path}: {error}") from error
     if image is None:
-        raise RendezviewError(
-            f"{path}: not an image that can be read (damaged, cut short or of another "
-            f"kind): replace the file"
-        )
+        why = "animated" if is_animated(content) else "damaged, cut short or of another kind"
+        raise RendezviewError(f"{path}: not an image that can be read ({why}): replace the file")
     return image
 
 

@@ -82,8 +82,9 @@ def _opened(path: StrPath, camera: Camera | None, obj_id: int | None) -> Sequenc
         read_grey(source)
         return open_images([source], required_camera(camera, source.parent, source, source), source)
     raise RendezviewError(
-        f"{path}: no sequence of images: give a BOP scene, a folder of images, a SPEED folder, a "
-        f"ROS bag (.bag .db3), an .mcap file or a video ({' '.join(sorted(VIDEO_SUFFIXES))})"
+        f"{path}: no sequence of images that is read: give a BOP scene, a folder of images (PNG, "
+        f"JPEG, TIFF …), a SPEED folder, a ROS bag (.bag .db3), an .mcap file or a video "
+        f"({' '.join(sorted(VIDEO_SUFFIXES))})"
     )
 
 
