@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.io.grey_frame import eight_bits
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.io.sequences.picture_marks import marks_of, tiff_as_stored
 
@@ -92,23 +92,6 @@ def decode_grey(content: Bytes, bits: int = 16) -> GreyImage | None:
     """
     levels = decode_levels(content)
     return None if levels is None else eight_bits(levels, bits)
-
-
-def eight_bits(levels: npt.NDArray[Any], bits: int) -> GreyImage:
-    """Grey levels in eight bits, the highest of ``bits``.
-
-    Raises:
-        RendezviewError: a level needs more bits.
-    """
-    if levels.dtype == np.uint8:
-        return np.asarray(levels, dtype=np.uint8)
-    peak = int(levels.max(initial=0))
-    if peak >= 1 << bits:
-        raise RendezviewError(
-            f"a level of {peak} needs more than {bits} bits: put the camera's bit_depth into the "
-            "camera file"
-        )
-    return (levels >> (bits - 8)).astype(np.uint8)
 
 
 def decode_levels(content: Bytes) -> Levels | None:
