@@ -35,7 +35,7 @@ _INTERLACED_ROWS = 8  # filter bytes a row and pass, at most. Source: PNG, secti
 # IMREAD_GRAYSCALE alone drops the low eight of 16 bits.
 _AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 _TIFF = (b"II*\0", b"MM\0*")
-_WITH_ALPHA = (PNG[:4], b"RIFF")
+_WITH_ALPHA = (b"\x89PNG", b"RIFF")
 _ANIMATED = (b"acTL", b"fcTL", b"fdAT")
 
 Levels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]  # grey, (height, width), as stored
