@@ -101,10 +101,14 @@ def test_a_png_with_more_than_its_picture_is_refused(surplus, refused):
 def test_packed_texts_of_a_png_never_reach_the_decoder(monkeypatch: pytest.MonkeyPatch):
     text = _chunk(b"zTXt", b"a\x00\x00" + zlib.compress(bytes(7_000_000)))
     rows = b"".join(b"\x00" + row.tobytes() for row in GREY)
-    given, decode = [], cv2.imdecode
-    monkeypatch.setattr(
-        cv2, "imdecode", lambda data, flags: given.append(data.tobytes()) or decode(data, flags)
-    )
+    given: list[bytes] = []
+    decode = cv2.imdecode
+
+    def noted(data: np.ndarray, flags: int) -> np.ndarray:
+        given.append(data.tobytes())
+        return decode(data, flags)
+
+    monkeypatch.setattr(cv2, "imdecode", noted)
     np.testing.assert_array_equal(read_frame(_png(rows, *[text] * 40), CAMERA), GREY)
     assert b"zTXt" not in given[0]
 
