@@ -148,6 +148,13 @@ def __getattr__(name: str) -> Any:
 def _imported(name: str, module: str) -> Any:
     try:
         return getattr(importlib.import_module(module), name)
+    except RuntimeError as error:
+        from rendezview.errors import without_cache
+
+        words = without_cache(error)
+        if words is None:
+            raise
+        raise words from error
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         extra = _EXTRAS.get(module.partition(".")[0])

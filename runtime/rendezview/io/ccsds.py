@@ -18,6 +18,10 @@ from scipy.spatial.transform import Rotation
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 
+_UNIX, _J2000 = datetime(1970, 1, 1, tzinfo=UTC), datetime(2000, 1, 1, 12, tzinfo=UTC)
+_DATED_S = 3e8  # s; later times are dates since 1970, not a duration: 9.5 years. Source: chosen
+_FIRST_YEAR, _LAST_YEAR = 1957, 2200  # Source: Sputnik; a typing error is further away
+
 
 @dataclass(frozen=True, kw_only=True)
 class Names:
@@ -42,7 +46,33 @@ def parse_epoch(text: str) -> datetime:
         raise RendezviewError(
             f"--epoch must be a UTC date and time such as 2031-05-04T12:00:00, not {text!r}"
         ) from None
-    return (epoch if epoch.tzinfo else epoch.replace(tzinfo=UTC)).astimezone(UTC)
+    moment = (epoch if epoch.tzinfo else epoch.replace(tzinfo=UTC)).astimezone(UTC)
+    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:
+        raise RendezviewError(f"--epoch: the year {moment.year} is no date of a spacecraft")
+    return moment
+
+
+def epoch_of(text: str | None, times_s: Sequence[float]) -> tuple[datetime, str | None]:
+    """The UTC date of time 0 of a sequence, and what a user should know of it.
+
+    Without ``--epoch``, times since 1970, as ROS and MCAP stamp pictures, count from there, and
+    others from J2000.
+
+    Raises:
+        RendezviewError: the epoch is none, or contradicts times since 1970.
+    """
+    dated = bool(times_s) and times_s[0] > _DATED_S
+    if text is None:
+        if dated:
+            return _UNIX, None
+        return _J2000, f"no --epoch: OEM and AEM take {_stamp(_J2000, 0.0)[:19]} as time 0"
+    epoch = parse_epoch(text)
+    if dated and epoch != _UNIX:
+        raise RendezviewError(
+            f"--epoch {text}: the times of the sequence are dates themselves, from "
+            f"{_stamp(_UNIX, times_s[0])[:19]} on: leave --epoch out"
+        )
+    return epoch, None
 
 
 def orbit_message(
@@ -142,7 +172,12 @@ def _head(names: Names, created: datetime | None) -> list[str]:
 
 
 def _stamp(epoch: datetime, time_s: float) -> str:
-    moment = epoch + timedelta(seconds=float(time_s))
+    try:
+        moment = epoch + timedelta(seconds=float(time_s))
+    except OverflowError:
+        raise RendezviewError(
+            f"a time of {time_s:.6g} s is no date: give times in seconds"
+        ) from None
     return re.sub(r"\+00:00$", "", moment.isoformat(timespec="microseconds"))
 
 

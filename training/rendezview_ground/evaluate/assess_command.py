@@ -13,10 +13,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from rendezview.cli.inputs import given_camera, say_once
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
-from rendezview.io.camera_files import load_camera
 from rendezview.io.files import check_place
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT
@@ -109,7 +109,7 @@ def assess(
         seen, answers = run_assessment(
             views,
             mesh,
-            load_camera(camera) if camera else default_camera(),
+            given_camera(camera) or default_camera(),
             path,
             executor,
             options,
@@ -137,6 +137,7 @@ def _carried(views: ViewModel, model: Path) -> Mesh:
 def _mesh(views: ViewModel, model: Path, target: str, unit: str | None) -> Mesh:
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)
+    say_once(*mesh.doubts)
     if abs(mesh.bounding_sphere[1] / views.target_radius_m - 1.0) > 0.1:
         raise RendezviewError(
             f"the target of {model} has a radius of {views.target_radius_m:.3g} m, {target} has "

@@ -11,14 +11,13 @@ import numpy as np
 import typer
 from rich.console import Console
 
+from rendezview.cli.inputs import given_sequence
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.bundled import find_target
-from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write, make_folder
 from rendezview.io.results import read_results
-from rendezview.io.sequences import open_sequence
 from rendezview_ground.evaluate.bop_models import bop_model
 from rendezview_ground.evaluate.comparison import (
     comparison_dict,
@@ -83,7 +82,7 @@ def evaluate(
     """
     if not 0.0 <= wrong <= 180.0:
         raise RendezviewError(f"--wrong must be an angle from 0 to 180 degrees, not {wrong}")
-    sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
+    sequence = given_sequence(scene, camera, obj_id)
     reference = _reference(target, unit)
     evaluations: dict[str, Evaluation] = {}
     for path in results:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -13,6 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from rendezview.geometry.geodesic import Geodesic
+from rendezview.io.sequences import Sequence
 from rendezview_ground.learn.options import TrainingOptions, view_geometry
 from rendezview_ground.learn.views.drawn_view import draw_view
 from rendezview_ground.mesh.bounding_sphere import smallest_enclosing_sphere
@@ -31,6 +32,7 @@ _BORDER_PX = 4.0  # px around the target. Source: by construction
 _HIDDEN_SHARE = 0.05  # of the area; fewer are no finding. Source: a chosen limit
 # rad; a curved surface bends by this much from facet to facet, an edge of the craft by more.
 _BENDS_RAD = (math.radians(0.5), math.radians(45.0))  # Source: 8 facets to a circle, and more
+_FLAT_RAD = math.radians(25.0)  # sharper bends may be meant. Source: bodies of up to 14 sides
 _FACET_SHARE = 0.001  # of the radius: a finding above it. Source: the range error of `track`
 
 
@@ -79,6 +81,7 @@ def diagnose(mesh: Mesh, progress: Callable[[int, int], None] | None = None) -> 
     far, far_finding = _far_body(mesh)
     findings = [
         Finding(Mark.FINE, " ".join(mesh.notes[:2]), "read as it is", "none"),
+        *_asked(mesh.doubts, "all ranges, if it is wrong"),
         *[_reading(note) for note in _cleaning_notes(mesh)],
         *far_finding,
         *_open(edges),
@@ -124,12 +127,27 @@ class _Edges:
         return np.asarray(self.ends[(self.count == 2) & ~self.balanced])
 
 
+def of_frames(sequence: Sequence) -> tuple[Finding, ...]:
+    """What is odd about frames, their times and their camera."""
+    doubts = tuple(doubt for frame in sequence.frames[:1] for doubt in frame.camera.doubts)
+    notes = [note for note in sequence.notes if note not in doubts]
+    return (
+        *_asked(doubts, "all poses, if it is wrong"),
+        *[Finding(Mark.NOTE, note, "read so", "see the note") for note in notes],
+    )
+
+
+def _asked(doubts: Iterable[str], cost: str) -> list[Finding]:
+    return [Finding(Mark.ACT, doubt, "taken as it is", cost) for doubt in doubts]
+
+
 def _cleaning_notes(mesh: Mesh) -> list[str]:
     """The notes of reading, without those on topology, which have findings of their own."""
     return [
         note
         for note in mesh.notes[2:]
-        if not note.startswith(("Not watertight", "Mixed winding", "No usable colours"))
+        if note not in mesh.doubts
+        and not note.startswith(("Not watertight", "Mixed winding", "No usable colours"))
     ]
 
 
@@ -245,15 +263,18 @@ def _facets(mesh: Mesh, edges: _Edges) -> list[Finding]:
     depth_m = float(depth[order][np.searchsorted(share, 0.9)])
     _, radius_m = mesh.bounding_sphere
     part = depth_m / radius_m
+    place = int(np.searchsorted(share, 0.9))
+    flat = part > _FACET_SHARE and bool(bend[curved][order][place] > _FLAT_RAD)
     return [
         Finding(
-            Mark.ACT if part > 10.0 * _FACET_SHARE
+            Mark.ACT if part > 10.0 * _FACET_SHARE and not flat
             else Mark.NOTE if part > _FACET_SHARE else Mark.FINE,
             f"Facets of curved surfaces are {1e3 * depth_m:.2g} mm inside them "
             f"({100.0 * part:.2g} % of the radius; 90 % are better).",
             "drawn as they are",
             f"range too short by up to about {100.0 * part:.2g} %"
-            + ("; export with a finer tolerance" if part > _FACET_SHARE else ""),
+            + ("; none if the craft is built of flat sides" if flat
+               else "; export with a finer tolerance" if part > _FACET_SHARE else ""),
         )
     ]  # fmt: skip
 

@@ -13,10 +13,10 @@ import typer
 from rich.console import Console
 
 from rendezview.cli.compiling import compile_ahead
+from rendezview.cli.inputs import given_camera
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
-from rendezview.io.camera_files import load_camera
 from rendezview_ground.learn.command_options import Dask, Jobs
 from rendezview_ground.learn.job import Trained
 from rendezview_ground.learn.jobs.open_executor import open_executor
@@ -119,7 +119,7 @@ def train(
             output,
             unit,
             options=options,
-            camera=load_camera(camera) if camera else None,
+            camera=given_camera(camera),
             step_rad=float(np.deg2rad(joint_step)),
             executor=executor,
             progress=progress,

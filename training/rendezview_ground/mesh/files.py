@@ -18,18 +18,19 @@ from numpy.typing import NDArray
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
-from rendezview_ground.mesh.colours import Rgb, grey, stl_face_rgb, visual_face_rgb
+from rendezview_ground.mesh.colours import Rgb, grey, visual_face_rgb
 from rendezview_ground.mesh.containers import (
     check_3mf_size,
     colours_of_3mf,
     file_unit,
     refers_to_texture,
 )
-from rendezview_ground.mesh.gltf import GLTF_SUFFIXES, check_gltf
+from rendezview_ground.mesh.gltf import GLTF_SUFFIXES, plain_gltf
 from rendezview_ground.mesh.mesh_file import MeshFile, joined
 from rendezview_ground.mesh.notes import counted
 from rendezview_ground.mesh.obj import read_obj
 from rendezview_ground.mesh.scenes import nodes_below, step_note, triangulate_step
+from rendezview_ground.mesh.stl import read_stl
 from rendezview_ground.mesh.usd import USD_SUFFIXES, read_usd
 
 STEP_SUFFIXES = (".step", ".stp")
@@ -80,11 +81,13 @@ def _read_usd(path: Path, node: str | None) -> MeshFile:
 
 
 def _read_gltf(path: Path, node: str | None) -> MeshFile:
-    check_gltf(path)
-    return _read_with_trimesh(path, node)
+    plain, notes = plain_gltf(path)
+    found = _read_with_trimesh(path, node, plain)
+    return replace(found, notes=(*notes, *found.notes))
 
 
-def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
+def _read_with_trimesh(path: Path, node: str | None, content: bytes | None = None) -> MeshFile:
+    """The triangles of a file, or of ``content``, which replaces it (GLB)."""
     suffix = path.suffix.lower()
     if suffix in STEP_SUFFIXES:
         with tempfile.TemporaryDirectory() as folder:
@@ -96,8 +99,6 @@ def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
             unit=(1.0, "STEP, converted to metres"),
             notes=(step_note(count, found.faces), *found.notes),
         )
-    if suffix == ".stl":
-        _check_stl_length(path)
     if suffix == ".3mf":
         check_3mf_size(path)
     unit = file_unit(path)
@@ -107,7 +108,13 @@ def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
         options: dict[str, Any] = {"process": False}
         if suffix == ".3mf":
             options["postprocess"] = False  # it would rename and merge bodies
-        scene = trimesh.load_scene(str(path), file_type=suffix[1:], **options)
+        if content is None:
+            scene = trimesh.load_scene(str(path), file_type=suffix[1:], **options)
+        else:
+            beside = trimesh.resolvers.FilePathResolver(str(path))
+            scene = trimesh.load_scene(
+                io.BytesIO(content), file_type="glb", resolver=beside, **options
+            )
     notes = _texture_notes(path, messages)
     lost_texture = any(note.startswith("Textures") for note in notes)
     colours = _special_colours(path, scene, notes)
@@ -132,7 +139,8 @@ def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
         if rgb is None:
             grey_faces += len(faces)
             rgb = grey(len(faces))
-        parts.append((vertices @ matrix[:3, :3].T + matrix[:3, 3], faces, rgb))
+        with np.errstate(invalid="ignore"):  # NaN, which is dropped and counted later
+            parts.append((vertices @ matrix[:3, :3].T + matrix[:3, 3], faces, rgb))
     if len(parts) > 1:
         notes.append(f"{len(parts)} bodies joined into one.")
     if others:
@@ -144,44 +152,14 @@ def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
 
 
 def _special_colours(path: Path, scene: Any, notes: list[str]) -> dict[str, Rgb]:
-    """Colours by geometry name that trimesh does not read: 3MF, binary STL."""
+    """Colours by geometry name that trimesh does not read: 3MF."""
     if path.suffix.lower() == ".3mf":
         colours = colours_of_3mf(path)
         counts = [len(geometry.faces) for geometry in scene.geometry.values()]
         if [len(rgb) for rgb in colours] == counts:
             return dict(zip(scene.geometry, colours, strict=True))
         notes.append("Colours ignored: the 3MF file spreads its meshes over several parts.")
-    if path.suffix.lower() == ".stl":
-        with path.open("rb") as stream:
-            header = stream.read(80)
-        for name, geometry in scene.geometry.items():
-            words = getattr(geometry, "face_attributes", {}).get("stl")
-            found = None if words is None else stl_face_rgb(np.asarray(words), header)
-            if found is not None:
-                notes.append(f"{counted(found[1], 'face')} with an STL colour.")
-                return {name: found[0]}
     return {}
-
-
-def _check_stl_length(path: Path) -> None:
-    """Refuse a text without its end, and a binary file whose length contradicts its header."""
-    with path.open("rb") as stream:
-        start = stream.read(1024)
-        size = stream.seek(0, io.SEEK_END)
-        stream.seek(max(size - 1024, 0))
-        end = stream.read()
-    if b"\0" not in start and b"facet" in start.lower():
-        if b"endsolid" not in end.lower():
-            raise ValueError("the text ends without `endsolid`: it is cut short")
-        return
-    if len(start) < 84:
-        raise ValueError(f"{size} bytes are too few for an STL file")
-    count = int.from_bytes(start[80:84], "little")
-    if size != 84 + 50 * count:
-        raise ValueError(
-            f"the header announces {count} triangles ({84 + 50 * count} bytes) "
-            f"but the file has {size} bytes"
-        )
 
 
 def _texture_notes(path: Path, messages: list[tuple[int, str]]) -> list[str]:
@@ -252,7 +230,7 @@ def _quiet() -> Iterator[list[tuple[int, str]]]:
 
 # Reader of each suffix. A new format is a file with a reader, and its line here.
 READERS: dict[str, Callable[[Path, str | None], MeshFile]] = {
-    ".stl": _read_with_trimesh,
+    ".stl": read_stl,
     ".obj": _read_obj,
     ".ply": _read_with_trimesh,
     **dict.fromkeys(GLTF_SUFFIXES, _read_gltf),

@@ -17,13 +17,10 @@ from rendezview_ground.mesh.colours import GREY, Rgb
 from rendezview_ground.mesh.files import READERS, read_mesh_file
 from rendezview_ground.mesh.mesh_file import MeshFile
 from rendezview_ground.mesh.notes import counted, topology_notes
+from rendezview_ground.mesh.plausible import metres_per_unit
 
 MAX_FACES = 20_000_000  # of a mesh
 MAX_FILE_BYTES = 2 * 2**30  # bytes of a mesh file
-# Diameters outside these ranges mean a wrong unit. The narrow range applies where the unit is a
-# guess or a convention of the format, the wide one where it is stated.
-GUESSED_DIAMETER_M = (0.05, 300.0)  # m
-STATED_DIAMETER_M = (0.005, 1000.0)  # m
 
 _GREY_FROM_RGB = np.array([0.2126, 0.7152, 0.0722])  # luminance weights. Source: ITU-R BT.709
 _LARGEST_COORDINATE = 1e15  # in the unit of the file; its powers still fit a double
@@ -45,6 +42,7 @@ class Mesh:
     face_part: NDArray[np.uint8] | None = None
     # (F,) how far the craft is as the mesh has it, 0 to 1; None: all of it
     face_trust: NDArray[np.float32] | None = None
+    doubts: tuple[str, ...] = ()  # those of the notes that ask whether the mesh is meant so
 
     @property
     def bounding_sphere(self) -> tuple[Array, float]:
@@ -85,7 +83,7 @@ def load_mesh(path: Path, unit: str | None = None) -> Mesh:
     content = read_mesh_file(path, node)
     _check_count(path, len(content.faces))
     vertices, faces, rgb, notes = _cleaned(path, content)
-    factor, unit_note = _scale(path, vertices, content, unit)
+    factor, unit_note, doubts = metres_per_unit(path, vertices, content, unit)
     kind = path.suffix[1:].upper()
     found = (
         f"{kind} file with {counted(len(faces), 'triangle')} "
@@ -95,7 +93,8 @@ def load_mesh(path: Path, unit: str | None = None) -> Mesh:
         vertices_m=vertices * factor,
         faces=faces.astype(np.int32),
         face_rgb=np.ascontiguousarray(np.clip(rgb, 0.0, 1.0), dtype=np.float32),
-        notes=(found, unit_note, *content.notes, *notes, *topology_notes(faces)),
+        notes=(found, unit_note, *doubts, *content.notes, *notes, *topology_notes(faces)),
+        doubts=doubts,
     )
 
 
@@ -198,46 +197,3 @@ def _merged(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[n
     rank[order] = np.arange(len(order))
     number[used] = rank[inverse.reshape(-1)]
     return positions[first[order]], number[faces]
-
-
-def _scale(path: Path, vertices: Array, content: MeshFile, unit: str | None) -> tuple[float, str]:
-    """Metres per unit of the file, and the note that states its origin."""
-    diameter = 2.0 * smallest_enclosing_sphere(vertices)[1]
-    extent = np.ptp(vertices, axis=0)
-    limits, source = STATED_DIAMETER_M, ""
-    if unit is not None:
-        factor = METRES_PER_UNIT[unit]
-        source = f"Unit {unit} as given"
-        if content.unit is not None and not np.isclose(content.unit[0], factor):
-            source += f", not {content.unit[1]} as the file states"
-    elif content.unit is not None:
-        factor = content.unit[0]
-        source = f"Unit from the file: {content.unit[1]}"
-        if path.suffix.lower() in (".glb", ".gltf"):
-            limits = GUESSED_DIAMETER_M  # a convention of the format, not a statement of the author
-    else:
-        factor, limits = 1.0, GUESSED_DIAMETER_M
-    if not limits[0] <= diameter * factor <= limits[1]:
-        raise RendezviewError(_absurd_size(path, diameter, factor, source))
-    size = " × ".join(f"{value:.{_decimals(diameter * factor)}f}" for value in extent * factor)
-    if source:
-        return factor, f"{source}: {size} m."
-    return (
-        factor,
-        f"No unit in the file: taken as metres, {size} m; give --unit mm if that is wrong.",
-    )
-
-
-def _absurd_size(path: Path, diameter: float, factor: float, source: str) -> str:
-    options = ", ".join(
-        f"{name}: {diameter * metres:.4g} m" for name, metres in METRES_PER_UNIT.items()
-    )
-    said = source or "No unit in the file, and metres do not fit"
-    return (
-        f"{path}: the target would be {diameter * factor:.4g} m across. {said}. "
-        f"Give the right unit (--unit); the diameter would be {options}."
-    )
-
-
-def _decimals(diameter_m: float) -> int:
-    return 2 if diameter_m >= 1.0 else 3 if diameter_m >= 0.1 else 4

@@ -12,18 +12,31 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import BIT_DEPTHS, Camera
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import read_bytes
+from rendezview.io.plausible import comb_doubts
 from rendezview.io.sequences.decoding import Levels, decode_levels
 from rendezview.io.sequences.misfit import misfit
+from rendezview.io.sequences.picture_marks import Marks, mark_notes, marks_of
 
 _SAMPLES = 5  # pictures of a sequence that are looked at before it runs. Source: a chosen limit
 _MOST_CAMERA_FILES = 30  # that are read to name one that fits. Source: a chosen limit
 _CAMERA_SUFFIXES = (".yaml", ".yml", ".json", ".xml")
 
 
-def sampled(paths: Sequence[Path]) -> list[Levels]:
-    """Some pictures of a sequence from first to last, as stored, without unreadable ones."""
+def fitted(
+    paths: Sequence[Path], camera: Camera, folder: Path
+) -> tuple[int | None, tuple[str, ...]]:
+    """Bits of 16-bit levels (None: the levels have 8), and notes on the pictures.
+
+    Some pictures from first to last are read, unreadable ones left out. The bits are those of the
+    camera, else the fewest that hold all their levels. The sequence is read with this number, and a
+    frame with a higher level is an error, not a guess.
+
+    Raises:
+        RendezviewError: the camera fits none of the pictures.
+    """
     places = np.unique(np.linspace(0, len(paths) - 1, _SAMPLES).round().astype(int))
-    pictures = []
+    pictures: list[Levels] = []
+    marks: list[Marks] = []
     for place in places:
         try:
             content = read_bytes(paths[place], "an image")
@@ -32,28 +45,20 @@ def sampled(paths: Sequence[Path]) -> list[Levels]:
         picture = decode_levels(content)
         if picture is not None:
             pictures.append(picture)
-    return pictures
+            marks.append(marks_of(content))
+    check_sizes(pictures, camera, folder)
+    bits, notes = _bits_of(pictures, camera)
+    combed = (doubt.what for doubt in comb_doubts(pictures))
+    return bits, (*notes, *mark_notes(marks), *combed)
 
 
-def bits_of(pictures: Iterable[Levels], camera: Camera) -> int | None:
-    """Bits of pictures with 16-bit levels; None for 8-bit levels.
-
-    Those of the camera, else the fewest that hold all levels of the pictures. The sequence is read
-    with this number, and a frame with a higher level is an error, not a guess.
-    """
+def _bits_of(pictures: list[Levels], camera: Camera) -> tuple[int | None, tuple[str, ...]]:
+    """Bits in use, and what a command says of a number that no file gives."""
     peaks = [int(picture.max()) for picture in pictures if picture.dtype == np.uint16]
-    if not peaks:
-        return None
-    if camera.bit_depth is not None:
-        return camera.bit_depth
-    return next(bits for bits in BIT_DEPTHS if max(peaks) < 1 << bits)
-
-
-def depth_note(bits: int | None, camera: Camera) -> tuple[str, ...]:
-    """What a command says of a number of bits that no file gives."""
-    if bits is None or camera.bit_depth is not None:
-        return ()
-    return (
+    if not peaks or camera.bit_depth is not None:
+        return camera.bit_depth if peaks else None, ()
+    bits = next(bits for bits in BIT_DEPTHS if max(peaks) < 1 << bits)
+    return bits, (
         f"the pictures have 16-bit levels, of which {bits} bits are used: put bit_depth into the "
         "camera file if that is wrong",
     )

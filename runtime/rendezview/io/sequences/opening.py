@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.files import StrPath
+from rendezview.io.plausible import time_doubts
 from rendezview.io.sequences.bop import open_bop_scene
 from rendezview.io.sequences.folder import open_image_folder, open_images
 from rendezview.io.sequences.frame import Sequence
@@ -38,9 +40,19 @@ def open_sequence(
             without calibration messages.
         obj_id: the object of a BOP scene that is the target, if frames show several.
 
+    What is odd about the frames, their times and their camera is in the notes of the sequence.
+
     Raises:
-        RendezviewError: missing, none of these kinds, incomplete, or no camera.
+        RendezviewError: missing, none of these kinds, incomplete, no camera, or one from which
+            nothing good can follow.
     """
+    opened = _opened(path, camera, obj_id)
+    cameras = dict.fromkeys(d for frame in opened.frames[:1] for d in frame.camera.doubts)
+    times = (doubt.what for doubt in time_doubts([frame.time_s for frame in opened]))
+    return replace(opened, notes=(*opened.notes, *cameras, *times))
+
+
+def _opened(path: StrPath, camera: Camera | None, obj_id: int | None) -> Sequence:
     source, topic = Path(path), None
     if not source.exists():
         text, topic = split_topic(str(path))
@@ -68,10 +80,11 @@ def open_sequence(
         return open_video(source, camera)
     if suffix in IMAGE_SUFFIXES:
         read_grey(source)
-        return open_images([source], required_camera(camera, source.parent, source), source)
+        return open_images([source], required_camera(camera, source.parent, source, source), source)
     raise RendezviewError(
-        f"{path}: no sequence of images: give a BOP scene, a folder of images, a SPEED folder, a "
-        f"ROS bag (.bag .db3), an .mcap file or a video ({' '.join(sorted(VIDEO_SUFFIXES))})"
+        f"{path}: no sequence of images that is read: give a BOP scene, a folder of images (PNG, "
+        f"JPEG, TIFF …), a SPEED folder, a ROS bag (.bag .db3), an .mcap file or a video "
+        f"({' '.join(sorted(VIDEO_SUFFIXES))})"
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +42,7 @@ from rendezview.sensors.appearance.verdict import (
     is_known,
     refused,
 )
+from rendezview.sensors.arguments import check_prior, check_types
 from rendezview.sensors.observation import Status
 
 # Confidence: with less after the likeliest starts, a sketch is tried before all others. Of 79
@@ -66,10 +67,7 @@ class _Request(NamedTuple):
 
 
 class Recognizer:
-    """Recognises the views of one model in the frames of one camera.
-
-    Threads may share an instance: their frames are processed one after the other.
-    """
+    """Recognises the views of a model; threads may share it: their frames take turns."""
 
     def __init__(
         self,
@@ -97,6 +95,9 @@ class Recognizer:
                 draws of the frame, if the model has sketches of its views.
             least_confidence: a refined pose of less confidence is not given.
         """
+        check_types("Recognizer(model, camera)", (model, ViewModel), (camera, Camera))
+        self._made = partial(Recognizer, model, camera, silhouette, match, refine=refine,
+            trees=trees, sketch=sketch, least_confidence=least_confidence)  # fmt: skip
         self.model = model
         self.camera = camera
         self.trees = trees
@@ -125,6 +126,10 @@ class Recognizer:
         )  # fmt: skip
         self._lock = threading.Lock()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Made anew where it is unpickled: the networks are read there."""
+        return self._made, ()
+
     def recognize(
         self,
         image: npt.ArrayLike,
@@ -139,7 +144,7 @@ class Recognizer:
         """Look at one frame.
 
         Args:
-            image: (H, W) uint8 grey levels, of the camera's size.
+            image: (H, W) grey levels, or (H, W, 3) blue, green, red; see `check_frame`.
             prior: camera_from_target, roughly. Refinement starts from it, and it chooses among
                 several bodies. ``None``: all attitudes are searched, and a view that fits two
                 of them gives ``AMBIGUOUS``.
@@ -152,11 +157,11 @@ class Recognizer:
 
         Raises:
             ValueError: the direction to the Sun is zero or not finite.
-            RendezviewError: the image is no 8-bit grey picture of the camera's size.
+            RendezviewError: the image is no picture of the camera.
         """
-        frame = check_frame(image, self.camera.width, self.camera.height)
+        frame, near = check_frame(image, self.camera), check_prior(prior)
         with self._lock:
-            request = _Request(frame, prior, prior_error_rad, sun_camera, enough_inliers)
+            request = _Request(frame, near, prior_error_rad, sun_camera, enough_inliers)
             if self.model.joints and self.search is not None:
                 seen = self._of_configurations(request, angles_rad)
             else:
@@ -236,7 +241,7 @@ class Recognizer:
         """
         if self.sketch is None:
             return None
-        frame = check_frame(image, self.camera.width, self.camera.height)
+        frame = check_frame(image, self.camera)
         with self._lock:
             choice = self.sketch.anywhere(frame, Sky.of(frame))
         if choice is None:

@@ -17,6 +17,7 @@ from rendezview.sensors.appearance.joints import JointFilter
 from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
+from rendezview.sensors.arguments import check_prior, check_recognizer, check_time
 from rendezview.sensors.observation import Status
 
 # rad; rivals nearer than this are the same answer. Source: by hand; pose-trials (0.1) sequences
@@ -102,6 +103,8 @@ class Tracker:
             options: when to let go of the last pose.
             integrity: each pose gets a protection level and alarms; ``None``: it gets none.
         """
+        check_recognizer(recognizer)
+        check_prior(prior)
         self.recognizer = recognizer
         self.options = options or TrackerOptions()
         self._motion = None if prior is None else _Motion(prior, None, np.zeros(3), np.zeros(3))
@@ -179,7 +182,7 @@ class Tracker:
 
         Args:
             time_s: when the frame was taken.
-            image: (H, W) uint8 grey levels, of the camera's size.
+            image: as for `Recognizer.recognize`.
             sun_camera: (3,) towards the Sun, camera frame, if it is known.
 
         Raises:
@@ -187,10 +190,7 @@ class Tracker:
             RendezviewError: the image does not fit the camera.
         """
         with self._lock:
-            if not (np.isfinite(time_s) and time_s > self._last_time_s):
-                raise ValueError(
-                    f"frames must come in order of time: {time_s} s after {self._last_time_s} s"
-                )
+            check_time(time_s, self._last_time_s)
             self._last_time_s = time_s
             self._age(time_s)
             expected, self._expected = self._expected, None

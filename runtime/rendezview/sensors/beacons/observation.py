@@ -17,7 +17,7 @@ from rendezview.sensors.measurement import Measurement
 from rendezview.sensors.observation import Observation, Status
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class ReflectorObservation(Observation):
     """The outcome of one pair of pictures; there is a pose only with ``Status.OK``."""
 

@@ -107,7 +107,7 @@ class RingDetector:
         Raises:
             RendezviewError: another size or type than the camera's pictures.
         """
-        grey = check_frame(image, self.camera.width, self.camera.height)
+        grey = check_frame(image, self.camera)
         o = self.options
         clock = time.perf_counter()
         stage_ms: dict[str, float] = {}

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
+from rendezview.sensors.arguments import check_time
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring.choice import Choice, MotionChooser, by_attitude, by_plane, only_one
 from rendezview.sensors.ring.circle_pose import CirclePose, shape_of_circle, widened
@@ -94,11 +95,11 @@ class RingSensor:
     def update(
         self, time_s: float, image: npt.ArrayLike, prior: RingPrior | None = None
     ) -> RingObservation:
-        """Look at the next frame, (H, W) uint8.
+        """Look at the next frame.
 
         Args:
             time_s: of the frame, later than that of the frame before.
-            image: the picture.
+            image: (H, W) grey levels, or (H, W, 3) blue, green, red; see `check_frame`.
             prior: what other sensors know; it wins over the memory of the last frame.
 
         Raises:
@@ -106,10 +107,7 @@ class RingSensor:
             RendezviewError: the image is not one of this camera's.
         """
         with self._lock:
-            if not (math.isfinite(time_s) and time_s > self._last_s):
-                raise ValueError(
-                    f"frames must come in order of time: {time_s} after {self._last_s}"
-                )
+            check_time(time_s, self._last_s)
             detection = self._detector.detect(image)
             self._last_s = time_s
             return self._read(time_s, detection, prior or RingPrior())

@@ -81,7 +81,7 @@ class HeldOut:
     residual: float  # of the readings against the most alike view: 99.5 % were below
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ViewModel:
     """A geodesic sphere of views of one target, with a decision tree for each node.
 
@@ -125,6 +125,10 @@ class ViewModel:
     joints: tuple[Joint, ...] = ()
     angles_rad: Array = field(default_factory=lambda: np.zeros(0))  # (J,)
     configurations: tuple[ViewModel, ...] = ()
+
+    def __repr__(self) -> str:
+        nodes, radius_m = len(self.held_out_accuracy), round(self.target_radius_m, 4)
+        return f"ViewModel({self.name!r}, nodes={nodes}, target_radius_m={radius_m})"
 
     def configuration_at(self, angles_rad: Array) -> ViewModel:
         """The configuration whose angles are nearest to some angles (J,); itself without joints."""
