@@ -33,13 +33,14 @@ from rendezview_service.hub.worker_pool import COMPILING, NotReady, Worker, Work
 from rendezview_service.hub.worker_requests import open_request
 from rendezview_service.logs.log_folder import keep_logs
 from rendezview_service.logs.recordings import Recordings
-from rendezview_service.messages.messages import Health, Recording, RecordingState, SessionRequest
+from rendezview_service.messages.messages import Health, RecordingState, SessionRequest
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import camera_message
 
 log = logging.getLogger("rendezview_service")
 
-_CLOSE_S = 30.0  # s, for a worker to complete a log. Source: chosen
+# s, for a worker to complete a log, and for all of them when the service ends. Source: chosen
+_CLOSE_S, _STOP_S = 30.0, 4.0
 _MOST_ENDED_PROCESSES = 3  # by frames of one session within `ENDED_S`. Source: a chosen limit
 _START_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
 _IDLE_CHECK_S = 5.0  # s, between checks for idle sessions. Source: chosen
@@ -167,8 +168,8 @@ class Service:
         self._workers.stay_down()
         for task in (*self._tasks, *([] if self._begun is None else [self._begun])):
             task.cancel()
-        for session in list(self.sessions.values()):
-            await self.close(session, "the service ends")
+        sessions = list(self.sessions.values())
+        await asyncio.gather(*(self.close(session, "the service ends") for session in sessions))
         for source in self._sources:
             await asyncio.to_thread(source.close)
         await self.jobs.stop()
@@ -191,6 +192,8 @@ class Service:
         logs = {name: session.log.recording for name, session in self.sessions.items()}
         failed = {name: r for name, r in logs.items() if r.state is RecordingState.FAILED}
         blind += [f"session {name} is not recorded: {r.reason}" for name, r in failed.items()]
+        over = {name: r.fault for name, r in logs.items() if r.fault and name not in failed}
+        blind += [f"session {name} is recorded again: {fault}" for name, fault in over.items()]
         status = "stopping" if self.stopping else "not ready" if reasons else "ok"
         if status == "ok" and blind:
             status = "degraded"
@@ -288,7 +291,7 @@ class Service:
             worker.forget(session)
             with contextlib.suppress(WorkerGone, TimeoutError):
                 asked = worker.ask({"kind": "close", "session": session.id})
-                await asyncio.wait_for(asked, _CLOSE_S)
+                await asyncio.wait_for(asked, _STOP_S if self.stopping else _CLOSE_S)
         self.release(session.stored)
         log.info("session", extra={"session": session.id, "state": "closed", "reason": reason})
 
@@ -340,8 +343,7 @@ class Service:
             worker.sessions.discard(session)
             raise RendezviewError(answer["error"])
         session.worker = worker
-        if answer["recording"] is not None:
-            session.log.update(answer["log_path"], Recording.model_validate(answer["recording"]))
+        session.recorded(answer)
         if session.has_waiting:
             worker.wake(session)
 

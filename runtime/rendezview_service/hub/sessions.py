@@ -233,8 +233,7 @@ class Session:
         self.events.limits(header.get("alarms", []), now_s)
         self.events.restarted(*header["starts"])
         self.events.fault(None)
-        if "recording" in header:
-            self._recorded(header)
+        self.recorded(header)
         self._others.tracked(waiting.received_s, waiting.received_unix_s, header)
         self._metrics.tracked(header["status"], header["track_ms"], now_s - waiting.received_s)
         self.keep()
@@ -247,8 +246,7 @@ class Session:
         assert waiting.sensor is not None
         self._lines.spend(header["lines"])
         self._others.received(waiting.sensor, waiting.received_s, waiting.received_unix_s, header)
-        if "recording" in header:
-            self._recorded(header)
+        self.recorded(header)
         self._metrics.measured(waiting.sensor, header["lines"], header["accepted"])
         waiting.answer(Answer(200, answer))
 
@@ -263,6 +261,13 @@ class Session:
         sensors, recording = to_json(self.sensors()), to_json(self.log.recording)
         rest = b'"sensors":%b,"recording":%b,"marks":%b' % (sensors, recording, marks)
         self.watchers.show(now_s, self.progress.last, header, picture, rest)
+
+    def recorded(self, header: Header) -> None:
+        """How recording goes, if the session is recorded."""
+        if "recording" in header:
+            self.log.update(header["log_paths"], Recording.model_validate(header["recording"]))
+            self.events.recording(self.log.recording)
+            self._metrics.recording(self.log.recording)
 
     def refused(self, waiting: SessionInput, error: str, internal: bool = False) -> None:
         """The worker could not use a frame or sensor lines."""
@@ -293,6 +298,7 @@ class Session:
 
         They start with the last pose and the last fused one, if these are not old.
         """
+        self.log.moved()
         self.handover = self.progress.handover
         if self.progress.last_found is not None or self.handover is not None:
             self.request_now = self.request.model_copy(update={"prior": self.progress.prior})
@@ -341,11 +347,6 @@ class Session:
         self._queue.clear()
         self.watchers.end(reason)
         self._metrics.remove()
-
-    def _recorded(self, header: Header) -> None:
-        self.log.update(header["log_path"], Recording.model_validate(header["recording"]))
-        self.events.recording(self.log.recording)
-        self._metrics.recording(self.log.recording)
 
     # Information
 

@@ -23,7 +23,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import ViewModel
 from rendezview_service.logs.log_file import ChannelKinds, messages, records
 from rendezview_service.logs.log_folder import SESSION_METADATA, parts_from
-from rendezview_service.logs.recording import MODEL_ATTACHMENT
+from rendezview_service.logs.log_part import MODEL_ATTACHMENT
 from rendezview_service.messages.frames import read_frame
 from rendezview_service.messages.fusion_messages import LoggedMeasurement
 from rendezview_service.messages.messages import SessionRequest
