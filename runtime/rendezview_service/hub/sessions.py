@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 from pydantic_core import to_json
 
-from rendezview_service.hub.checkpoint import Checkpoint
+from rendezview_service.hub.checkpoint import Checkpoint, CheckpointKeeper
 from rendezview_service.hub.clock import SessionClock
 from rendezview_service.hub.history import Past
 from rendezview_service.hub.inputs import Answer, Full, InputQueue, SessionInput
@@ -88,7 +88,7 @@ class Session:
         self._last_fault: str | None = None
         self._refused_since_s: float | None = None  # no frame has been usable since
         self.was_fused = False  # at another service
-        self.keep: Callable[[], None] = lambda: None  # before a state is acknowledged
+        self.keeper: CheckpointKeeper | None = None
 
     # Inputs
 
@@ -236,7 +236,8 @@ class Session:
         self.recorded(header)
         self._others.tracked(waiting.received_s, waiting.received_unix_s, header)
         self._metrics.tracked(header["status"], header["track_ms"], now_s - waiting.received_s)
-        self.keep()
+        if self.keeper is not None:
+            self.keeper.keep(self.checkpoint())
         waiting.answer(Answer(200, state))
         self.past.add(now_s, header["frame"], state)
         self.watchers.tracked()
