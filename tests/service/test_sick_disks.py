@@ -11,6 +11,7 @@ import resource
 import shutil
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -249,6 +250,54 @@ def test_a_full_disk_is_told_and_all_is_written_when_there_is_room(writer_of, lo
     writer.close()
     assert _frames(logs) == list(range(7))
     assert all(mend(path) is None for path in logs.glob("*.mcap"))  # the ends are there too
+
+
+@pytest.mark.parametrize("sync", ["always", "interval", "never"])
+def test_whatever_happens_each_state_is_there_once_or_told_as_lost(
+    writer_of, logs, tmp_path, disk, monkeypatch, sync
+):
+    """Faults in any order. RENDEZVIEW_TEST_FAULTS is their number."""
+    for name in ("_RETRY_S", "_CHECK_EVERY_S", "_SYNC_EVERY_S"):
+        monkeypatch.setattr(recording, name, 0.01)
+    rng, kept = np.random.default_rng(6), tmp_path / "kept"
+    kept.mkdir()
+    writer = writer_of(sync=sync)
+    numbers, told = itertools.count(), Counter()
+
+    def write(count: int) -> None:
+        for _ in range(count):
+            told[_write(writer, next(numbers)).partition(":")[0]] += 1
+
+    def fail(call: str) -> None:
+        disk.failing[call] += int(rng.integers(1, 4))
+
+    def hang() -> None:
+        disk.answers.clear()
+        threading.Timer(0.05, disk.answers.set).start()
+
+    faults: list[Callable[[], object]] = [
+        lambda: _removed(writer.path),
+        lambda: _replaced(writer.path),
+        lambda: _truncated(writer.path),
+        lambda: writer.path.rename(kept / f"{next(names)}.mcap"),
+        lambda: fail("fsync"),
+        lambda: fail("writev"),
+        hang,
+    ]
+    names = itertools.count()
+    for _ in range(int(os.environ.get("RENDEZVIEW_TEST_FAULTS", "25"))):
+        write(int(rng.integers(0, 6)))
+        wait_until(lambda: writer.status.pending == 0 and writer.status.parts)
+        faults[rng.integers(len(faults))]()
+        write(int(rng.integers(1, 6)))
+        disk.failing = dict.fromkeys(disk.failing, 0)
+        disk.answers.wait()
+    wait_until(lambda: writer.status.pending == 0)
+    writer.close()
+    found = Counter(_frames(logs, kept))
+    assert set(found.values()) == {1}
+    assert next(numbers) - len(found) == writer.status.lost
+    assert told["failed"] == 0
 
 
 def test_a_picture_larger_than_the_memory_is_recorded(writer_of, logs):

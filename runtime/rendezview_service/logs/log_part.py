@@ -112,13 +112,15 @@ class OpenPart:
             Gone: the file is not there any more, or not as it was written.
             OSError: the disk is full or fails.
         """
+        more = sum(len(entry.content) for entry in entries)
         try:
             _write_all(self._file, [entry.content for entry in entries])
-            self.check(sum(len(entry.content) for entry in entries))
+            self.check(more)
         except OSError as error:
-            if not isinstance(error, Gone) or error.moved:
-                with contextlib.suppress(OSError):
-                    os.ftruncate(self._file, self.scan.end)
+            if isinstance(error, Gone):  # they are at the end, wherever that was
+                self._cut(os.fstat(self._file).st_size - more)
+            else:
+                self._cut(self.scan.end)
             raise
         for entry in entries:
             entry.add_to(self.scan)
@@ -142,6 +144,15 @@ class OpenPart:
         if self._known and (named.st_dev, named.st_ino) != self._inode:
             raise Gone("it was moved while it was written", moved=True)
 
+    @property
+    def is_there(self) -> bool:
+        """Whether the file has a name, and still all that an fsync has confirmed."""
+        try:
+            status = os.fstat(self._file)
+        except OSError:
+            return False
+        return status.st_nlink > 0 and status.st_size >= self.safe_end
+
     def sync(self) -> Sync:
         """What forces all that was appended so far to the disk, and the file's name."""
         folder = None if self._in_folder else self.path.parent
@@ -164,17 +175,19 @@ class OpenPart:
         try:
             _write_all(self._file, [ending(self.scan)])
         except OSError:
-            with contextlib.suppress(OSError):
-                os.ftruncate(self._file, self.scan.end)
+            self._cut(self.scan.end)
             return False
         return True
 
     def give_up(self) -> None:
         """Close the file; cut off what no fsync has confirmed, so that it is not there twice."""
-        with contextlib.suppress(OSError):
-            if os.fstat(self._file).st_size > self.safe_end:
-                os.ftruncate(self._file, self.safe_end)
+        self._cut(self.safe_end)
         self.close()
+
+    def _cut(self, end: int) -> None:
+        with contextlib.suppress(OSError):
+            if os.fstat(self._file).st_size > end:
+                os.ftruncate(self._file, end)
 
     def close(self) -> None:
         """Give the file up as it is."""

@@ -374,11 +374,11 @@ class LogWriter:
 
     def _given_up(self, part: OpenPart, error: OSError) -> str:
         """Leave a part. What is in memory of it goes into the next one; the reason."""
-        moved = gone = False
-        why = str(write_error(part.path, error))
+        why, there = str(write_error(part.path, error)), part.is_there
+        whole = there and part.states > 0 and part.sync_error is None
         if isinstance(error, Gone):
-            moved, gone, why = error.moved, not error.moved, f"{part.path}: {error.strerror}"
-        if not gone and part.sync_error is None and (moved or part.states):
+            whole, why = whole and error.moved, f"{part.path}: {error.strerror}"
+        if whole:
             try:
                 self._finish(part)
                 return why
@@ -386,12 +386,12 @@ class LogWriter:
                 why = str(write_error(part.path, of_sync))
         with self._change:
             rescued = self._kept.put_back()
-            lost = part.states - (0 if gone else part.safe_states) - rescued
+            lost = part.states - (part.safe_states if there else 0) - rescued
             self._lost += lost
-            if part.safe_states or gone or moved:
+            if part.safe_states or not there or isinstance(error, Gone):
                 self._leave(part)
-                part.close() if gone else part.give_up()
-            else:
+                part.give_up()
+            else:  # nothing is in it
                 self._part = None
                 self._paths.remove(part.path)
                 part.remove()
