@@ -78,7 +78,7 @@ def test_a_disk_that_hangs_delays_one_state_and_gets_the_newest_checkpoint(path,
             return super().wait_for(happened, timeout)
 
     monkeypatch.setattr(checkpoint, "write_checkpoint", hang)
-    monkeypatch.setattr(checkpoint.threading, "Condition", Counted)
+    monkeypatch.setattr(threading, "Condition", Counted)
     keeper = CheckpointKeeper(path)
     for frames in range(50):
         keeper.keep(_after(frames))

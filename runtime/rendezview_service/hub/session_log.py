@@ -29,10 +29,11 @@ class SessionLog:
         """Continue a log whose parts another service has written."""
         self.id, self.base, self._paths = log_id, base, list(paths)
 
-    def moved(self) -> None:
-        """Another worker continues; what waited for the disk is lost with the last one."""
-        self._earlier = list(self._paths)
-        self._earlier_lost = self.recording.lost + self.recording.pending
+    def moved(self) -> int:
+        """Another worker continues; the number of states that waited for the disk: all lost."""
+        lost = self.recording.pending
+        self._earlier, self._earlier_lost = list(self._paths), self.recording.lost + lost
+        return lost
 
     def update(self, paths: list[str], recording: Recording) -> None:
         """The files that a worker has written, and how that goes."""

@@ -299,7 +299,8 @@ class Session:
 
         They start with the last pose and the last fused one, if these are not old.
         """
-        self.log.moved()
+        if lost := self.log.moved():
+            self.events.add("recording", Level.ALARM, f"{lost} states waited for the disk: lost")
         self.handover = self.progress.handover
         if self.progress.last_found is not None or self.handover is not None:
             self.request_now = self.request.model_copy(update={"prior": self.progress.prior})
@@ -367,8 +368,8 @@ class Session:
         now_s = time.monotonic()
         ended = (self.reason or "the source has ended") if self.finished else None
         reason = self._arrivals.silence(now_s, self._last_fault) if ended is None else ended
-        counts = self.progress.frames, self._drops
-        return self._others.health(now_s, self._arrivals, reason, *counts)
+        frames = self.progress.frames
+        return self._others.health(now_s, self._arrivals, reason, frames, self._drops)
 
     def info(self) -> SessionInfo:
         """The session as a message."""

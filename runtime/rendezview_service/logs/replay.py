@@ -251,6 +251,8 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Comparison]]
             continue
         if entry.image is None:
             raise RendezviewError(f"{log.path}: was recorded without images: it cannot be repeated")
+        if entry.state["frame"] < run.expected:
+            continue  # twice: an earlier part could not be cut back when its disk failed
         if entry.state["frame"] != run.expected:
             so_far.add_gap(f"frames {run.expected} to {entry.state['frame'] - 1}")
             run = None
