@@ -199,7 +199,7 @@ def test_a_training_into_a_full_folder_leaves_no_half_model(start_service, tmp_p
     trimesh.creation.box((2.0, 1.0, 0.6)).export(mesh)
     served = start_service("--models", str(models), given=False)
     with served.client() as client:
-        job = client.train("block", mesh, order=0, views=100, held_out=0)
+        job = client.train("block", mesh, order=0, views=100, held_out=10)
         wait_until(lambda: client.job(job["id"])["stage"])  # a process of its own
         resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, (1000, 1000))
         now = _ended(client, job)
