@@ -21,7 +21,7 @@ from rendezview_service.hub.service import Service
 from rendezview_service.settings import Settings
 
 _OTHER_FILES = 200  # files that are open beside connections. Source: a chosen limit
-_SHUTDOWN_S = 10  # s, for open requests. Source: chosen
+_SHUTDOWN_S = 2  # s, for open requests. Source: chosen
 
 
 class _Server(uvicorn.Server):

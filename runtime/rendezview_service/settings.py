@@ -43,6 +43,8 @@ class Settings(BaseSettings):
         default=1_000_000_000, ge=1_000_000
     )  # then a log's next part begins
     log_part_s: float = Field(default=3600.0, ge=1.0)  # the same
+    log_wait_s: float = Field(default=0.25, ge=0.0)  # an answer waits so long for the disk
+    log_memory_bytes: int = Field(default=64_000_000, ge=0)  # of what waits longer, of a session
     logs_bytes: int = Field(default=0, ge=0)  # of all logs; the oldest are removed; 0: keep all
     logs_s: float = Field(default=0.0, ge=0.0)  # logs that are older are removed; 0: keep all
 

@@ -139,7 +139,9 @@ class Gateway:
             reasons.append(_NO_ORCHESTRATOR)
         if not slots and not reasons:
             reasons.append("no slot is ready: the cluster's nodes start")
-        health = {"status": "ok" if slots else "not ready", "reasons": reasons, "seats": slots}
+        reasons += [reason for slot in slots for reason in slot["reasons"]]
+        status = ("degraded" if reasons else "ok") if slots else "not ready"
+        health = {"status": status, "reasons": reasons, "seats": slots}
         return _json(health, bool(slots) or of_itself)
 
     async def _open(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:

@@ -62,6 +62,7 @@ class Orchestrator:
         self._models: dict[str, Path] = {}  # of the open sessions, files by name
         self._warm: set[tuple[str, Path]] = set()  # slots that have read a model
         self._expects: dict[str, list[str]] = {}  # sessions that a slot is ready for
+        self._reasons: dict[str, list[str]] = {}  # what is wrong at a slot
         self._busy: dict[str, asyncio.Task[None]] = {}  # slots and sessions
         self._looking: asyncio.Task[None] | None = None
 
@@ -146,7 +147,7 @@ class Orchestrator:
                     self._asked.add(slot)
                     return
             changes = self._changes[slot]
-            held = await asyncio.wait_for(actor.held.remote(), _ANSWER_S)
+            held, reasons = await asyncio.wait_for(actor.held.remote(), _ANSWER_S)
         except (ray.exceptions.RayError, ValueError, TimeoutError):
             self._asked.add(slot)
             for name in self._forget(slot):
@@ -156,6 +157,7 @@ class Orchestrator:
         if changes != self._changes[slot]:
             return
         self._ready.add(slot)
+        self._reasons[slot] = reasons
         if held is None:
             for name in [n for n, s in self._held.items() if s == slot]:
                 del self._held[name]
@@ -185,6 +187,7 @@ class Orchestrator:
         self._ready.discard(slot)
         self._warm = {known for known in self._warm if known[0] != slot}
         self._expects.pop(slot, None)
+        self._reasons.pop(slot, None)
         names = [n for n, s in self._held.items() if s == slot]
         for name in names:
             del self._held[name]
@@ -332,6 +335,7 @@ class Orchestrator:
                 "process": self._processes[slot],
                 "session": held.get(slot),
                 "warm": all((slot, copy) in self._warm for copy in used),
+                "reasons": self._reasons.get(slot, []),
             }
             for slot in sorted(self._ready & set(self._nodes))
         ]

@@ -18,14 +18,13 @@ from rendezview_service.cluster.heartbeat import Beacon
 from rendezview_service.cluster.tunnel import Sockets, exchange
 from rendezview_service.http.app import make_routes
 from rendezview_service.hub.checkpoint import (
+    CheckpointKeeper,
     checkpoint_path,
     read_checkpoint,
-    write_checkpoint,
 )
 from rendezview_service.hub.model_store import BY_HASH
 from rendezview_service.hub.model_store import SUFFIX as RVM
 from rendezview_service.hub.service import Service
-from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.worker_requests import sight_of
 from rendezview_service.json_logging import set_up_logging
 from rendezview_service.messages.messages import SessionRequest
@@ -52,6 +51,7 @@ class Slot:
         self._sockets = Sockets(self._app)
         self._beacon = Beacon()
         self._held: str | None = None
+        self._keeper: CheckpointKeeper | None = None  # of the session that it has
         self._begun = False
 
     async def start(self) -> int:
@@ -98,34 +98,31 @@ class Slot:
         assert asked.model is not None
         self._service.models.know(asked.model, Path(copy))
         path = checkpoint_path(self._folder, asked.id)
-
-        def keep(session: Session) -> None:
-            if self._held == session.id:
-                write_checkpoint(path, session.checkpoint())
-
-        self._held = asked.id
+        self._held, self._keeper = asked.id, CheckpointKeeper(path)
         resumed = read_checkpoint(path) if resumes else None
         try:
-            await self._service.open(asked, resumed, keep)
+            await self._service.open(asked, resumed, self._keeper)
         except BaseException:
-            self._held = None
+            self._keeper.end(remove=resumed is None)
+            self._held = self._keeper = None
             raise
         return asked.id
 
-    async def held(self) -> str | None:
-        """The session that it has. The checkpoint of one that has ended is removed."""
-        name = self._held
-        if name is not None and not self._service.has(name):
-            checkpoint_path(self._folder, name).unlink(missing_ok=True)
-            self._held = None
-        return self._held
+    async def held(self) -> tuple[str | None, list[str]]:
+        """The session that it has, and what is wrong. The checkpoint of an ended one goes first."""
+        ended = self._held is not None and not self._service.has(self._held)
+        if ended and (self._keeper is None or self._keeper.end(remove=True)):
+            self._held = self._keeper = None
+        return self._held, self._service.health().reasons
 
     async def let_go(self, name: str) -> None:
         """End a session here, so that another slot continues it."""
         session = self._service.sessions.get(name)
         if session is not None:
-            session.keep()
-            self._held = None
+            if self._keeper is not None:
+                self._keeper.keep(session.checkpoint())
+                self._keeper.end()
+            self._held = self._keeper = session.keeper = None
             await self._service.close(session, "another node continues it")
 
     async def http(self, session: str, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:

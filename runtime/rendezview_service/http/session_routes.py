@@ -29,6 +29,7 @@ from rendezview_service.http.answers import (
 )
 from rendezview_service.http.security import Right
 from rendezview_service.hub.session_defaults import approach_of
+from rendezview_service.logs.log_file import is_own
 from rendezview_service.logs.log_repair import join
 from rendezview_service.messages.approach_messages import ApproachRequest
 from rendezview_service.messages.fusion_messages import Marks, Measured
@@ -276,7 +277,7 @@ async def get_log(request: Request, name: str) -> Response:
     parts = session_of(request, name).log.parts
     if not parts:
         raise HTTPException(404, "this session is not recorded")
-    joined = await run_in_threadpool(join, [part for part in parts if part.path.exists()])
+    joined = await run_in_threadpool(join, [part for part in parts if is_own(part.path)])
     headers = {
         "Content-Disposition": f'attachment; filename="{parts[0].path.name}"',
         "Content-Length": str(joined.length),

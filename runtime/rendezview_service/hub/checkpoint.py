@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
+import time
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
+from rendezview.errors import RendezviewError
 from rendezview.io.files import atomic_write_text
 from rendezview_service.messages.messages import SessionRequest
 
 SUFFIX = ".session.json"
+_WAIT_S = 0.25  # s, that an answer waits for the disk. Source: chosen
 
 
 class Tracked(BaseModel):
@@ -61,3 +66,74 @@ def read_checkpoint(path: Path) -> Checkpoint | None:
         return Checkpoint.model_validate_json(path.read_bytes())
     except FileNotFoundError:
         return None
+
+
+class CheckpointKeeper:
+    """Writes the checkpoints of one session, in a thread of its own: the newest one only.
+
+    A disk that is slow or full delays one answer a little, and no more until it works again.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Nothing is written yet."""
+        self._path = path
+        self._change = threading.Condition()
+        self._newest: Checkpoint | None = None  # that is not written yet
+        self._asked = self._done = 0
+        self._asked_s = 0.0
+        self._error: str | None = None
+        self._ending = self._removing = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def reason(self) -> str | None:
+        """Why the newest checkpoint is not there; None: it is."""
+        with self._change:
+            waits_s = time.monotonic() - self._asked_s
+            if self._done == self._asked or (self._error is None and waits_s < _WAIT_S):
+                return self._error
+            return self._error or f"{self._path}: the disk has not answered for {waits_s:.0f} s"
+
+    def keep(self, checkpoint: Checkpoint) -> None:
+        """Replace the checkpoint; wait for that, unless the disk is late or failing already."""
+        with self._change:
+            in_time = self._done == self._asked and self._error is None
+            if self._done == self._asked:
+                self._asked_s = time.monotonic()
+            self._newest = checkpoint
+            self._asked += 1
+            self._change.notify_all()
+            if in_time:
+                self._change.wait_for(lambda: self._done == self._asked, _WAIT_S)
+
+    def end(self, *, remove: bool = False) -> bool:
+        """No other follows; whether all is done. If it is not yet, ask again.
+
+        Args:
+            remove: the session has ended, and its checkpoint goes.
+        """
+        with self._change:
+            self._ending, self._removing = True, remove
+            self._change.notify_all()
+        self._thread.join(_WAIT_S)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while True:
+            with self._change:
+                self._change.wait_for(lambda: self._newest or self._ending)
+                newest, asked, self._newest = self._newest, self._asked, None
+            if self._removing:
+                with contextlib.suppress(OSError):
+                    self._path.unlink(missing_ok=True)
+            if newest is None or self._removing:
+                return
+            error = None
+            try:
+                write_checkpoint(self._path, newest)
+            except (OSError, RendezviewError) as failed:
+                error = str(failed)
+            with self._change:
+                self._done, self._error = asked, error
+                self._change.notify_all()

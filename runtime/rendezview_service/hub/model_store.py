@@ -234,13 +234,6 @@ class ModelStore:
             self._models[name] = stored
         return stored
 
-    def found(self, name: str) -> StoredModel:
-        """Add a file that a training job has put into the folder."""
-        stored = self._stored(name, self.folder / f"{name}{SUFFIX}", own=True)
-        _ = stored.model
-        self._models[name] = stored
-        return stored
-
     def remove(self, name: str) -> None:
         """Remove a model and delete its file.
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import make_folder
-from rendezview_service.hub.checkpoint import Checkpoint
+from rendezview_service.hub.checkpoint import Checkpoint, CheckpointKeeper
 from rendezview_service.hub.feeder import Feeder
 from rendezview_service.hub.inputs import Full
 from rendezview_service.hub.jobs import Jobs
@@ -33,13 +33,13 @@ from rendezview_service.hub.worker_pool import COMPILING, NotReady, Worker, Work
 from rendezview_service.hub.worker_requests import open_request
 from rendezview_service.logs.log_folder import keep_logs
 from rendezview_service.logs.recordings import Recordings
-from rendezview_service.messages.messages import Health, Recording, RecordingState, SessionRequest
+from rendezview_service.messages.messages import Health, RecordingState, SessionRequest
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import camera_message
 
 log = logging.getLogger("rendezview_service")
 
-_CLOSE_S = 30.0  # s, for a worker to complete a log. Source: chosen
+_CLOSE_S, _STOP_S = 30.0, 4.0  # s, for a log to be completed; when all end. Source: chosen
 _MOST_ENDED_PROCESSES = 3  # by frames of one session within `ENDED_S`. Source: a chosen limit
 _START_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
 _IDLE_CHECK_S = 5.0  # s, between checks for idle sessions. Source: chosen
@@ -127,8 +127,7 @@ class Service:
                 raise RendezviewError(
                     f"{self.settings.record}: its folder does not exist: create it first"
                 )
-            limits = self.settings.logs_bytes, self.settings.logs_s
-            self._spawn(keep_logs(folder, *limits))
+            self._spawn(keep_logs(folder, self.settings.logs_bytes, self.settings.logs_s))
         self._begun = asyncio.create_task(self._begin())
         self._begun.add_done_callback(self._begin_done)
         self._spawn(self._housekeeping())
@@ -167,8 +166,8 @@ class Service:
         self._workers.stay_down()
         for task in (*self._tasks, *([] if self._begun is None else [self._begun])):
             task.cancel()
-        for session in list(self.sessions.values()):
-            await self.close(session, "the service ends")
+        sessions = list(self.sessions.values())
+        await asyncio.gather(*(self.close(session, "the service ends") for session in sessions))
         for source in self._sources:
             await asyncio.to_thread(source.close)
         await self.jobs.stop()
@@ -191,6 +190,10 @@ class Service:
         logs = {name: session.log.recording for name, session in self.sessions.items()}
         failed = {name: r for name, r in logs.items() if r.state is RecordingState.FAILED}
         blind += [f"session {name} is not recorded: {r.reason}" for name, r in failed.items()]
+        logs = {name: r for name, r in logs.items() if r.fault and name not in failed}
+        blind += [f"session {name} is recorded again: {r.fault}" for name, r in logs.items()]
+        stays = {name: s.keeper.reason for name, s in self.sessions.items() if s.keeper}
+        blind += [f"session {n} cannot go on elsewhere: {why}" for n, why in stays.items() if why]
         status = "stopping" if self.stopping else "not ready" if reasons else "ok"
         if status == "ok" and blind:
             status = "degraded"
@@ -209,13 +212,13 @@ class Service:
         self,
         request: SessionRequest,
         resumed: Checkpoint | None = None,
-        keep: Callable[[Session], None] = lambda session: None,
+        keeper: CheckpointKeeper | None = None,
     ) -> Session:
         """Open a session; while the service starts, wait a moment for that.
 
         Args:
             resumed: of a session that another service had.
-            keep: receives the session at its begin, and before each state is acknowledged.
+            keeper: of its checkpoints, at its begin and before each state is acknowledged.
 
         Raises:
             RendezviewError: the request is wrong.
@@ -227,14 +230,14 @@ class Service:
                 await asyncio.wait_for(asyncio.shield(self._begun), _START_WAIT_S)
             except TimeoutError:
                 raise NotReady(f"starting: {self._workers.progress}") from None
-        return await self._open(request, resumed=resumed, keep=keep)
+        return await self._open(request, resumed=resumed, keeper=keeper)
 
     async def _open(
         self,
         request: SessionRequest,
         source: Source | None = None,
         resumed: Checkpoint | None = None,
-        keep: Callable[[Session], None] = lambda session: None,
+        keeper: CheckpointKeeper | None = None,
     ) -> Session:
         if len(self.sessions) + len(self._opening) >= self.settings.sessions or self.stopping:
             raise Full
@@ -252,8 +255,6 @@ class Service:
                 session.resume(resumed)
             try:
                 await self._place(session)
-                keep(session)
-                session.keep = lambda: keep(session)
             except BaseException as error:
                 session.end("it could not be opened")
                 if isinstance(error, WorkerGone):
@@ -261,7 +262,12 @@ class Service:
                 raise
         finally:
             self._opening.discard(name)
-        self.sessions[name] = session
+        self.sessions[name], session.keeper = session, keeper
+        if keeper is not None:
+            keeper.keep(session.checkpoint())
+            if keeper.reason is not None and resumed is None:
+                await self.close(session, "it has no checkpoint")
+                raise RendezviewError(f"session {name} cannot be opened: {keeper.reason}")
         self.metrics.sessions.set(len(self.sessions))
         self._spawn(self._workers.prepare(list(self.sessions.values())))
         if self._viewers.any:
@@ -288,7 +294,7 @@ class Service:
             worker.forget(session)
             with contextlib.suppress(WorkerGone, TimeoutError):
                 asked = worker.ask({"kind": "close", "session": session.id})
-                await asyncio.wait_for(asked, _CLOSE_S)
+                await asyncio.wait_for(asked, _STOP_S if self.stopping else _CLOSE_S)
         self.release(session.stored)
         log.info("session", extra={"session": session.id, "state": "closed", "reason": reason})
 
@@ -340,8 +346,7 @@ class Service:
             worker.sessions.discard(session)
             raise RendezviewError(answer["error"])
         session.worker = worker
-        if answer["recording"] is not None:
-            session.log.update(answer["log_path"], Recording.model_validate(answer["recording"]))
+        session.recorded(answer)
         if session.has_waiting:
             worker.wake(session)
 

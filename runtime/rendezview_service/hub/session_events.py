@@ -31,6 +31,7 @@ class SessionEvents:
         self._count = 0
         self._phase = Phase.WAITING
         self._recording: RecordingState | None = None
+        self._log_faults = 0
         self._alarms: dict[tuple[str, str], tuple[str, float]] = {}  # text, last seen
         self._fault: str | None = None
         self._restarts = 0
@@ -82,7 +83,10 @@ class SessionEvents:
 
     def recording(self, recording: Recording) -> None:
         """The state of the log."""
+        faults, self._log_faults = self._log_faults, recording.faults
         if recording.state is self._recording:
+            if recording.fault is not None and recording.faults > faults:
+                self.add("recording", Level.ALARM, f"goes on: {recording.fault}")
             return
         began, self._recording = self._recording is None, recording.state
         if recording.state is RecordingState.FAILED:

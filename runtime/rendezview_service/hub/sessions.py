@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 from pydantic_core import to_json
 
-from rendezview_service.hub.checkpoint import Checkpoint
+from rendezview_service.hub.checkpoint import Checkpoint, CheckpointKeeper
 from rendezview_service.hub.clock import SessionClock
 from rendezview_service.hub.history import Past
 from rendezview_service.hub.inputs import Answer, Full, InputQueue, SessionInput
@@ -88,7 +88,7 @@ class Session:
         self._last_fault: str | None = None
         self._refused_since_s: float | None = None  # no frame has been usable since
         self.was_fused = False  # at another service
-        self.keep: Callable[[], None] = lambda: None  # before a state is acknowledged
+        self.keeper: CheckpointKeeper | None = None
 
     # Inputs
 
@@ -233,11 +233,11 @@ class Session:
         self.events.limits(header.get("alarms", []), now_s)
         self.events.restarted(*header["starts"])
         self.events.fault(None)
-        if "recording" in header:
-            self._recorded(header)
+        self.recorded(header)
         self._others.tracked(waiting.received_s, waiting.received_unix_s, header)
         self._metrics.tracked(header["status"], header["track_ms"], now_s - waiting.received_s)
-        self.keep()
+        if self.keeper is not None:
+            self.keeper.keep(self.checkpoint())
         waiting.answer(Answer(200, state))
         self.past.add(now_s, header["frame"], state)
         self.watchers.tracked()
@@ -247,8 +247,7 @@ class Session:
         assert waiting.sensor is not None
         self._lines.spend(header["lines"])
         self._others.received(waiting.sensor, waiting.received_s, waiting.received_unix_s, header)
-        if "recording" in header:
-            self._recorded(header)
+        self.recorded(header)
         self._metrics.measured(waiting.sensor, header["lines"], header["accepted"])
         waiting.answer(Answer(200, answer))
 
@@ -263,6 +262,13 @@ class Session:
         sensors, recording = to_json(self.sensors()), to_json(self.log.recording)
         rest = b'"sensors":%b,"recording":%b,"marks":%b' % (sensors, recording, marks)
         self.watchers.show(now_s, self.progress.last, header, picture, rest)
+
+    def recorded(self, header: Header) -> None:
+        """How recording goes, if the session is recorded."""
+        if "recording" in header:
+            self.log.update(header["log_paths"], Recording.model_validate(header["recording"]))
+            self.events.recording(self.log.recording)
+            self._metrics.recording(self.log.recording)
 
     def refused(self, waiting: SessionInput, error: str, internal: bool = False) -> None:
         """The worker could not use a frame or sensor lines."""
@@ -293,6 +299,8 @@ class Session:
 
         They start with the last pose and the last fused one, if these are not old.
         """
+        if lost := self.log.moved():
+            self.events.add("recording", Level.ALARM, f"{lost} states waited for the disk: lost")
         self.handover = self.progress.handover
         if self.progress.last_found is not None or self.handover is not None:
             self.request_now = self.request.model_copy(update={"prior": self.progress.prior})
@@ -342,11 +350,6 @@ class Session:
         self.watchers.end(reason)
         self._metrics.remove()
 
-    def _recorded(self, header: Header) -> None:
-        self.log.update(header["log_path"], Recording.model_validate(header["recording"]))
-        self.events.recording(self.log.recording)
-        self._metrics.recording(self.log.recording)
-
     # Information
 
     @property
@@ -365,8 +368,8 @@ class Session:
         now_s = time.monotonic()
         ended = (self.reason or "the source has ended") if self.finished else None
         reason = self._arrivals.silence(now_s, self._last_fault) if ended is None else ended
-        counts = self.progress.frames, self._drops
-        return self._others.health(now_s, self._arrivals, reason, *counts)
+        frames = self.progress.frames
+        return self._others.health(now_s, self._arrivals, reason, frames, self._drops)
 
     def info(self) -> SessionInfo:
         """The session as a message."""

@@ -30,6 +30,8 @@ class WorkerGone(Exception):
 class WorkerClient(Protocol):
     """The data of a session that a worker needs."""
 
+    id: str
+
     @property
     def has_waiting(self) -> bool:
         """Whether an input waits."""
@@ -51,6 +53,9 @@ class WorkerClient(Protocol):
 
     def measured(self, waiting: SessionInput, header: Header, answer: bytes) -> None:
         """The answer to sensor lines has come."""
+
+    def recorded(self, header: Header) -> None:
+        """How recording goes."""
 
     def refused(self, waiting: SessionInput, error: str, internal: bool) -> None:
         """The process could not use an input."""
@@ -74,7 +79,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         self.ready = False
         self._turns: deque[ClientT] = deque()  # sessions with an input waiting
         self._current: tuple[ClientT, SessionInput] | None = None
-        self._answers: deque[tuple[str, asyncio.Future[Header]]] = deque()
+        self._answers: deque[tuple[Header, asyncio.Future[Header]]] = deque()
         self._timer: asyncio.TimerHandle | None = None
         self._sent_at_s = self._spent_before_s = 0.0  # of the input, its own processor's clock
         self._process: subprocess.Popen[bytes] | None = None
@@ -118,7 +123,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         if self._transport is None:
             raise WorkerGone
         future: asyncio.Future[Header] = asyncio.get_running_loop().create_future()
-        self._answers.append((header["session"], future))
+        self._answers.append((header, future))
         self._transport.write(pack(header))
         return await future
 
@@ -237,6 +242,10 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
             kind == "fault" and header["of"] not in ("frame", "measure", "show")
         ):
             self._answered(header)
+        elif kind == "recording":
+            for session in self.sessions:
+                if session.id == header["session"]:
+                    session.recorded(header)
         elif self._current is not None:
             session, waiting = self._current
             try:
@@ -253,8 +262,10 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
                     self._done()
 
     def _answered(self, header: Header) -> None:
-        for k, (session, future) in enumerate(self._answers):
-            if session == header["session"]:
+        closed = header["kind"] == "closed" or header.get("of") == "close"
+        for k, (asked, future) in enumerate(self._answers):
+            # A log may be completed after the next session of the same name is opened.
+            if asked["session"] == header["session"] and (asked["kind"] == "close") is closed:
                 del self._answers[k]
                 if not future.done():
                     future.set_result(header)

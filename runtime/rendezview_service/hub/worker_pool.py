@@ -26,7 +26,7 @@ _MOST_PREPARED = 4  # recognizers, 90 MB each, that the spare worker has ready. 
 _SPARE_PAUSE_S = 1.0  # s, in which moved sessions have the processor alone. Source: chosen
 _RESTART_PAUSE_S = 1.0  # s, between attempts to replace a worker. Source: chosen
 _WARM_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
-_STOP_S = 10.0  # s, to complete the logs. Source: chosen
+_STOP_S = 3.0  # s, for a process to end, then it is killed. Source: chosen
 
 
 class NotReady(Exception):

@@ -33,6 +33,8 @@ def open_request(session: Session, settings: Settings) -> Header:
             "compression": settings.compression,
             "part_bytes": settings.log_part_bytes,
             "part_s": settings.log_part_s,
+            "wait_s": settings.log_wait_s,
+            "memory_bytes": settings.log_memory_bytes,
         },
     }
 

@@ -254,7 +254,14 @@ def locked(path: Path) -> Iterator[None]:
     except OSError as error:
         raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
     try:
-        if not lock(file):
+        try:
+            ours = lock(file)
+        except OSError as error:
+            raise RendezviewError(
+                f"{path}: its file system has no locks ({error.strerror}), so a service may be "
+                "writing it: copy it to another disk first"
+            ) from error
+        if not ours:
             raise RendezviewError(f"{path}: is being written: close its session first")
         yield
     finally:

@@ -20,7 +20,14 @@ from mcap.records import Chunk
 
 from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance import ViewModel
-from rendezview_service.logs.log_file import ChannelKinds, is_own, messages, record_at, records
+from rendezview_service.logs.log_file import (
+    ChannelKinds,
+    is_own,
+    messages,
+    next_chunk,
+    record_at,
+    records,
+)
 from rendezview_service.logs.log_folder import notes_of, parts_from
 from rendezview_service.logs.log_index import MAGIC
 from rendezview_service.logs.log_repair import RECOVERED
@@ -210,7 +217,7 @@ def _extent(path: Path, size: int) -> tuple[int, int, int]:
 
 
 def places_of(parts: list[Path]) -> list[tuple[Path, int, int]]:
-    """File, offset and time (ns) of each chunk, by the heads of records; damage ends a file."""
+    """File, offset and time (ns) of each chunk, by the heads of records."""
     found = []
     for path in parts:
         size = path.stat().st_size
@@ -220,8 +227,14 @@ def places_of(parts: list[Path]) -> list[tuple[Path, int, int]]:
                 file.seek(place)
                 opcode, length = _HEAD.unpack(file.read(_HEAD.size))
                 end = place + _HEAD.size + length
-                if opcode == Opcode.DATA_END or end > size:
+                if opcode == Opcode.DATA_END:
                     break
+                if opcode == 0 or end > size:  # damage
+                    following = next_chunk(file, place + 1, size)
+                    if following is None:
+                        break
+                    place = following
+                    continue
                 if opcode == Opcode.CHUNK:
                     first_ns, _ = _TIMES.unpack(file.read(_TIMES.size))
                     found.append((path, place, first_ns))

@@ -213,6 +213,7 @@ class Measured(Message):
     verdicts: list[Verdict | None] = Field(description="one per line; null: no measurement")
     fused: Fused | None = Field(description="null before the first measurement of another sensor")
     recorded: bool = Field(description="all lines are in the log")
+    record: str | None = Field(default=None, description="as that of a state")
 
 
 class LoggedMeasurement(Message):

@@ -160,7 +160,10 @@ class Recording(Message):
     size_bytes: int = Field(default=0, description="of that file")
     parts: int = Field(default=0, description="number of the file, from 1")
     all_bytes: int = Field(default=0, description="of all files since the worker's start")
-    lost: int = Field(default=0, description="states and lines that were not written")
+    lost: int = Field(default=0, description="states and lines that are in no file")
+    pending: int = Field(default=0, description="states and lines that wait for the disk")
+    faults: int = Field(default=0, description="of its files, since the worker's start")
+    fault: str | None = Field(default=None, description="the last one, for half a minute")
 
 
 class SessionInfo(Message):
@@ -258,6 +261,11 @@ class State(ObservationMessage):
     latency_ms: float = Field(description="from the frame's arrival to this answer")
     drops: int = Field(description="frames of the session that newer ones replaced, so far")
     recorded: bool = Field(description="this state is in the log")
+    record: str | None = Field(
+        default=None,
+        description="recorded; pending: it waits for the disk, `recording` has its fate; "
+        "failed: it will be in no file; both with a reason",
+    )
     model_sha256: str | None = Field(default=None, description="of the model's file, hexadecimal")
     motion: Motion | None = Field(
         default=None,

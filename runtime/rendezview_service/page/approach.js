@@ -54,7 +54,7 @@ export function showApproach(state) {
 /** What must not be missed: alarms, and a recording that fails. */
 export function showAlerts(state, recording) {
   const list = find("alerts"), found = [];
-  if (recording?.state === "failed") found.push(["alarm", `NOT RECORDED: ${recording.reason ?? "unknown"} (${recording.lost} lost)`]);
+  if (recording?.state === "failed") found.push(["alarm", `NOT RECORDED: ${recording.reason ?? "unknown"} (${recording.lost} lost, ${recording.pending ?? 0} waiting)`]);
   for (const { level, text } of state?.approach?.alarms ?? []) found.push([level, `${level === "alarm" ? "ALARM" : "Warning"}: ${text}`]);
   const text = JSON.stringify(found);
   if (list.dataset.shown === text) return;

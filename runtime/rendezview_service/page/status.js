@@ -149,7 +149,7 @@ export function showRecording(recording) {
   const words = {
     off: "not recorded",
     on: `● recording ${(recording.size_bytes / 1e6).toFixed(0)} MB`,
-    failed: `▲ recording failed, ${recording.lost} lost`,
+    failed: `▲ recording failed, ${recording.lost} lost, ${recording.pending ?? 0} waiting`,
   };
   say(chip, words[recording.state]);
   chip.className = `chip ${{ off: "", on: "good", failed: "bad" }[recording.state]}`;
