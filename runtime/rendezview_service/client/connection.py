@@ -90,7 +90,7 @@ class Client:
             raise RendezviewError(f"{url}: {'a token has no spaces' if known else what}")
         self._url = parts
         assert parts.hostname is not None
-        self._reconnect_s = reconnect_s
+        self._reconnect_s, self._timeout_s = reconnect_s, timeout_s
         self._reached = False
         self._tls = _tls(certificate) if parts.scheme == "https" else None
         self._connection: HTTPConnection = (
@@ -281,6 +281,11 @@ class Client:
         return self._reconnect_s
 
     @property
+    def timeout_s(self) -> float:
+        """The limit of one answer, and of opening a stream."""
+        return self._timeout_s
+
+    @property
     def tls(self) -> ssl.SSLContext | None:
         """TLS settings; None for plain HTTP."""
         return self._tls
@@ -332,7 +337,7 @@ class SessionClient:
         """A WebSocket for frames and states, for high frame rates."""
         url = self.client.stream_url(self.name, "stream")
         client = self.client
-        return StreamClient(url, client.headers, client.tls, client.reconnect_s)
+        return StreamClient(url, client.headers, client.tls, client.reconnect_s, client.timeout_s)
 
     def state(self) -> StateDict:
         """The last state."""
