@@ -33,6 +33,7 @@ class SessionInput:
     answer: Callable[[Answer], None]
     sensor: str | None = None  # the sensor of these lines; None: a frame
     sender: str = ""  # of a frame
+    key: str | None = None  # of a frame; see `Once`
     waited_s: float = 0.0  # between the session's previous input and this one
     shows_last: bool = False  # it has no bytes: the last frame goes to watchers who missed it
 

@@ -15,6 +15,7 @@ from rendezview_service.hub.inputs import Answer, Full, InputQueue, SessionInput
 from rendezview_service.hub.lease import SOURCE, Lease
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
+from rendezview_service.hub.once import Once
 from rendezview_service.hub.progress import Progress
 from rendezview_service.hub.rate_limit import TokenBucket
 from rendezview_service.hub.session_events import SessionEvents
@@ -22,18 +23,17 @@ from rendezview_service.hub.session_log import SessionLog
 from rendezview_service.hub.watching import Watchers
 from rendezview_service.hub.worker_handle import WorkerHandle
 from rendezview_service.messages.approach_messages import Level
-from rendezview_service.messages.frame_sensor_messages import FrameSensorsRequest
 from rendezview_service.messages.frames import Bytes
 from rendezview_service.messages.messages import (
     Recording,
     SensorHealth,
-    SessionInfo,
     SessionRequest,
 )
 from rendezview_service.messages.wire import Header
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.sensor_health import STALE_S, Arrivals, OtherSensors
 
+_REMEMBERED = 64  # answers, for requests that are repeated. Source: a chosen limit
 ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
 
 
@@ -73,6 +73,8 @@ class Session:
         self.finished = False
         self.reason: str | None = None
         self.used_s = time.monotonic()
+        self.once: Once[Answer] = Once(_REMEMBERED)
+        self._last_key: str | None = None  # of the last frame's request
         self.clock = SessionClock.started_now()
         self.lease = Lease(settings.sender_hold_s if source is None else math.inf)
         if source is not None:
@@ -80,7 +82,7 @@ class Session:
         self._metrics = metrics.of_session(name)
         self._queue = InputQueue()
         self.frame_base = 0  # number of frames before the present worker
-        self._drops = 0
+        self.drops = 0
         self.events = SessionEvents(name, lambda: self.clock.unix_s(time.monotonic()))
         self._arrivals = Arrivals()
         self._others = OtherSensors()
@@ -100,6 +102,7 @@ class Session:
         *,
         sender: str = "",
         sensor: str | None = None,
+        key: str | None = None,
     ) -> SessionInput:
         """An input that arrives now, by the session's clock.
 
@@ -109,7 +112,7 @@ class Session:
         now_s = time.monotonic()
         unix_s = self.clock.unix_s(now_s)
         at_s = unix_s if time_s is None else time_s
-        return SessionInput(pieces, at_s, unix_s, now_s, answer, sensor, sender)
+        return SessionInput(pieces, at_s, unix_s, now_s, answer, sensor, sender, key)
 
     def queue(self, waiting: SessionInput) -> None:
         """A frame that is tracked after those before it.
@@ -150,7 +153,7 @@ class Session:
         self._arrived(waiting)
         dropped = self._queue.replace(waiting)
         if dropped is not None:
-            self._drops += 1
+            self.drops += 1
             self._metrics.drops.inc()
             dropped.answer(Answer(0, b""))
         self._wake()
@@ -199,7 +202,7 @@ class Session:
             "kind": "frame",
             "time_s": waiting.time_s,
             "received_s": waiting.received_s,
-            "drops": self._drops,
+            "drops": self.drops,
             "extras": self.watchers.extras(now_s, history_px),
         }
 
@@ -226,6 +229,7 @@ class Session:
     def tracked(self, waiting: SessionInput, header: Header, state: bytes) -> None:
         """The state of a frame."""
         self.progress.add(header, state)
+        self._last_key = waiting.key
         self._last_fault = None
         self._refused_since_s = None
         now_s = time.monotonic()
@@ -311,12 +315,15 @@ class Session:
             log_base=self.log.base,
             log_paths=[part.path for part in self.log.parts],
             fused=self.is_fused or self.was_fused,
+            last_key=self._last_key,
         )
 
     def resume(self, kept: Checkpoint) -> None:
         """Continue a session of another service; the tracker starts at its last pose."""
         self.was_fused = kept.fused
         self.progress.resume(kept.tracked)
+        if kept.last_key is not None and self.progress.last is not None:
+            self.once.know(kept.last_key, Answer(200, self.progress.last))
         self.log.resume(kept.log, kept.log_base, kept.log_paths)
         self.events.add("node", Level.WARNING, "another node continues the session")
         self.reopened()
@@ -365,33 +372,5 @@ class Session:
         now_s = time.monotonic()
         ended = (self.reason or "the source has ended") if self.finished else None
         reason = self._arrivals.silence(now_s, self._last_fault) if ended is None else ended
-        counts = self.progress.frames, self._drops
+        counts = self.progress.frames, self.drops
         return self._others.health(now_s, self._arrivals, reason, *counts)
-
-    def info(self) -> SessionInfo:
-        """The session as a message."""
-        assert self.request.camera is not None
-        progress = self.progress
-        return SessionInfo(
-            id=self.id,
-            model=self.model,
-            model_sha256=self.stored.sha256,
-            camera=self.request.camera,
-            source=self.source,
-            phase=progress.phase,
-            created_unix_s=self.created_unix_s,
-            frames=progress.frames,
-            drops=self._drops,
-            found_fraction=progress.found / progress.frames if progress.frames else None,
-            watchers=len(self.watchers),
-            last_frame=progress.header.get("frame"),
-            last_time_s=progress.header.get("time_s"),
-            since_pose_s=progress.since_pose_s,
-            age_s=progress.age_s,
-            alarms=self.events.alarms,
-            sensors=self.sensors(),
-            on_frames=self.request.sensors or FrameSensorsRequest(),
-            recording=self.log.recording,
-            finished=self.finished,
-            reason=self.reason,
-        )
