@@ -17,7 +17,7 @@ from starlette.responses import Response
 
 from rendezview.errors import RendezviewError
 from rendezview_service.http.security import Right
-from rendezview_service.hub.inputs import Answer, Full
+from rendezview_service.hub.inputs import Answer, Barred, Full
 from rendezview_service.hub.lease import Taken
 from rendezview_service.hub.service import Service
 from rendezview_service.hub.sessions import Session
@@ -98,6 +98,7 @@ async def track(
     Raises:
         Full: too many frames wait.
         Taken: another sender has the session.
+        Barred: one of its inputs ended a process.
         RendezviewError: the key belongs to another request.
     """
 
@@ -113,6 +114,7 @@ async def measure(session: Session, sensor: str, content: bytes, key: str | None
 
     Raises:
         Full: too many wait.
+        Barred: as for frames.
         RendezviewError: the key belongs to another request.
     """
 
@@ -199,6 +201,8 @@ def fault_of(error: Exception) -> Response | None:
             return fault(
                 429, "too many requests wait, or too many sessions are open: try again later"
             )
+        case Barred():
+            return fault(429, str(error), {"Retry-After": f"{math.ceil(error.left_s)}"})
         case NotReady():
             return fault(503, str(error))
         case Taken():
@@ -217,7 +221,7 @@ def answer_errors(app: FastAPI) -> None:
         return answer
 
     for kind in (
-        HTTPException, RequestValidationError, RendezviewError, Full, NotReady, Taken,
+        HTTPException, RequestValidationError, RendezviewError, Full, Barred, NotReady, Taken,
         ClientDisconnect,
     ):  # fmt: skip
         app.add_exception_handler(kind, handler)

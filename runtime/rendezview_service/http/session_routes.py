@@ -121,7 +121,7 @@ async def post_frame(request: Request, name: str, time_s: float | None = None) -
     needs(request, Right.TRACK)
     session = session_of(request, name)
     at_s = frame_time(time_s)
-    pieces = await pieces_of(request, service_of(request).settings.frame_bytes)
+    pieces = await pieces_of(request, session.frame_bytes)
     if not any(pieces):
         raise HTTPException(422, "the frame is empty: send a PNG, a JPEG or grey bytes")
     answer = await track(session, pieces, at_s, sender_of(request), key_of(request))

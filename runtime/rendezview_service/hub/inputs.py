@@ -13,6 +13,17 @@ class Full(Exception):
     """No room: too many frames wait, or there are too many sessions."""
 
 
+class Barred(Exception):
+    """An input of the session ended its worker's process: none is taken for a while."""
+
+    def __init__(self, left_s: float) -> None:
+        super().__init__(
+            "a frame or a line of this session ended the tracker's process: nothing is taken from "
+            f"it for another {left_s:.0f} s. Send frames that a common program has written"
+        )
+        self.left_s = left_s
+
+
 @dataclass(slots=True, eq=False)
 class Answer:
     """The answer to a frame or to sensor lines, or the reason why there is none."""

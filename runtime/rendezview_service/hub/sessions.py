@@ -11,7 +11,7 @@ from pydantic_core import to_json
 from rendezview_service.hub.checkpoint import Checkpoint
 from rendezview_service.hub.clock import SessionClock
 from rendezview_service.hub.history import Past
-from rendezview_service.hub.inputs import Answer, Full, InputQueue, SessionInput
+from rendezview_service.hub.inputs import Answer, Barred, Full, InputQueue, SessionInput
 from rendezview_service.hub.lease import SOURCE, Lease
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
@@ -23,7 +23,7 @@ from rendezview_service.hub.session_log import SessionLog
 from rendezview_service.hub.watching import Watchers
 from rendezview_service.hub.worker_handle import WorkerHandle
 from rendezview_service.messages.approach_messages import Level
-from rendezview_service.messages.frames import Bytes
+from rendezview_service.messages.frames import Bytes, longest_frame
 from rendezview_service.messages.messages import (
     Recording,
     SensorHealth,
@@ -34,6 +34,7 @@ from rendezview_service.settings import Settings
 from rendezview_service.tracker.sensor_health import STALE_S, Arrivals, OtherSensors
 
 _REMEMBERED = 64  # answers, for requests that are repeated. Source: a chosen limit
+_BARRED_S = 60.0  # s, after an input that ended a process. Source: chosen
 ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
 
 
@@ -63,6 +64,9 @@ class Session:
         self.handover: Header | None = None  # the `Fused` state that its filter goes on from
         self.ended_at_s: list[float] = []  # worker processes that its frames ended, monotonic
         self.settings = settings
+        assert request.camera is not None
+        longest = longest_frame(request.camera.width, request.camera.height)
+        self.frame_bytes = min(settings.frame_bytes, longest)
         self.source = source
         self.worker: WorkerHandle[Session] | None = None
         self.created_unix_s = time.time()
@@ -88,6 +92,7 @@ class Session:
         self._others = OtherSensors()
         self._lines = TokenBucket.full(settings.measurements_per_s, time.monotonic())
         self._last_fault: str | None = None
+        self._barred_until_s = -math.inf
         self._refused_since_s: float | None = None  # no frame has been usable since
         self.was_fused = False  # at another service
         self.keep: Callable[[], None] = lambda: None  # before a state is acknowledged
@@ -120,8 +125,9 @@ class Session:
         Raises:
             Full: too many wait.
             Taken: another sender has the session.
+            Barred: one of its inputs ended a process.
         """
-        self.lease.take(waiting.sender, waiting.received_s)
+        self._admit(waiting)
         if self._queue.count(frames=True) >= self.settings.waiting:
             raise Full
         self._arrived(waiting)
@@ -133,7 +139,9 @@ class Session:
 
         Raises:
             Full: too many wait, or too many come a second.
+            Barred: as for frames.
         """
+        self._admit(waiting)
         too_fast = self._lines.refill(waiting.received_s) < 0.0
         waiting_now = self._queue.count(frames=False)
         if too_fast or waiting_now >= self.settings.measurements_waiting:
@@ -147,9 +155,9 @@ class Session:
         """A frame of a stream; it replaces the one that waits.
 
         Raises:
-            Taken: another sender has the session.
+            Taken, Barred: as `queue`.
         """
-        self.lease.take(waiting.sender, waiting.received_s)
+        self._admit(waiting)
         self._arrived(waiting)
         dropped = self._queue.replace(waiting)
         if dropped is not None:
@@ -210,6 +218,13 @@ class Session:
         """How many lines a sensor's message can hold."""
         breaks = sum(bytes(piece).count(b"\n") for piece in waiting.pieces)
         return min(1 + breaks, self.settings.measurement_lines)
+
+    def _admit(self, waiting: SessionInput) -> None:
+        left_s = self._barred_until_s - waiting.received_s
+        if left_s > 0.0 and self.source is None:
+            raise Barred(left_s)
+        if waiting.sensor is None:
+            self.lease.take(waiting.sender, waiting.received_s)
 
     def _arrived(self, waiting: SessionInput) -> None:
         self.used_s = waiting.received_s
@@ -282,10 +297,12 @@ class Session:
             self._lines.spend(1)
         waiting.answer(Answer(500 if internal else 422, b"", error))
 
-    def lost(self, waiting: SessionInput) -> None:
-        """The worker ended over a frame or sensor lines."""
+    def lost(self, waiting: SessionInput, at_fault: bool) -> None:
+        """The worker ended over a frame or sensor lines; perhaps these are at fault."""
         error = "the tracker's process ended over it: another one continues with the next frame"
         now_s = time.monotonic()
+        if at_fault:
+            self._barred_until_s = now_s + _BARRED_S
         self.ended_at_s = [*(at_s for at_s in self.ended_at_s if now_s - at_s < ENDED_S), now_s]
         self.events.add("worker", Level.ALARM, error)
         if waiting.sensor is None:

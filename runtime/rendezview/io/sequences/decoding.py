@@ -24,6 +24,8 @@ _SCAN = b"\xff\xda"  # marker of a scan: in packed data 0xff is followed by othe
 _MOST_SCANS = 64
 _SURPLUS = 65_536  # bytes that a PNG may unpack to beyond its picture. Source: a chosen limit
 _SAMPLES = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # a pixel, by colour type. Source: PNG, table 11.1
+# Chunks of a PNG beyond one per KiB of the file; libpng's own have 8 KiB. Source: a chosen limit
+_MOST_CHUNKS = 1000
 _PACKED_TEXT = (b"zTXt", b"iTXt", b"iCCP")  # chunks that are unpacked too
 _MOST_PACKED_TEXT = 65_536  # bytes of them together. Source: a chosen limit
 _AT_ONCE = 1 << 20  # bytes that are unpacked at once. Source: chosen
@@ -111,8 +113,8 @@ def decode_levels(content: Bytes) -> Levels | None:
     """A PNG, JPEG … as grey levels of 8 or 16 bits, as stored: not rotated by its EXIF tag.
 
     None if it is damaged, cut short, animated, of floating-point levels, or not a picture; or if
-    a small file would cost much time: a JPEG of hundreds of scans, a PNG that unpacks to more than
-    its picture. The checksums of a PNG are checked first, because OpenCV's decoder can hang over a
+    a small file would cost much time: a JPEG of hundreds of scans, a PNG of many thousand chunks
+    or one that unpacks to more than its picture. The checksums of a PNG are checked first, because OpenCV's decoder can hang over a
     damaged one.
     """
     if len(content) == 0:
@@ -137,7 +139,9 @@ def _png_is_whole(view: memoryview) -> bool:
     """Whether all chunks have the right checksum, and there is a single picture."""
     place, text_bytes = len(PNG), 0
     pixels: _Unpacked | None = None
-    while place + 12 <= len(view):
+    for _ in range(_MOST_CHUNKS + len(view) // 1024):
+        if place + 12 > len(view):
+            return False
         length, kind = struct.unpack(">I4s", view[place : place + 8])
         end = place + 12 + length
         if end > len(view) or kind in _ANIMATED:
