@@ -111,7 +111,12 @@ def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) ->
     started: list[Served] = []
 
     def start(*flags: str, given: bool = True, **environment: str) -> Served:
-        """Without ``given`` it has no model: it starts in half the time, but tracks nothing."""
+        """Without ``given`` it has no model: it starts in half the time, but tracks nothing.
+
+        A ``PYTHONPATH`` is searched first: its ``sitecustomize`` runs before the service.
+        """
+        places = environment.get("PYTHONPATH"), os.environ.get("PYTHONPATH")
+        environment["PYTHONPATH"] = os.pathsep.join(filter(None, places))
         folder = tmp_path_factory.mktemp("service")
         command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "serve"]
         if given:

@@ -22,6 +22,7 @@ from http.client import (
     HTTPException,
     HTTPResponse,
     HTTPSConnection,
+    IncompleteRead,
     RemoteDisconnected,
 )
 from pathlib import Path
@@ -90,7 +91,7 @@ class Client:
             raise RendezviewError(f"{url}: {'a token has no spaces' if known else what}")
         self._url = parts
         assert parts.hostname is not None
-        self._reconnect_s = reconnect_s
+        self._reconnect_s, self._timeout_s = reconnect_s, timeout_s
         self._reached = False
         self._tls = _tls(certificate) if parts.scheme == "https" else None
         self._connection: HTTPConnection = (
@@ -211,6 +212,8 @@ class Client:
     ) -> bytes:
         """Send one request; the bytes of its answer. Errors as in `request`."""
         headers = self._headers if body is None else self._headers | {"Content-Type": kind}
+        if method == "POST":  # received twice, it is done once
+            headers = headers | {"Idempotency-Key": secrets.token_hex(16)}
         try:
             response, content = self._send_again(method, path, body, headers)
         except (OSError, HTTPException, ValueError) as error:
@@ -229,21 +232,20 @@ class Client:
     def _send_again(
         self, method: str, path: str, body: bytes | memoryview | None, headers: dict[str, str]
     ) -> tuple[HTTPResponse, bytes]:
-        """An answer, from a new connection if the old one was closed."""
+        """An answer, from a new connection if the old one was closed.
+
+        An idle connection may be closed meanwhile, or the service may start again. What was
+        perhaps received does no harm a second time: `fetch` gives a POST its key.
+        """
         until_s = time.monotonic() + (self._reconnect_s if self._reached else 0.0)
         while True:
-            sent = self._connection.sock is not None
+            used = self._connection.sock is not None
             try:
                 response = self._send(method, path, body, headers)
                 content = response.read()
-            except (ConnectionError, RemoteDisconnected):
-                # An idle connection may be closed meanwhile, or the service may start again. What
-                # was perhaps received is sent twice only where that does no harm.
-                refused = self._connection.sock is None
+            except (ConnectionError, RemoteDisconnected, IncompleteRead):
                 self._connection.close()
-                if not (refused or _may_repeat(method, path)):
-                    raise
-                if not sent or refused:
+                if not used:
                     if time.monotonic() > until_s:
                         raise
                     time.sleep(_PAUSE_S)
@@ -279,6 +281,11 @@ class Client:
     def reconnect_s(self) -> float:
         """For how long a connection that broke off is opened again."""
         return self._reconnect_s
+
+    @property
+    def timeout_s(self) -> float:
+        """The limit of one answer, and of opening a stream."""
+        return self._timeout_s
 
     @property
     def tls(self) -> ssl.SSLContext | None:
@@ -332,7 +339,7 @@ class SessionClient:
         """A WebSocket for frames and states, for high frame rates."""
         url = self.client.stream_url(self.name, "stream")
         client = self.client
-        return StreamClient(url, client.headers, client.tls, client.reconnect_s)
+        return StreamClient(url, client.headers, client.tls, client.reconnect_s, client.timeout_s)
 
     def state(self) -> StateDict:
         """The last state."""
@@ -368,11 +375,6 @@ class SessionClient:
         except RendezviewError:
             if kind is None:
                 raise
-
-
-def _may_repeat(method: str, path: str) -> bool:
-    """Whether a request that was received twice does no harm; frames: their time must rise."""
-    return method != "POST" or "/frames?time_s=" in path
 
 
 def _tls(certificate: Path | str | None) -> ssl.SSLContext:

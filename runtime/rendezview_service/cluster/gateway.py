@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 import ray
+from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -21,7 +22,7 @@ from rendezview.errors import RendezviewError
 from rendezview_service.cluster.heartbeat import Heartbeats
 from rendezview_service.cluster.orchestrator import NAMESPACE, join
 from rendezview_service.cluster.tunnel import packed
-from rendezview_service.http.answers import fault, fault_of
+from rendezview_service.http.answers import KEY_HEADER, fault, fault_of
 from rendezview_service.http.app import page_files
 from rendezview_service.http.security import Guard, Right, Token
 from rendezview_service.hub.inputs import Full
@@ -149,7 +150,8 @@ class Gateway:
             request = json.loads(body or b"{}")
         except ValueError:
             raise RendezviewError("the body is not JSON") from None
-        name, slot = await self._orchestrator.open.remote(request)
+        key = Headers(scope=scope).get(KEY_HEADER)
+        name, slot = await self._orchestrator.open.remote(request, key)
         self._slots[name] = slot
         status, headers, info = await self._info(scope, name)
         return 201 if status == 200 else status, headers, info

@@ -208,14 +208,25 @@ class Orchestrator:
 
         return sorted(free, key=cost)
 
-    async def open(self, request: dict[str, Any]) -> tuple[str, str]:
-        """Open a session; its name and slot.
+    async def open(self, request: dict[str, Any], key: str | None) -> tuple[str, str]:
+        """Open a session, once for a key; its name and slot.
 
         Raises:
             RendezviewError, Full, NotReady: as `Service.open`.
         """
-        self._must_know()
         asked = SessionRequest.model_validate(request)
+
+        async def opened() -> str:
+            return await self._open(asked)
+
+        name = await self._service.once.do(key, asked.model_dump_json(), opened)
+        slot = await self.where(name, None)
+        if slot is None:
+            raise NotReady("the session has ended meanwhile: open another one")
+        return name, slot
+
+    async def _open(self, asked: SessionRequest) -> str:
+        self._must_know()
         name = asked.id or f"s-{secrets.token_hex(4)}"
         stored = self._service.model_named(asked.model)
         async with self._lock(name):
@@ -227,7 +238,8 @@ class Orchestrator:
                 raise Full
             copy = await asyncio.to_thread(lambda: stored.copy)
             named = asked.model_copy(update={"id": name, "model": stored.name})
-            return name, await self._placed(named, copy, None, resumes=False)
+            await self._placed(named, copy, None, resumes=False)
+            return name
 
     async def where(self, name: str, dead: str | None) -> str | None:
         """The slot of a session; None if it is not open.

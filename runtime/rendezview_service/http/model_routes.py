@@ -9,8 +9,9 @@ from fastapi.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
-from rendezview_service.http.answers import FAULTS, JSON, body_of, needs, service_of
+from rendezview_service.http.answers import FAULTS, JSON, body_of, key_of, needs, service_of
 from rendezview_service.http.security import Right
+from rendezview_service.hub.jobs import Job
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.messages.message_parts import Name
 from rendezview_service.messages.model_messages import (
@@ -117,33 +118,37 @@ async def add_job(
         raise HTTPException(422, "the mesh is empty: send the file as the body")
     numbers = {"order": order, "views": views, "held-out": held_out, "seed": seed}
     options = {"unit": str(unit)} | {k: str(v) for k, v in numbers.items() if v is not None}
-    return service.jobs.add(model, file, mesh, options).info()
+
+    async def added() -> str:
+        return service.jobs.add(model, file, mesh, options).id
+
+    job_id = await service.once.do(key_of(request), (model, file, len(mesh)), added)
+    return _job(request, job_id).info()
 
 
 @router.get("/jobs/{job_id}")
 async def get_job(request: Request, job_id: str) -> JobInfo:
     """A training job and its progress."""
     needs(request, Right.READ)
-    job = service_of(request).jobs.get(job_id)
-    if job is None:
-        raise HTTPException(
-            404, f"training {job_id[:80]!r}: there is none with this id: see /v1/jobs"
-        )
-    return job.info()
+    return _job(request, job_id).info()
 
 
 @router.delete("/jobs/{job_id}")
 async def cancel_job(request: Request, job_id: str) -> JobInfo:
     """Cancel a training job; a finished one does not change."""
     needs(request, Right.ADMIN)
-    jobs = service_of(request).jobs
-    job = jobs.get(job_id)
+    job = _job(request, job_id)
+    await service_of(request).jobs.cancel(job)
+    return job.info()
+
+
+def _job(request: Request, job_id: str) -> Job:
+    job = service_of(request).jobs.get(job_id)
     if job is None:
         raise HTTPException(
             404, f"training {job_id[:80]!r}: there is none with this id: see /v1/jobs"
         )
-    await jobs.cancel(job)
-    return job.info()
+    return job
 
 
 def _stored(request: Request, name: str) -> StoredModel:

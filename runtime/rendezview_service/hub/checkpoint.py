@@ -42,6 +42,7 @@ class Checkpoint(BaseModel):
     log_base: Path | None
     log_paths: list[Path]
     fused: bool  # other sensors have sent lines
+    last_key: str | None = None  # of the last frame's request
 
 
 def checkpoint_path(folder: Path, session: str) -> Path:

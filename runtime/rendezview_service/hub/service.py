@@ -23,6 +23,7 @@ from rendezview_service.hub.inputs import Full
 from rendezview_service.hub.jobs import Jobs
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import BY_HASH, ModelStore, StoredModel
+from rendezview_service.hub.once import Once
 from rendezview_service.hub.session_defaults import SessionDefaults
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.source_process import open_apart
@@ -41,6 +42,7 @@ log = logging.getLogger("rendezview_service")
 
 _CLOSE_S, _STOP_S = 30.0, 4.0  # s, for a log to be completed; when all end. Source: chosen
 _MOST_ENDED_PROCESSES = 3  # by frames of one session within `ENDED_S`. Source: a chosen limit
+_REMEMBERED = 256  # openings and trainings, for requests that are repeated. Source: a chosen limit
 _START_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
 _IDLE_CHECK_S = 5.0  # s, between checks for idle sessions. Source: chosen
 
@@ -103,6 +105,7 @@ class Service:
         self._workers = WorkerPool(settings, self.metrics, self._reopen)
         self._feeders: dict[str, Feeder] = {}
         self._opening: set[str] = set()
+        self.once: Once[str] = Once(_REMEMBERED)  # ids of what requests have begun
         self._tasks: set[asyncio.Task[None]] = set()
         self._first_log_taken = False
         self._begun: asyncio.Task[None] | None = None

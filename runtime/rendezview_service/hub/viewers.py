@@ -21,6 +21,7 @@ from typing import Any, Protocol
 
 from rendezview.errors import RendezviewError
 from rendezview_service.hub.rerun_readings import ReadingsRecorder
+from rendezview_service.hub.session_info import info_of
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
 from rendezview_service.messages.messages import SessionInfo
@@ -95,7 +96,7 @@ class Viewers:
                 if watcher.message is None:
                     continue
                 (text, stamped), watcher.message = watcher.message, None
-                await asyncio.to_thread(self._show, session.info(), text, stamped[8:])
+                await asyncio.to_thread(self._show, info_of(session), text, stamped[8:])
         finally:
             session.watchers.discard(watcher)
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -20,6 +22,13 @@ from rendezview_service.messages.wire import Header, Unpacker, mapped, pack, sha
 log = logging.getLogger("rendezview_service")
 
 _PATIENCE = 6.0  # × the limit of an input: for a process that waits for a processor. Source: chosen
+# Ends of a process that its input brings about: its decoder took too long, or failed. Source: the
+# limit of `decoding_time`, and the signals of faults (POSIX)
+_OWN_FAULTS = (
+    -signal.SIGPROF, -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS, -signal.SIGFPE,
+    -signal.SIGILL,
+)  # fmt: skip
+_END_S = 1.0  # s, from the end of a process's connection to its own. Source: chosen
 _START_S = 120.0  # s; the first start on a machine compiles. Source: a chosen limit
 
 
@@ -60,8 +69,8 @@ class WorkerClient(Protocol):
     def refused(self, waiting: SessionInput, error: str, internal: bool) -> None:
         """The process could not use an input."""
 
-    def lost(self, waiting: SessionInput) -> None:
-        """The process ended over an input."""
+    def lost(self, waiting: SessionInput, at_fault: bool) -> None:
+        """The process ended over an input, which is perhaps at fault."""
 
 
 ClientT = TypeVar("ClientT", bound=WorkerClient)
@@ -83,6 +92,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         self._timer: asyncio.TimerHandle | None = None
         self._sent_at_s = self._spent_before_s = 0.0  # of the input, its own processor's clock
         self._process: subprocess.Popen[bytes] | None = None
+        self._killed = False  # by us: an input took too long
         self._transport: asyncio.Transport | None = None
         self._started: asyncio.Future[None] | None = None
 
@@ -201,9 +211,18 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         if left_s > 0.01 and waited_s < _PATIENCE * limit_s and self._wants_processor:
             self._timer = asyncio.get_running_loop().call_later(left_s, self._late, limit_s)
             return
+        self._killed = True
         log.error("a worker does not answer and is killed", extra={"waited_s": round(waited_s, 1)})
         if self._process is not None:
             self._process.kill()
+
+    def _exit_code(self) -> int | None:
+        """How the process ended; None if it has not."""
+        if self._process is None:
+            return None
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return self._process.wait(_END_S)
+        return None
 
     def _processor_s(self) -> float:
         """Processor time of the process so far; 0 where the system does not tell."""
@@ -286,7 +305,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         if self._current is not None:
             session, waiting = self._current
             self._current = None
-            session.lost(waiting)
+            session.lost(waiting, self._killed or self._exit_code() in _OWN_FAULTS)
         self._turns.clear()
         if self._process is not None:
             self._process.poll()

@@ -313,6 +313,11 @@ class WorkerProcess:
             self._connection.sendall(pack(header, content))
 
 
+def decoding_s(camera: Camera) -> float:
+    """Processor time that decoding a frame may take."""
+    return _DECODING_S + _DECODING_PIXEL_S * camera.width * camera.height
+
+
 @contextlib.contextmanager
 def decoding_time(camera: Camera) -> Iterator[None]:
     """Bound the processor time of decoding a frame: with more, the process ends.
@@ -320,9 +325,7 @@ def decoding_time(camera: Camera) -> Iterator[None]:
     No code of this package can interrupt a decoder; the system can. The sessions of this process
     continue in another one within a fraction of a second.
     """
-    signal.setitimer(
-        signal.ITIMER_PROF, _DECODING_S + _DECODING_PIXEL_S * camera.width * camera.height
-    )
+    signal.setitimer(signal.ITIMER_PROF, decoding_s(camera))
     try:
         yield
     finally:

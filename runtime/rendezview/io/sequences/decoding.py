@@ -28,6 +28,8 @@ _SAMPLES = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # a pixel, by colour type. Source: PN
 # Chunks that are given to the decoder: it would apply others to the levels (gAMA, sRGB: up to 65 of
 # 255 where colour becomes grey), or unpack them (texts, profiles).
 _DECODED = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
+# Chunks of a PNG beyond one per KiB of the file; libpng's own have 8 KiB. Source: a chosen limit
+_MOST_CHUNKS = 1000
 _AT_ONCE = 1 << 20  # bytes that are unpacked at once. Source: chosen
 _INTERLACED_ROWS = 8  # filter bytes a row and pass, at most. Source: PNG, section 8.2
 
@@ -100,9 +102,9 @@ def decode_levels(content: Bytes) -> Levels | None:
     Gamma and profiles are not applied. What is transparent lies over black.
 
     None if it is damaged, cut short, animated, of floating-point levels, or not a picture; or if
-    a small file would cost much time: a JPEG of hundreds of scans, a PNG that unpacks to more than
-    its picture. The checksums of a PNG are checked first, because OpenCV's decoder can hang over a
-    damaged one.
+    a small file would cost much time: a JPEG of hundreds of scans, a PNG of many thousand chunks or
+    one that unpacks to more than its picture. The checksums of a PNG are checked first, because
+    OpenCV's decoder can hang over a damaged one.
     """
     if len(content) == 0:
         return None
@@ -150,7 +152,9 @@ def _plain_png(view: memoryview) -> bytes | None:
     place = len(PNG)
     kept = [bytes(view[:place])]
     pixels: _Unpacked | None = None
-    while place + 12 <= len(view):
+    for _ in range(_MOST_CHUNKS + len(view) // 1024):
+        if place + 12 > len(view):
+            return None
         length, kind = struct.unpack(">I4s", view[place : place + 8])
         end = place + 12 + length
         if end > len(view) or kind in _ANIMATED:
