@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from tests.ground.evaluate.figures import pixels
 
-from rendezview_ground.evaluate.doctor import Diagnosis, Finding, Mark, diagnose
+from rendezview_ground.evaluate.doctor import Diagnosis, Finding, Mark, diagnose, of_look_alikes
 from rendezview_ground.evaluate.doctor_command import doctor
 from rendezview_ground.evaluate.pictures.doctor_pictures import doctor_picture
 from rendezview_ground.mesh.mesh import load_mesh
@@ -51,6 +51,18 @@ def test_open_edges_and_mixed_winding_are_found_where_they_are(tmp_path: Path) -
     assert len(diagnosis.mixed_edges) == 3
     assert "opposite directions at 3 edges" in finding(diagnosis, "opposite").what
     assert diagnosis.healthy
+
+
+def test_a_craft_that_looks_nearly_the_same_from_two_sides_is_told(tmp_path: Path) -> None:
+    wings = trimesh.creation.box((0.6, 5.0, 0.05))
+    mast = trimesh.creation.box((0.1, 0.1, 0.5)).apply_translation((0.4, 0.3, 0.6))
+    craft = trimesh.util.concatenate([trimesh.creation.box((1.2, 1.2, 1.0)), wings, mast])
+    craft.export(tmp_path / "part.stl")
+    (found,) = of_look_alikes(load_mesh(tmp_path / "part.stl", "m"))
+    assert "looks nearly the same" in found.what
+    assert found.mark is Mark.NOTE
+    assert "180° about" in found.what
+    assert "ambiguous" in found.cost
 
 
 def test_a_datum_plane_is_named_with_what_it_costs(tmp_path: Path) -> None:

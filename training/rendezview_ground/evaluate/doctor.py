@@ -14,6 +14,8 @@ from scipy.sparse.csgraph import connected_components
 
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.io.sequences import Sequence
+from rendezview_ground.learn.look_alike_words import look_alike_words
+from rendezview_ground.learn.look_alikes import look_alikes
 from rendezview_ground.learn.options import TrainingOptions, view_geometry
 from rendezview_ground.learn.views.drawn_view import draw_view
 from rendezview_ground.mesh.bounding_sphere import smallest_enclosing_sphere
@@ -318,6 +320,25 @@ def _symmetric(mesh: Mesh) -> list[Finding]:
             f"It {described(symmetries)}.",
             "written into the model; poses are one of the equivalent ones",
             "the attitude is known only up to that turn; a coloured marking decides it",
+        )
+    ]
+
+
+def of_look_alikes(mesh: Mesh) -> list[Finding]:
+    """Turns that change little of a mesh: some seconds of work, as in training."""
+    near = look_alikes(mesh, mesh.bounding_sphere[0])
+    turns = np.array([one.turn for one in near]).reshape(-1, 3, 3)
+    alike = np.array([one.alike for one in near])
+    words = look_alike_words(turns, alike, find_symmetries(mesh))
+    if words is None:
+        return []
+    return [
+        Finding(
+            Mark.NOTE,
+            f"It {words}.",
+            "the poses that look alike are drawn beside each first pose",
+            "a first pose is ambiguous where the frame does not tell them apart; a prior, the "
+            "Sun's direction or another view does",
         )
     ]
 

@@ -15,7 +15,7 @@ from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write, check_place
 from rendezview.io.sequences import open_sequence
-from rendezview_ground.evaluate.doctor import Mark, diagnose, of_frames
+from rendezview_ground.evaluate.doctor import Mark, diagnose, of_frames, of_look_alikes
 from rendezview_ground.evaluate.pictures.doctor_pictures import doctor_picture
 from rendezview_ground.evaluate.pictures.palette import png
 from rendezview_ground.mesh.mesh import load_mesh
@@ -55,7 +55,7 @@ def doctor(
         progress = bar.stage("views", 42)
         diagnosis = diagnose(mesh, lambda done, _: progress(done))
     table = Table("", "finding", "what is done", "what it costs", show_lines=True)
-    findings = diagnosis.findings
+    findings = (*diagnosis.findings, *of_look_alikes(mesh))
     if frames is not None:
         seen_by = load_camera(camera) if camera else None
         findings = (*findings, *of_frames(open_sequence(frames, seen_by)))

@@ -172,9 +172,10 @@ def summary(trained: Trained) -> str:
         )
     if model.symmetries or not model.joints:  # with joints they are not searched
         lines.append(f"the target {described(model.symmetries)}")
-    words = None if model.shape is None else look_alike_words(model.shape, model.symmetries)
-    if words is not None:
-        lines.append(words)
+    shape = model.shape
+    words = shape and look_alike_words(shape.turns, shape.alike, model.symmetries)
+    if words:
+        lines.append(f"{words}: a first pose is given only where the frame tells them apart")
     for k, joint in enumerate(model.joints):
         angles = sorted(
             {float(np.rad2deg(m.angles_rad[k])) for m in (model, *model.configurations)}
