@@ -1,6 +1,6 @@
 """Reading MCAP logs, whole, cut off or damaged.
 
-A log has one chunk per frame, written before the frame is acknowledged. After a kill the file has
+A log has one chunk per frame, written before the frame counts as recorded. After a kill it has
 no index, and its last record may be incomplete. A damaged record is passed over: reading goes on
 with the next chunk.
 """
