@@ -96,6 +96,82 @@ def step_bank(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def surprise(
+    dt: float, turns: Array, moves: Array, rotations: Array, places: Array, states: Array,
+    covariances: Array, scores: Array, rotation: Array, place: Array, measured: Array,
+    frequency_walk: float,
+) -> float:  # fmt: skip
+    """χ² of a pose against the filters' predictions, which stay as they are; see `step_bank`.
+
+    Of each part the filter counts that explains the reading best, less what it is behind the best.
+    A turn of the camera is no surprise: the pose is first turned onto the bearing predicted.
+    """
+    step, off, turn, error = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    state, covariance = np.empty(STATES), np.empty((STATES, STATES))
+    seen, seen_at, own, own_at = np.empty((3, 3)), place.copy(), np.empty((3, 3)), np.empty(3)
+    copy_matrix_into(rotation, seen)
+    total = 0.0
+    for part in (1, 0):
+        kinds, least = moves if part else turns, np.inf
+        best = largest_at(scores[part])
+        for i in range(3):
+            for j in range(3):
+                error[i, j] = measured[3 * part + i, 3 * part + j]
+        for n in range(len(kinds) + part):  # of the places the best filter first: the bearing
+            b = best if part and n == 0 else n - part
+            copy_into(states[part, b], state)
+            copy_matrix_into(covariances[part, b], covariance)
+            predict(dt, kinds[b], frequency_walk, state, covariance, step)
+            so3.exp_into(step, turn)
+            if not part:
+                carry_attitude(turn, covariance)
+            copy_matrix_into(rotations[b], own)
+            copy_into(places[b], own_at)
+            _move(part, step, seen, seen_at, own, own_at, off)
+            if part and n == 0:
+                _aim(seen, seen_at, own_at)
+                continue
+            least = min(least, _far(off, error, covariance) + 2.0 * (scores[part, best] - scores[part, b]))
+        total += least
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _aim(rotation: Array, place: Array, sight: Array) -> None:
+    """Turn a pose by the least that brings its place onto a line of sight."""
+    far = math.sqrt(place[0] ** 2 + place[1] ** 2 + place[2] ** 2)
+    scale = far / math.sqrt(sight[0] ** 2 + sight[1] ** 2 + sight[2] ** 2)
+    axis, turned = np.empty(3), np.empty((3, 3))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        axis[i] = (place[j] * sight[k] - place[k] * sight[j]) * scale / (far * far)
+    sine = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    if sine > 0.0:
+        for i in range(3):
+            axis[i] *= math.asin(min(sine, 1.0)) / sine
+    so3.perturb_into(axis, rotation, turned)
+    copy_matrix_into(turned, rotation)
+    for i in range(3):
+        place[i] = scale * sight[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _far(off: Array, error: Array, covariance: Array) -> float:
+    """Squared distance of a reading ``off`` (3,) from a prediction, in standard deviations."""
+    lower, inverse, spread = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            spread[i, j] = covariance[i, j] + error[i, j]
+    if not invert(spread, lower, inverse):
+        return 0.0
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            total += off[i] * inverse[i, j] * off[j]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _move(
     part: int, step: Array, rotation: Array, place: Array, own_rotation: Array, own_place: Array,
     off: Array,

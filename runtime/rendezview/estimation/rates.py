@@ -39,6 +39,7 @@ from rendezview.estimation.rate_filters import (
     WALK,
     begin,
     step_bank,
+    surprise,
 )
 from rendezview.geometry.pose import Array, Pose
 
@@ -133,6 +134,22 @@ class RateBank:
         for reading in self._readings:
             found = self._step(*reading)
         return found
+
+    def surprise(self, time_s: float, pose: Pose, covariance: Array) -> float:
+        """χ² (of six) of a pose against the motion so far, which it does not change; 0: unknown.
+
+        A turn of the camera, which attitude and bearing share, is no surprise.
+        """
+        if self._time_s is None or len(self._readings) < 2:
+            return 0.0
+        variances = self._jitter.variances
+        if variances[0] > 0.0:
+            covariance = covariance + jitter_covariance(variances, pose.translation_m)
+        return float(surprise(
+            time_s - self._time_s, *self._kinds, self._rotations, self._places, self._states,
+            self._covariances, self._scores, pose.rotation.copy(), pose.translation_m.copy(),
+            np.ascontiguousarray(covariance), self.options.frequency_walk,
+        ))  # fmt: skip
 
     def _step(self, time_s: float, pose: Pose, covariance: Array) -> MotionRates | None:
         """Predict and update with one reading."""

@@ -42,6 +42,12 @@ class RateEstimator:
         self._bank.clear()
         self._readings = 0
 
+    def surprise(self, time_s: float, pose: Pose, covariance: Array) -> float:
+        """χ² of a pose against the motion so far, of six numbers; 0 where that is unknown."""
+        if not self._readings or time_s - self._last_s > _LONGEST_S:
+            return 0.0
+        return self._bank.surprise(time_s, pose, covariance)
+
     def add(self, time_s: float, pose: Pose, covariance: Array, face: Face) -> Rates | None:
         """Take a reading in; None while there is only one. ``face``: of the six numbers."""
         if self._readings and time_s - self._last_s > _LONGEST_S:

@@ -37,6 +37,12 @@ class TrackingOptions:
     confirm: bool = True  # a first find counts when the next reading agrees
     # Of a redundant fit: a spot further off is no reflector. Source: normal distribution, 2·10⁻⁹
     gate_sigma: float = 6.0
+    # χ² of a pose of few spots against the motion, beyond which it is not given. Source: experiment
+    # reflector-hidden --scene glint
+    jump_limit: float = 10.0
+    # … whose σ is at least so many rad, and share of the range: a smaller jump misleads nobody.
+    # Source: by construction, an eighth of 5° and a tenth of 3 %
+    jump_floor: tuple[float, float] = (0.011, 0.003)
     # error of a centroid beside the noise: pixels, lens, reflector edge. Source: by hand; doubled,
     # NEES falls from 0.53 to 0.29
     floor_px: float = 0.01

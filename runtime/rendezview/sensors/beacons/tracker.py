@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from typing import TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from rendezview.sensors.beacons.detect.hidden_noise import HiddenNoise
 from rendezview.sensors.beacons.detect.spots import MOST_CERTAIN, SpotTable, find_spots
 from rendezview.sensors.beacons.match.acquisition import Acquirer, merged
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
+from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.observation import ReflectorObservation, missed, refused
 from rendezview.sensors.beacons.pose.refinement import Refined
 from rendezview.sensors.beacons.rates import RateEstimator
@@ -239,6 +241,8 @@ class ReflectorSensor:
         if refined is None and not np.isfinite(track.before).any():
             # The motion is not known: windows are of little use.
             return self._acquire(time_s, frames)
+        if refined is not None and self._jumps(time_s, refined, seen):
+            refined, seen, branch = None, seen[:0], Branch.SURE
         contradiction = self._contradiction(time_s, frames, track, refined, seen, stage_ms)
         if contradiction is not None:
             return contradiction
@@ -290,7 +294,7 @@ class ReflectorSensor:
         found = self.acquirer.acquire(spots) if more else None
         jerked = self.acquirer.acquire(spots, track.pose) if found and refined is None else None
         stage_ms["search"] = 1e3 * (time.perf_counter() - begin)
-        if jerked is not None and jerked.is_near(track.pose, self._centre):
+        if self._continues(time_s, jerked) and jerked.is_near(track.pose, self._centre):
             ambiguous = track.roll_ambiguous and not self._resolves(jerked.reflectors)
             return self._adopt(time_s, jerked, spots, ambiguous, stage_ms)
         if found is not None and found.left_out:
@@ -307,6 +311,8 @@ class ReflectorSensor:
             confirms = alike and several and self._resolves(found.reflectors)
             if len(found.reflectors) <= len(seen) or (alike and not confirms):
                 return None
+        if refined is None and not self._continues(time_s, found):
+            return None
         if self._agrees(found):
             self._track = None
             return self._adopt(time_s, found, spots, found.roll_ambiguous, stage_ms)
@@ -326,7 +332,6 @@ class ReflectorSensor:
         names: tuple[str, ...], stage_ms: dict[str, float], strange: bool,
     ) -> ReflectorObservation:  # fmt: skip
         track.misses += 1
-        self._rates.clear()
         if len(seen) and track.misses <= self.tracking.coast:
             # Visible reflectors still move the windows of the others.
             places = np.full_like(track.places, np.nan)
@@ -338,6 +343,24 @@ class ReflectorSensor:
         lost = self._fit.missing(names)
         search = not self.is_tracking
         return missed(time_s, spots, names, lost, stage_ms, search=search, strange=strange)
+
+    def _jumps(self, time_s: float, refined: Refined, seen: npt.NDArray[np.int64]) -> bool:
+        """Whether a pose of few spots breaks with the motion: one may be that of a glint.
+
+        More than `FEW` spots confirm each other.
+        """
+        if len(seen) > FEW:
+            return False
+        pose, (turn, share) = refined.camera_from_target, self.tracking.jump_floor
+        floor = np.repeat([turn, share * self._range_m(pose)], 3) ** 2
+        covariance = refined.covariance + np.diag(floor)
+        return self._rates.surprise(time_s, pose, covariance) > self.tracking.jump_limit
+
+    def _continues(self, time_s: float, found: Acquisition | None) -> TypeGuard[Acquisition]:
+        """Whether there is a pose that does not break with the motion."""
+        if found is None or found.refined is None or found.reflectors is None:
+            return False
+        return not self._jumps(time_s, found.refined, found.reflectors)
 
     def _range_m(self, pose: Pose) -> float:
         return float(np.linalg.norm(pose.apply(self._centre)))
