@@ -104,36 +104,41 @@ def surprise(
     """χ² of a pose against the filters' predictions, which stay as they are; see `step_bank`.
 
     Of each part the filter counts that explains the reading best, less what it is behind the best.
-    A turn of the camera is no surprise: the pose is first turned onto the bearing predicted.
+    Neither a turn of the camera nor a move across is a surprise: the place is put on the bearing
+    predicted, and the attitude counts as it is or turned along, whichever is nearer.
     """
     step, off, turn, error = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     state, covariance = np.empty(STATES), np.empty((STATES, STATES))
-    seen, seen_at, own, own_at = np.empty((3, 3)), place.copy(), np.empty((3, 3)), np.empty(3)
-    copy_matrix_into(rotation, seen)
-    total = 0.0
-    for part in (1, 0):
-        kinds, least = moves if part else turns, np.inf
-        best = largest_at(scores[part])
-        for i in range(3):
-            for j in range(3):
-                error[i, j] = measured[3 * part + i, 3 * part + j]
-        for n in range(len(kinds) + part):  # of the places the best filter first: the bearing
-            b = best if part and n == 0 else n - part
-            copy_into(states[part, b], state)
-            copy_matrix_into(covariances[part, b], covariance)
-            predict(dt, kinds[b], frequency_walk, state, covariance, step)
-            so3.exp_into(step, turn)
-            if not part:
-                carry_attitude(turn, covariance)
+    seen, seen_at, own, own_at = rotation.copy(), place.copy(), np.empty((3, 3)), np.empty(3)
+    least, best = np.full(3, np.inf), largest_at(scores[1])
+    for b in range(-1, len(moves)):  # the best filter first: its bearing
+        filter_ = best if b < 0 else b
+        copy_into(states[1, filter_], state)
+        copy_matrix_into(covariances[1, filter_], covariance)
+        predict(dt, moves[filter_], frequency_walk, state, covariance, step)
+        copy_into(places[filter_], own_at)
+        _move(1, step, seen, seen_at, own, own_at, off)
+        if b < 0:
+            _aim(seen, seen_at, own_at)
+            continue
+        copy_matrix_into(measured[3:, 3:], error)
+        behind = 2.0 * (scores[1, best] - scores[1, b])
+        least[0] = min(least[0], _far(off, error, covariance) + behind)
+    best = largest_at(scores[0])
+    for b in range(len(turns)):
+        copy_into(states[0, b], state)
+        copy_matrix_into(covariances[0, b], covariance)
+        predict(dt, turns[b], frequency_walk, state, covariance, step)
+        so3.exp_into(step, turn)
+        carry_attitude(turn, covariance)
+        copy_matrix_into(measured[:3, :3], error)
+        behind = 2.0 * (scores[0, best] - scores[0, b])
+        for aimed in range(2):
             copy_matrix_into(rotations[b], own)
-            copy_into(places[b], own_at)
-            _move(part, step, seen, seen_at, own, own_at, off)
-            if part and n == 0:
-                _aim(seen, seen_at, own_at)
-                continue
-            least = min(least, _far(off, error, covariance) + 2.0 * (scores[part, best] - scores[part, b]))
-        total += least
-    return total
+            _move(0, step, seen if aimed else rotation, seen_at, own, own_at, off)
+            far = _far(off, error, covariance) + behind
+            least[1 + aimed] = min(least[1 + aimed], far)
+    return float(least[0] + min(least[1], least[2]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -141,7 +141,8 @@ class StereoTracker:
             fit = iterate(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
             if fit is None or not fit.agrees:
                 fit = agree(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
-        if fit is None or (isinstance(fit, Disagreement) and not fit.ambiguous):
+        known = all(found.identified for found in named)  # else there is nothing to locate
+        if fit is None or (isinstance(fit, Disagreement) and not fit.ambiguous and known):
             restarted = True
             fit = self.locate(sights, forecast)
         if isinstance(fit, Disagreement):

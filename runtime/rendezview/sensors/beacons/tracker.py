@@ -17,7 +17,7 @@ from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptio
 from rendezview.sensors.beacons.detect.hidden_noise import HiddenNoise
 from rendezview.sensors.beacons.detect.spots import MOST_CERTAIN, SpotTable, find_spots
 from rendezview.sensors.beacons.match.acquisition import Acquirer, merged
-from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
+from rendezview.sensors.beacons.match.acquisition_options import MIRRORED, Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.observation import ReflectorObservation, missed, refused
 from rendezview.sensors.beacons.pose.refinement import Refined
@@ -144,7 +144,9 @@ class ReflectorSensor:
             again = self.acquirer.acquire(faint, prior)
             if again.refined is not None:
                 spots, found = faint, again
-        if found.status is Status.NOT_FOUND and prior is None:
+        if prior is None:
+            found = self.acquirer.mirrored(spots, found) or found
+        if found.status is Status.NOT_FOUND and found.reason != MIRRORED and prior is None:
             found = self._with_other_dots(spots) or found
         end = time.perf_counter()
         stage_ms = {"spots": 1e3 * (middle - begin), "triplets": 1e3 * (end - middle)}

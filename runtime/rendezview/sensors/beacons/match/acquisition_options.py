@@ -16,6 +16,13 @@ from rendezview.sensors.beacons.pose.refinement import Refined
 from rendezview.sensors.observation import Status
 
 
+# Source: by construction, a message
+MIRRORED = (
+    "the picture looks mirrored: its spots are the target's mirror image; turn the mirroring "
+    "(selfie view) of the camera off, or flip the pictures"
+)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AcquisitionOptions:
     """Which triplets pass for the target. Tolerances are those of one spot, one σ."""
