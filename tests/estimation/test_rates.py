@@ -300,3 +300,33 @@ def test_pointing_errors_are_not_taken_for_swings_faster_than_the_readings(hertz
                 speeds.append(np.linalg.norm(found.rates[3:]))
         steps = np.linalg.norm(np.diff(places, axis=0), axis=1) * hertz
         assert max(speeds) < 2.0 * steps.max()  # 5 to 150 times without the limit
+
+
+def test_a_surprise_is_a_jump_of_range_or_attitude_and_leaves_the_filters_as_they_are():
+    rng, bank, twin = np.random.default_rng(8), RateBank(), RateBank()
+    covariance = np.diag(SIGMA**2)
+    pose, _ = swinging(0.0)
+    assert bank.surprise(0.0, pose, covariance) == 0.0
+    for t in np.arange(0.0, 4.0, 0.1):
+        pose, _ = swinging(t)
+        seen = pose.perturbed(rng.normal(0.0, SIGMA))
+        assert bank.surprise(float(t), seen, covariance) < 30.0
+        ours, theirs = (one.add(float(t), seen, covariance) for one in (bank, twin))
+        assert (ours is None) == (theirs is None)
+    np.testing.assert_array_equal(ours.rates, theirs.rates)
+    pose, _ = swinging(4.0)
+    place = pose.translation_m
+    aside = Rotation.from_rotvec([0.0, 0.05, 0.0]).as_matrix()
+    harmless = (
+        pose, Pose(aside @ pose.rotation, aside @ place), Pose(pose.rotation, aside @ place)
+    )  # fmt: skip
+    for same in harmless:
+        assert bank.surprise(4.0, same, covariance) < 20.0
+    jumps = (
+        pose.perturbed([0.0, 0.15, 0.0, 0.0, 0.0, 0.0]),
+        Pose(pose.rotation, 1.05 * place),
+    )  # fmt: skip
+    for other in jumps:
+        assert bank.surprise(4.0, other, covariance) > 60.0
+        alone = bank.surprise(4.0, other, covariance, np.inf)
+        assert alone >= bank.surprise(4.0, other, covariance)

@@ -99,11 +99,12 @@ def step_bank(
 def surprise(
     dt: float, turns: Array, moves: Array, rotations: Array, places: Array, states: Array,
     covariances: Array, scores: Array, rotation: Array, place: Array, measured: Array,
-    frequency_walk: float,
+    frequency_walk: float, odds: float,
 ) -> float:  # fmt: skip
     """χ² of a pose against the filters' predictions, which stay as they are; see `step_bank`.
 
-    Of each part the filter counts that explains the reading best, less what it is behind the best.
+    Of each part the filter counts that explains the reading best, with what it is behind the best
+    as a cost, times ``odds``.
     Neither a turn of the camera nor a move across is a surprise: the place is put on the bearing
     predicted, and the attitude counts as it is or turned along, whichever is nearer.
     """
@@ -122,7 +123,7 @@ def surprise(
             _aim(seen, seen_at, own_at)
             continue
         copy_matrix_into(measured[3:, 3:], error)
-        behind = 2.0 * (scores[1, best] - scores[1, b])
+        behind = 2.0 * odds * (scores[1, best] - scores[1, b])
         least[0] = min(least[0], _far(off, error, covariance) + behind)
     best = largest_at(scores[0])
     for b in range(len(turns)):
@@ -132,7 +133,7 @@ def surprise(
         so3.exp_into(step, turn)
         carry_attitude(turn, covariance)
         copy_matrix_into(measured[:3, :3], error)
-        behind = 2.0 * (scores[0, best] - scores[0, b])
+        behind = 2.0 * odds * (scores[0, best] - scores[0, b])
         for aimed in range(2):
             copy_matrix_into(rotations[b], own)
             _move(0, step, seen if aimed else rotation, seen_at, own, own_at, off)

@@ -29,9 +29,9 @@ from rendezview.sensors.beacons.detect.discs import expected_size
 from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SIZE
 from rendezview.sensors.beacons.match.acquisition import merged
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
-from rendezview.sensors.beacons.match.choice import mirror
 from rendezview.sensors.beacons.match.judgement import common_variance, least_facing
 from rendezview.sensors.beacons.match.matching import match_all, match_spots, size_score
+from rendezview.sensors.beacons.match.mirrored_pose import mirror
 from rendezview.sensors.beacons.window_fit import WindowFit
 from rendezview.sensors.observation import Status
 

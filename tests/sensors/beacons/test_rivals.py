@@ -60,7 +60,7 @@ def test_a_group_of_the_same_shape_at_another_range_is_a_rival(three, paper_came
 
 def test_both_groups_in_view_are_no_rivals(three, paper_camera):
     rng, near = np.random.default_rng(2), scaled(three, 0.22)
-    near = replace(near, positions_m=near.positions_m + [0.0, 0.2, 0.0])
+    near = replace(near, positions_m=near.positions_m + np.array([0.0, 0.2, 0.0]))
     both = Acquirer(paper_camera, [three, near]).constellation
     pose = pose_of(SixNumbers(2.5, 0.02, -0.03, 0.3, 0.1, -0.05), three)
     found = Acquirer(paper_camera, [three, near]).acquire(find_spots(frames_of(both, pose, rng)))
@@ -134,7 +134,8 @@ def test_a_mirrored_picture_of_a_flat_card_with_unlike_dots_says_why(paper_camer
 
 
 def test_mirrored_spots_of_unnamed_lights_say_why(scole):
-    leds, normals = (np.array(x) for x in zip(*[(led.position_m, led.normal) for led in scole.leds]))
+    leds = np.array([led.position_m for led in scole.leds])
+    normals = np.array([led.normal for led in scole.leds])
     rig = Rig((RigCamera.from_camera("c", Camera(1024, 768, 900.0, 900.0, 511.5, 383.5),
                                      Pose.identity()),))  # fmt: skip
     eye, rng = Pinhole(1024, 768, 900.0, 511.5, 383.5), np.random.default_rng(6)

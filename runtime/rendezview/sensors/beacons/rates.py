@@ -5,9 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from rendezview.estimation.rates import RateBank, RateOptions
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import Face
+from rendezview.sensors.beacons.pose.refinement import Refined
+from rendezview.sensors.beacons.track import TrackingOptions
 
 _LONGEST_S = 30.0  # s between two readings: the motion is forgotten. Source: by construction
 
@@ -42,11 +46,19 @@ class RateEstimator:
         self._bank.clear()
         self._readings = 0
 
-    def surprise(self, time_s: float, pose: Pose, covariance: Array) -> float:
-        """χ² of a pose against the motion so far, of six numbers; 0 where that is unknown."""
+    def jumps(self, time_s: float, refined: Refined, options: TrackingOptions, sure: bool) -> bool:
+        """Whether a pose breaks with the motion so far; never where that is unknown.
+
+        ``sure``: the last reading gave a pose. After a gap only the likeliest motion counts: others
+        would by then allow anything.
+        """
         if not self._readings or time_s - self._last_s > _LONGEST_S:
-            return 0.0
-        return self._bank.surprise(time_s, pose, covariance)
+            return False
+        pose, (turn, share) = refined.camera_from_target, options.jump_floor
+        far = share * float(np.linalg.norm(pose.translation_m))
+        covariance = refined.covariance + np.diag(np.repeat([turn, far], 3) ** 2)
+        odds = options.jump_odds if sure else math.inf
+        return self._bank.surprise(time_s, pose, covariance, odds) > options.jump_limit
 
     def add(self, time_s: float, pose: Pose, covariance: Array, face: Face) -> Rates | None:
         """Take a reading in; None while there is only one. ``face``: of the six numbers."""

@@ -25,7 +25,11 @@ from rendezview.sensors.beacons.detect.spots import (
     TOP,
     SpotTable,
 )
-from rendezview.sensors.beacons.match.acquisition_options import MIRRORED, Acquisition, AcquisitionOptions
+from rendezview.sensors.beacons.match.acquisition_options import (
+    MIRRORED,
+    Acquisition,
+    AcquisitionOptions,
+)
 from rendezview.sensors.beacons.match.choice import Candidates, Chooser
 from rendezview.sensors.beacons.match.judgement import judge
 from rendezview.sensors.beacons.match.triplets import (
@@ -168,7 +172,7 @@ class Acquirer:
         Three reflectors and their normals in one plane are their own mirror image: these cannot
         tell.
         """
-        if found.status in (Status.NO_SPOTS, Status.CROWDED):
+        if found.status in (Status.NO_SPOTS, Status.CROWDED) or found.left_out:
             return None
         if found.reflectors is not None and len(found.reflectors) == len(self.constellation):
             return None
@@ -178,8 +182,7 @@ class Acquirer:
         theirs = self._mirrored.acquire(spots)
         # A flat pattern may have several poses; facing away, the spots have none.
         unlike = found.status is Status.NOT_FOUND and theirs.status is Status.AMBIGUOUS
-        more = found.refined is None or theirs.explains_more(found)
-        if not (unlike or (theirs.refined is not None and more)):
+        if not (unlike or theirs.explains_more(found)):
             return None
         return Acquisition(Status.NOT_FOUND, MIRRORED)
 

@@ -15,7 +15,6 @@ from rendezview.sensors.beacons.detect.spots import COLUMNS, SpotTable
 from rendezview.sensors.beacons.pose.refinement import Refined
 from rendezview.sensors.observation import Status
 
-
 # Source: by construction, a message
 MIRRORED = (
     "the picture looks mirrored: its spots are the target's mirror image; turn the mirroring "
