@@ -316,7 +316,8 @@ def test_a_surprise_is_a_jump_of_range_or_attitude_and_leaves_the_filters_as_the
     np.testing.assert_array_equal(ours.rates, theirs.rates)
     pose, _ = swinging(4.0)
     place = pose.translation_m
-    aside = Rotation.from_rotvec([0.0, 0.05, 0.0]).as_matrix()
+    across = np.cross(place, [0.0, 1.0, 0.0])
+    aside = Rotation.from_rotvec(0.05 * across / np.linalg.norm(across)).as_matrix()
     harmless = (
         pose, Pose(aside @ pose.rotation, aside @ place), Pose(pose.rotation, aside @ place)
     )  # fmt: skip
@@ -330,3 +331,32 @@ def test_a_surprise_is_a_jump_of_range_or_attitude_and_leaves_the_filters_as_the
         assert bank.surprise(4.0, other, covariance) > 60.0
         alone = bank.surprise(4.0, other, covariance, np.inf)
         assert alone >= bank.surprise(4.0, other, covariance)
+
+
+def test_a_surprise_is_the_distance_from_the_prediction_of_numpy():
+    """One filter of each part; the place off along the line of sight only."""
+    dt, kinds = 0.5, RateOptions().kinds()[:1]
+    rng = np.random.default_rng(9)
+    states, covariances = np.zeros((2, 1, 13)), np.zeros((2, 1, 13, 13))
+    for part in range(2):
+        bank_module.begin(kinds[0], states[part, 0], covariances[part, 0])
+        root = rng.normal(0.0, 0.02, (3, 3))
+        covariances[part, 0, :3, :3] = root @ root.T
+    rotations, places = np.eye(3)[None].copy(), np.array([[0.4, -0.2, 4.0]])
+    measured = np.diag(SIGMA**2)
+    place, turn = 1.03 * places[0], np.array([0.02, -0.05, 0.03])
+    rotation = Rotation.from_rotvec(turn).as_matrix()
+    wanted = 0.0
+    for part, off in enumerate((turn, place - places[0])):
+        spread = covariances[part, 0, :3, :3] + dt**2 * covariances[part, 0, 3:6, 3:6]
+        spread = spread + kinds[0, bank_module.WALK] ** 2 * dt**3 / 3.0 * np.eye(3)
+        own = slice(3 * part, 3 * part + 3)
+        wanted += off @ np.linalg.solve(spread + measured[own, own], off)
+    before = states.copy(), covariances.copy(), rotations.copy(), places.copy()
+    found = bank_module.surprise(
+        dt, kinds, kinds, rotations, places, states, covariances, np.zeros((2, 1)), rotation,
+        place, measured, 1e-3, 1.0, 0.0,
+    )  # fmt: skip
+    assert found == pytest.approx(wanted, rel=1e-6)
+    for kept, now in zip(before, (states, covariances, rotations, places), strict=True):
+        np.testing.assert_array_equal(kept, now)

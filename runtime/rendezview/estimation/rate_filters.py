@@ -99,47 +99,65 @@ def step_bank(
 def surprise(
     dt: float, turns: Array, moves: Array, rotations: Array, places: Array, states: Array,
     covariances: Array, scores: Array, rotation: Array, place: Array, measured: Array,
-    frequency_walk: float, odds: float,
+    frequency_walk: float, odds: float, enough: float,
 ) -> float:  # fmt: skip
     """χ² of a pose against the filters' predictions, which stay as they are; see `step_bank`.
 
     Of each part the filter counts that explains the reading best, with what it is behind the best
-    as a cost, times ``odds``.
+    as a cost, times ``odds``. Where the best of each part alone come below ``enough``, they count.
     Neither a turn of the camera nor a move across is a surprise: the place is put on the bearing
     predicted, and the attitude counts as it is or turned along, whichever is nearer.
     """
-    step, off, turn, error = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    state, covariance = np.empty(STATES), np.empty((STATES, STATES))
-    seen, seen_at, own, own_at = rotation.copy(), place.copy(), np.empty((3, 3)), np.empty(3)
-    least, best = np.full(3, np.inf), largest_at(scores[1])
-    for b in range(-1, len(moves)):  # the best filter first: its bearing
-        filter_ = best if b < 0 else b
-        copy_into(states[1, filter_], state)
-        copy_matrix_into(covariances[1, filter_], covariance)
-        predict(dt, moves[filter_], frequency_walk, state, covariance, step)
-        copy_into(places[filter_], own_at)
-        _move(1, step, seen, seen_at, own, own_at, off)
-        if b < 0:
-            _aim(seen, seen_at, own_at)
-            continue
-        copy_matrix_into(measured[3:, 3:], error)
-        behind = 2.0 * odds * (scores[1, best] - scores[1, b])
-        least[0] = min(least[0], _far(off, error, covariance) + behind)
-    best = largest_at(scores[0])
-    for b in range(len(turns)):
-        copy_into(states[0, b], state)
-        copy_matrix_into(covariances[0, b], covariance)
-        predict(dt, turns[b], frequency_walk, state, covariance, step)
+    aimed, aimed_at, step = rotation.copy(), place.copy(), np.empty(3)
+    state, covariance, own_at = np.empty(STATES), np.empty((STATES, STATES)), np.empty(3)
+    bests = largest_at(scores[0]), largest_at(scores[1])
+    copy_into(states[1, bests[1]], state)
+    copy_matrix_into(covariances[1, bests[1]], covariance)
+    predict(dt, moves[bests[1]], frequency_walk, state, covariance, step)
+    for i in range(3):
+        own_at[i] = places[bests[1], i] + step[i]
+    _aim(aimed, aimed_at, own_at)
+    total = 0.0
+    for everyone in range(2):  # the best alone, then all
+        total = 0.0
+        for part in range(2):
+            kinds, best, least = moves if part else turns, bests[part], np.inf
+            for b in range(len(kinds)):
+                behind = 2.0 * odds * (scores[part, best] - scores[part, b])
+                if (b != best and not everyone) or behind > least:
+                    continue
+                far = _from_filter(
+                    part, dt, kinds[b], frequency_walk, states[part, b], covariances[part, b],
+                    rotations[b], places[b], (rotation, aimed), aimed_at, measured,
+                )  # fmt: skip
+                least = min(least, far + behind)
+            total += least
+        if total <= enough:
+            break
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _from_filter(
+    part: int, dt: float, kind: Array, frequency_walk: float, state: Array, covariance: Array,
+    rotation: Array, place: Array, turned: tuple[Array, Array], moved: Array, measured: Array,
+) -> float:  # fmt: skip
+    """Least squared distance of two attitudes (part 0), or that of a place, from a prediction."""
+    state, covariance, step, off = state.copy(), covariance.copy(), np.empty(3), np.empty(3)
+    turn, error, own, own_at = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), place.copy()
+    predict(dt, kind, frequency_walk, state, covariance, step)
+    if not part:
         so3.exp_into(step, turn)
         carry_attitude(turn, covariance)
-        copy_matrix_into(measured[:3, :3], error)
-        behind = 2.0 * odds * (scores[0, best] - scores[0, b])
-        for aimed in range(2):
-            copy_matrix_into(rotations[b], own)
-            _move(0, step, seen if aimed else rotation, seen_at, own, own_at, off)
-            far = _far(off, error, covariance) + behind
-            least[1 + aimed] = min(least[1 + aimed], far)
-    return float(least[0] + min(least[1], least[2]))
+    least = np.inf
+    for i in range(3):
+        for j in range(3):
+            error[i, j] = measured[3 * part + i, 3 * part + j]
+    for k in range(2 - part):
+        copy_matrix_into(rotation, own)
+        _move(part, step, turned[k], moved, own, own_at, off)
+        least = min(least, _far(off, error, covariance))
+    return least
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from rendezview.estimation.rates import RateBank, RateOptions
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import Face
@@ -55,10 +53,13 @@ class RateEstimator:
         if not self._readings or time_s - self._last_s > _LONGEST_S:
             return False
         pose, (turn, share) = refined.camera_from_target, options.jump_floor
-        far = share * float(np.linalg.norm(pose.translation_m))
-        covariance = refined.covariance + np.diag(np.repeat([turn, far], 3) ** 2)
+        place, covariance = pose.translation_m, refined.covariance.copy()
+        variances = covariance.reshape(-1)[::7]
+        variances[:3] += turn**2
+        variances[3:] += share**2 * float(place @ place)
         odds = options.jump_odds if sure else math.inf
-        return self._bank.surprise(time_s, pose, covariance, odds) > options.jump_limit
+        limit = options.jump_limit if sure else options.gap_limit
+        return self._bank.surprise(time_s, pose, covariance, odds, limit) > limit
 
     def add(self, time_s: float, pose: Pose, covariance: Array, face: Face) -> Rates | None:
         """Take a reading in; None while there is only one. ``face``: of the six numbers."""

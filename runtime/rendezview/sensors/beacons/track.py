@@ -42,8 +42,9 @@ class TrackingOptions:
     # χ² of a pose of few spots against the motion, beyond which it is not given. Source: experiment
     # reflector-hidden --scene glint; steady, swinging and jittering motion stays below
     jump_limit: float = 20.0
+    gap_limit: float = 8.0  # … after a reading without a pose. Source: likewise
     # × the χ² by which a kind of motion is behind the likeliest: a cost. Source: likewise
-    jump_odds: float = 2.0
+    jump_odds: float = 5.0
     # … whose σ is at least so many rad, and share of the range: a smaller jump misleads nobody.
     # Source: by construction, a twentieth of 5° and of 3 %
     jump_floor: tuple[float, float] = (0.0044, 0.0015)
