@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.estimation import rate_filters as bank_module
 from rendezview.estimation.rates import RateBank, RateOptions
+from rendezview.estimation.surprise import surprise
 from rendezview.geometry.pose import Pose
 
 SIGMA = np.array([3e-3, 3e-3, 3e-4, 1e-3, 1e-3, 5e-3])  # rad and m: reflectors at 5 m
@@ -353,7 +354,7 @@ def test_a_surprise_is_the_distance_from_the_prediction_of_numpy():
         own = slice(3 * part, 3 * part + 3)
         wanted += off @ np.linalg.solve(spread + measured[own, own], off)
     before = states.copy(), covariances.copy(), rotations.copy(), places.copy()
-    found = bank_module.surprise(
+    found = surprise(
         dt, kinds, kinds, rotations, places, states, covariances, np.zeros((2, 1)), rotation,
         place, measured, 1e-3, 1.0, 0.0,
     )  # fmt: skip
