@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
+
+import numpy as np
 
 from rendezview.estimation.rates import RateBank, RateOptions
 from rendezview.geometry.pose import Array, Pose
@@ -12,6 +15,7 @@ from rendezview.sensors.beacons.pose.refinement import Refined
 from rendezview.sensors.beacons.track import TrackingOptions
 
 _LONGEST_S = 30.0  # s between two readings: the motion is forgotten. Source: by construction
+_USUAL = 8  # readings that show how well the motion is predicted. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,17 +42,20 @@ class RateEstimator:
         self._bank = RateBank(options)
         self._first_s = self._last_s = math.nan
         self._readings = 0
+        self._surprises: deque[float] = deque(maxlen=_USUAL)  # χ² of poses that did not jump
 
     def clear(self) -> None:
         """Forget the readings: the target was lost."""
         self._bank.clear()
+        self._surprises.clear()
         self._readings = 0
 
     def jumps(self, time_s: float, refined: Refined, options: TrackingOptions, sure: bool) -> bool:
         """Whether a pose breaks with the motion so far; never where that is unknown.
 
-        ``sure``: the last reading gave a pose. After a gap only the likeliest motion counts: others
-        would by then allow anything.
+        The limit is that of a motion that is predicted well; χ² of a swing that is sampled coarsely
+        is larger all the time. ``sure``: the last reading gave a pose. After a gap only the
+        likeliest motion counts: others would by then allow anything.
         """
         if not self._readings or time_s - self._last_s > _LONGEST_S:
             return False
@@ -59,7 +66,13 @@ class RateEstimator:
         variances[3:] += share**2 * float(place @ place)
         odds = options.jump_odds if sure else math.inf
         limit = options.jump_limit if sure else options.gap_limit
-        return self._bank.surprise(time_s, pose, covariance, odds, limit) > limit
+        found = self._bank.surprise(time_s, pose, covariance, odds, limit)
+        usual = float(np.median(self._surprises)) if self._surprises else 0.0
+        if found > limit * max(1.0, usual):
+            return True
+        if sure:
+            self._surprises.append(found)
+        return False
 
     def add(self, time_s: float, pose: Pose, covariance: Array, face: Face) -> Rates | None:
         """Take a reading in; None while there is only one. ``face``: of the six numbers."""
