@@ -141,7 +141,7 @@ def track(
             angular_acceleration=float(np.deg2rad(angular)), linear_acceleration=linear
         )
     plain = StereoTracker.of_target(
-        loaded, lights, TrackerOptions(motion=motion, calibration_error=True)
+        loaded, lights, TrackerOptions(motion=motion)
     )
     tracker: Sensor[Sequence[Spots], StereoObservation] = plain
     if multiplex > 0.0:

@@ -133,7 +133,7 @@ def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
 
     def work() -> None:
         for motion in (None, MotionOptions(angular_acceleration=0.02, linear_acceleration=0.02)):
-            options = TrackerOptions(motion=motion, calibration_error=True)
+            options = TrackerOptions(motion=motion)
             tracker = StereoTracker.of_target(rig, target, options)
             for k, seen in enumerate(currents):
                 tracker.update(0.1 * k, spots_of(rig, seen)).record()
