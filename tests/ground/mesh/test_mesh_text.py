@@ -7,7 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from tests.ground.mesh.mesh_samples import EXTENT_M, TETRAHEDRON, box, checker, note_with, write
+from tests.ground.mesh.mesh_samples import (
+    EXTENT_M,
+    TETRAHEDRON,
+    box,
+    checker,
+    export,
+    note_with,
+    write,
+)
 
 from rendezview.errors import RendezviewError
 from rendezview_ground.mesh.mesh import load_mesh
@@ -122,3 +130,21 @@ def test_a_texture_with_an_escaped_name_is_found(tmp_path: Path) -> None:
     faces = "usemtl skin\nvt 0.1 0.5\nf 1/1 3/1 2/1\nusemtl none\nf 1 2 4\n"
     mesh = load_mesh(write(tmp_path / "a.obj", f"mtllib a.mtl\n{TETRAHEDRON[:32]}{faces}"))
     np.testing.assert_allclose(mesh.face_rgb[0], [1.0, 0.0, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+@pytest.mark.parametrize("comment", ["Höhe".encode("latin-1"), "Höhe".encode(), b"\xff\xfe"])
+def test_comments_of_a_ply_file_may_be_in_any_encoding(
+    tmp_path: Path, encoding: str, comment: bytes
+) -> None:
+    content = trimesh.exchange.ply.export_ply(box(), encoding=encoding)
+    content = content.replace(b" 1.0\n", b" 1.0\ncomment " + comment + b"\n", 1)
+    np.testing.assert_allclose(load_mesh(write(tmp_path / "a.ply", content)).extent_m, EXTENT_M)
+
+
+@pytest.mark.parametrize("suffix", ["gltf", "dae", "ply"])
+def test_a_byte_order_mark_is_no_part_of_other_formats(tmp_path: Path, suffix: str) -> None:
+    options = {"encoding": "ascii"} if suffix == "ply" else {}
+    path = export(tmp_path, suffix, box(), **options)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    np.testing.assert_allclose(load_mesh(path).extent_m, EXTENT_M, atol=1e-6)

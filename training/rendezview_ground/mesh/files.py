@@ -36,6 +36,7 @@ from rendezview_ground.mesh.usd import USD_SUFFIXES, read_usd
 STEP_SUFFIXES = (".step", ".stp")
 
 _TEXTURE_TROUBLE = re.compile(r"pillow|image|texture|bumpmap", re.IGNORECASE)
+_PLY_HEADER = 65_536  # bytes in which it ends
 _LOGGERS = ("trimesh", "collada")
 
 
@@ -82,12 +83,25 @@ def _read_usd(path: Path, node: str | None) -> MeshFile:
 
 def _read_gltf(path: Path, node: str | None) -> MeshFile:
     plain, notes = plain_gltf(path)
-    found = _read_with_trimesh(path, node, plain)
+    found = _read_with_trimesh(path, node, None if plain is None else (plain, "glb"))
     return replace(found, notes=(*notes, *found.notes))
 
 
-def _read_with_trimesh(path: Path, node: str | None, content: bytes | None = None) -> MeshFile:
-    """The triangles of a file, or of ``content``, which replaces it (GLB)."""
+def _read_ply(path: Path, node: str | None) -> MeshFile:
+    """PLY, whose comments may be in any encoding."""
+    with path.open("rb") as stream:
+        start = stream.read(_PLY_HEADER)
+    end = start.find(b"end_header")
+    if end < 0 or start[:end].isascii():
+        return _read_with_trimesh(path, node)
+    plain = start[:end].decode("ascii", errors="replace").encode("ascii", errors="replace")
+    return _read_with_trimesh(path, node, (plain + path.read_bytes()[end:], "ply"))
+
+
+def _read_with_trimesh(
+    path: Path, node: str | None, replaced: tuple[bytes, str] | None = None
+) -> MeshFile:
+    """The triangles of a file, or of the content and its kind that replace it."""
     suffix = path.suffix.lower()
     if suffix in STEP_SUFFIXES:
         with tempfile.TemporaryDirectory() as folder:
@@ -108,12 +122,12 @@ def _read_with_trimesh(path: Path, node: str | None, content: bytes | None = Non
         options: dict[str, Any] = {"process": False}
         if suffix == ".3mf":
             options["postprocess"] = False  # it would rename and merge bodies
-        if content is None:
+        if replaced is None:
             scene = trimesh.load_scene(str(path), file_type=suffix[1:], **options)
         else:
             beside = trimesh.resolvers.FilePathResolver(str(path))
             scene = trimesh.load_scene(
-                io.BytesIO(content), file_type="glb", resolver=beside, **options
+                io.BytesIO(replaced[0]), file_type=replaced[1], resolver=beside, **options
             )
     notes = _texture_notes(path, messages)
     lost_texture = any(note.startswith("Textures") for note in notes)
@@ -232,7 +246,7 @@ def _quiet() -> Iterator[list[tuple[int, str]]]:
 READERS: dict[str, Callable[[Path, str | None], MeshFile]] = {
     ".stl": read_stl,
     ".obj": _read_obj,
-    ".ply": _read_with_trimesh,
+    ".ply": _read_ply,
     **dict.fromkeys(GLTF_SUFFIXES, _read_gltf),
     ".3mf": _read_with_trimesh,
     ".dae": _read_with_trimesh,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import struct
 from pathlib import Path
@@ -53,7 +54,9 @@ def plain_gltf(path: Path) -> tuple[bytes | None, list[str]]:
                     f"{path}: its geometry is in {beside}, which is not there: put that file "
                     "beside it, or export one GLB file"
                 )
-    if not _entries(header, "meshes") or is_plain(header, _primitives(header)):
+    with path.open("rb") as stream:
+        marked = stream.read(3) == codecs.BOM_UTF8
+    if not _entries(header, "meshes") or (is_plain(header, _primitives(header)) and not marked):
         return None, []
     return plain_glb(header, Buffers(path, header, place))
 

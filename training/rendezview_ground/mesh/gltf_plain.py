@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import struct
 from typing import Any
 
@@ -44,7 +45,7 @@ def is_plain(header: dict[str, Any], primitives: list[dict[str, Any]]) -> bool:
     unknown = (*MESHOPT, DRACO, INSTANCES, _TRANSFORM, _GLOSS, '"normalized": true', '"sparse"')
     return (
         not any(word in text for word in unknown)
-        and '"texCoord": 1' not in text
+        and not re.search('"texCoord": [1-9]', text)
         and all(p.get("mode") != _FAN and "POSITION" in _attributes(p) for p in primitives)
     )
 
