@@ -183,8 +183,8 @@ class Jobs:
                 self._over(job, JobState.FAILED)
             else:
                 made = job.folder / f"{job.model}.rvm"
-                await asyncio.to_thread(shutil.copyfile, made, self._store.path_for(job.model))
-                await asyncio.to_thread(self._store.found, job.model)
+                content = await asyncio.to_thread(made.read_bytes)
+                await asyncio.to_thread(self._store.add, job.model, content)
                 self._over(job, JobState.DONE)
         except TimeoutError:
             _kill(job)

@@ -114,7 +114,8 @@ def decode_levels(content: Bytes) -> Levels | None:
 
     None if it is damaged, cut short, animated, of floating-point levels, or not a picture; or if
     a small file would cost much time: a JPEG of hundreds of scans, a PNG of many thousand chunks
-    or one that unpacks to more than its picture. The checksums of a PNG are checked first, because OpenCV's decoder can hang over a
+    or one that unpacks to more than its picture. The checksums of a PNG are checked first, because
+    OpenCV's decoder can hang over a
     damaged one.
     """
     if len(content) == 0:
