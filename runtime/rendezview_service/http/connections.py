@@ -63,7 +63,8 @@ class BoundedProtocol(HttpToolsProtocol):
             raise ValueError("the head is too long")  # answered with 400
         self._stop_waiting()
         super().on_headers_complete()
-        self.scope[ABORT] = lambda reason: self.abort()  # type: ignore[typeddict-unknown-key]
+        scope: dict[str, Any] = self.scope  # type: ignore[assignment]
+        scope[ABORT] = lambda reason: self.abort()
 
     def pause_writing(self) -> None:
         """An answer waits for its reader."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
+import os
 import re
 import shutil
 import tempfile
@@ -17,7 +18,6 @@ import threading
 import weakref
 from functools import cached_property
 from pathlib import Path
-from typing import BinaryIO
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import atomic_write, make_folder
@@ -51,7 +51,9 @@ class StoredModel:
         self.own = own
         self._copies = copies
         self._read: tuple[ViewModel, Path] | None = None
-        self._held: BinaryIO | None = None  # its copy; it can be read when its name is gone
+        self._held: int | None = (
+            None  # descriptor of its copy; it can be read when its name is gone
+        )
         self._lock = threading.Lock()
 
     @property
@@ -74,9 +76,9 @@ class StoredModel:
         copy = self._loaded()[1]
         if self._held is not None and not copy.exists():
             make_folder(copy.parent)
-            self._held.seek(0)
+            content = os.pread(self._held, os.fstat(self._held).st_size, 0)
             with atomic_write(copy, durable=False) as file:
-                file.write(self._held.read())
+                file.write(content)
             log.warning("a model's copy was removed, and is made again", extra={"copy": str(copy)})
         return copy
 
@@ -103,7 +105,8 @@ class StoredModel:
                     copy.unlink()
                     said = str(error).replace(str(copy), str(self.path))
                     raise RendezviewError(said) from None
-                self._held = copy.open("rb")
+                self._held = os.open(copy, os.O_RDONLY)
+                weakref.finalize(self, os.close, self._held)
             return self._read
 
     @cached_property
