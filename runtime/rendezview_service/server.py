@@ -15,7 +15,7 @@ import uvicorn
 
 from rendezview.errors import RendezviewError
 from rendezview_service.http.app import make_app
-from rendezview_service.http.connections import bounded
+from rendezview_service.http.connections import BoundedSocket, bounded
 from rendezview_service.http.security import Token, read_tokens
 from rendezview_service.hub.service import Service
 from rendezview_service.settings import Settings
@@ -88,7 +88,7 @@ def _config(app: _Watched, settings: Settings) -> uvicorn.Config:
     return uvicorn.Config(
         app,
         http=bounded(_connections(settings.connections)),
-        ws="websockets-sansio",
+        ws=BoundedSocket,
         loop="uvloop" if sys.platform != "win32" else "asyncio",
         lifespan="on",
         access_log=False,

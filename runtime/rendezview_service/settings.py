@@ -71,8 +71,8 @@ class Settings(BaseSettings):
     measurement_lines: int = Field(default=32, ge=1, le=1000)  # in one message
     measurements_waiting: int = Field(default=16, ge=1, le=256)  # messages, of a session
     measurements_per_s: float = Field(default=500.0, gt=0.0)  # lines, of a session
-    bodies_bytes: int = Field(default=1_000_000_000, ge=1024)  # of all requests together
-    connections: int = Field(default=1000, ge=10)  # with more, the one that waits longest is closed
+    bodies_bytes: int = Field(default=200_000_000, ge=1024)  # of all requests together
+    connections: int = Field(default=1000, ge=10)  # half for requests, a quarter for WebSockets
     message_bytes: int = Field(default=1_000_000, ge=1024)  # any other body
     requests_per_s: float = Field(default=5000.0, gt=0.0)  # of one caller
     frame_timeout_s: float = Field(default=5.0, gt=0.0)  # then the worker is restarted

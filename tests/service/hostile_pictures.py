@@ -1,4 +1,4 @@
-"""Pictures that their formats allow and that would cost a decoder much: small files of much work."""
+"""Pictures that their formats allow and that would cost a decoder much for their size."""
 
 from __future__ import annotations
 

@@ -122,16 +122,17 @@ def test_a_step_of_the_clock_does_not_reach_a_session(stepped, camera, tour):
         assert times_s == sorted(set(times_s))
         assert times_s[-1] - times_s[0] <= time.monotonic() - start_s
         # A sender whose own clock steps back is told, and so is who looks after the service.
-        session.track(tour[2][2], 5e9)
+        later_s = times_s[-1] + 3000.0
+        session.track(tour[2][2], later_s)
 
         def degraded() -> list[str]:
             with pytest.raises(ServiceError, match="order of time"):
-                session.track(tour[2][2], 5e9 - 7200.0)
+                session.track(tour[2][2], later_s - 7200.0)
             health = client.request("GET", "/healthz")
             return health["reasons"] if health["status"] == "degraded" else []
 
         assert "order of time" in wait_until(degraded)[0]
-        session.track(tour[2][2], 5e9 + 1.0)
+        session.track(tour[2][2], later_s + 1.0)
         assert client.request("GET", "/healthz")["status"] == "ok"
         session.close()
     off_by.write_text("0")
@@ -342,3 +343,28 @@ def test_an_input_is_at_fault_for_its_decoder_and_not_for_what_others_kill(code,
     handle._current = SimpleNamespace(lost=lambda _, at_fault: faults.append(at_fault)), None
     handle.connection_lost(None)
     assert faults == [barred]
+
+
+def test_an_answer_that_came_in_a_pause_of_the_service_is_read_before_its_worker_is_judged(
+    start_service, camera, tour
+):
+    """Timers come before sockets when a process goes on."""
+    served = start_service(RENDEZVIEW_SERVE_FRAME_TIMEOUT_S="3")
+    with served.client() as client, client.open(camera, prior=tour[0][1]) as session:
+        session.track(tour[0][2])
+        answers: list[dict] = []
+        for k in range(1, 4):
+            sending = threading.Thread(target=lambda: answers.append(session.track(tour[1][2])))
+            (worker,) = served.workers
+            os.kill(worker, signal.SIGSTOP)  # so that the service waits for it
+            sending.start()
+            with served.client() as other:
+                wait_until(lambda: other.session(session.name).info()["age_s"] > 0.3)
+            os.kill(served.process.pid, signal.SIGSTOP)
+            os.kill(worker, signal.SIGCONT)
+            time.sleep(4.0)
+            os.kill(served.process.pid, signal.SIGCONT)
+            sending.join()
+            assert answers[-1]["frame"] == k
+        assert b"worker_restarts_total 0.0" in client.fetch("GET", "/metrics")
+    served.stop()

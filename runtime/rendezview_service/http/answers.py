@@ -19,6 +19,7 @@ from rendezview.errors import RendezviewError
 from rendezview_service.http.security import Right
 from rendezview_service.hub.inputs import Answer, Barred, Full
 from rendezview_service.hub.lease import Taken
+from rendezview_service.hub.model_store import NameTaken
 from rendezview_service.hub.service import Service
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.worker_pool import NotReady
@@ -195,6 +196,8 @@ def fault_of(error: Exception) -> Response | None:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])
             return fault(422, f"{where}: {first['msg']}")
+        case NameTaken():
+            return fault(409, str(error))
         case RendezviewError():
             return fault(422, str(error))
         case Full():

@@ -1,4 +1,4 @@
-"""HTTP connections of a bounded number, with bounded heads, that may not wait for ever.
+"""Connections of a bounded number, with bounded heads, that may not wait or be unread for ever.
 
 uvicorn has no limits for a request that is not complete yet; these come before any token.
 """
@@ -9,28 +9,37 @@ import asyncio
 from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 HEAD_S = 10.0  # s, for the first line and the headers of a request. Source: chosen
+ABORT = "rendezview.abort"  # key of a request's scope: closes its connection, for a reason
+_READ_S = 10.0  # s, in which an answer that waits for its reader … Source: chosen
+_LEAST_READ = 50_000  # … must become shorter by so many bytes. Source: chosen, a slow radio link
+_MOST_UNREAD = 100_000_000  # bytes of all answers that wait for their readers. Source: chosen
+_CLOSE_S = 1.0  # s, for the other side's part of a WebSocket's end. Source: chosen
 MOST_HEAD = 65_536  # bytes of them. Source: a chosen limit, four times that of most servers
 
 
 class BoundedProtocol(HttpToolsProtocol):
     """A connection that is closed if its request's head is slow or long.
 
-    With too many connections, the one that has waited longest without a request is closed.
+    With too many connections, the one that has waited longest without a request is closed; with
+    too many bytes that nobody reads, the one that has the most.
     """
 
     most = 1000
     _waiting: dict[BoundedProtocol, None]  # without a request in progress, in order of time
+    _unread: set[BoundedProtocol]  # whose answers wait for their readers
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A connection; perhaps another one must make room."""
         self._head_bytes: int | None = 0  # None: no head is being received
         self._head_timer: asyncio.TimerHandle | None = None
+        self._read_timer: asyncio.TimerHandle | None = None
         super().connection_made(transport)
         self._await_head()
         if len(self.connections) > self.most:
-            next(iter(self._waiting)).abort()
+            next(iter(self._waiting), self).abort()
 
     def data_received(self, data: bytes) -> None:
         """Bytes of a request."""
@@ -54,6 +63,21 @@ class BoundedProtocol(HttpToolsProtocol):
             raise ValueError("the head is too long")  # answered with 400
         self._stop_waiting()
         super().on_headers_complete()
+        scope: dict[str, Any] = self.scope  # type: ignore[assignment]
+        scope[ABORT] = lambda reason: self.abort()
+
+    def pause_writing(self) -> None:
+        """An answer waits for its reader."""
+        super().pause_writing()
+        self._unread.add(self)
+        self._await_reader()
+        while sum(map(_unread_bytes, self._unread)) > _MOST_UNREAD:
+            max(self._unread, key=_unread_bytes).abort()
+
+    def resume_writing(self) -> None:
+        """It is read."""
+        super().resume_writing()
+        self._stop_reading()
 
     def on_response_complete(self) -> None:
         """The answer is sent; the connection may be used again."""
@@ -64,11 +88,13 @@ class BoundedProtocol(HttpToolsProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """The end of the connection."""
         self._stop_waiting()
+        self._stop_reading()
         super().connection_lost(exc)
 
     def abort(self) -> None:
         """Close the connection without an answer."""
         self._stop_waiting()
+        self._stop_reading()
         self.transport.abort()
 
     def _await_head(self) -> None:
@@ -80,6 +106,23 @@ class BoundedProtocol(HttpToolsProtocol):
         if self._head_timer is None:
             self._head_timer = self.loop.call_later(HEAD_S, self.abort)
 
+    def _await_reader(self) -> None:
+        before = _unread_bytes(self)
+
+        def check() -> None:
+            if before - _unread_bytes(self) < _LEAST_READ:
+                self.abort()
+            else:
+                self._await_reader()
+
+        self._read_timer = self.loop.call_later(_READ_S, check)
+
+    def _stop_reading(self) -> None:
+        self._unread.discard(self)
+        if self._read_timer is not None:
+            self._read_timer.cancel()
+            self._read_timer = None
+
     def _stop_waiting(self) -> None:
         self._head_bytes = None
         self._waiting.pop(self, None)
@@ -88,7 +131,21 @@ class BoundedProtocol(HttpToolsProtocol):
             self._head_timer = None
 
 
+def _unread_bytes(connection: BoundedProtocol) -> int:
+    size: int = connection.transport.get_write_buffer_size()
+    return size
+
+
+class BoundedSocket(WebSocketsSansIOProtocol):
+    """A WebSocket that is gone soon after its end, whatever the other side does."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """A connection that was one for requests."""
+        super().connection_made(transport)
+        self.close_timeout = _CLOSE_S
+
+
 def bounded(most: int) -> type[BoundedProtocol]:
     """The protocol with its number of connections and its own record of them."""
-    members: dict[str, Any] = {"most": most, "_waiting": {}}
+    members: dict[str, Any] = {"most": most, "_waiting": {}, "_unread": set()}
     return type("Bounded", (BoundedProtocol,), members)

@@ -9,6 +9,7 @@ from fastapi.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
+from rendezview.errors import RendezviewError
 from rendezview_service.http.answers import FAULTS, JSON, body_of, key_of, needs, service_of
 from rendezview_service.http.security import Right
 from rendezview_service.hub.jobs import Job
@@ -38,7 +39,7 @@ async def list_models(request: Request) -> ModelList:
     needs(request, Right.READ)
     store = service_of(request).models
     found = [stored for name in store.names() if (stored := store.get(name)) is not None]
-    return ModelList(models=[await run_in_threadpool(_info, stored) for stored in found])
+    return ModelList(models=[await run_in_threadpool(_listed, stored) for stored in found])
 
 
 @router.get("/models/{name}")
@@ -66,11 +67,8 @@ async def put_model(request: Request, name: Name, replace: bool = False) -> Mode
     """
     needs(request, Right.ADMIN)
     service = service_of(request)
+    service.models.path_for(name, replace)  # refuses before the body is read
     present = service.models.get(name)
-    if present is not None and not (replace and present.own):
-        raise HTTPException(
-            409, f"model {name}: there is one already: choose another name, or ?replace=true"
-        )
     content = await body_of(request, service.settings.model_bytes)
     stored = await run_in_threadpool(service.models.add, name, content, replace)
     if present is not None:
@@ -158,6 +156,14 @@ def _stored(request: Request, name: str) -> StoredModel:
             404, f"model {name[:80]!r}: there is none with this name: see /v1/models"
         )
     return stored
+
+
+def _listed(stored: StoredModel) -> ModelInfo:
+    """A model that cannot be read is listed with the reason."""
+    try:
+        return stored.info
+    except (RendezviewError, OSError) as error:
+        return ModelInfo(name=stored.name, loaded=False, error=str(error))
 
 
 def _info(stored: StoredModel) -> ModelInfo:

@@ -117,6 +117,8 @@ def _take(session: Session, content: bytes, answer: Answering, sender: str) -> N
         return
     try:
         session.replace(session.input((picture,), time_s, answer, sender=sender))
+    except RendezviewError as error:
+        answer(Answer(422, b"", str(error)))
     except Taken as taken:
         answer(Answer(409, b"", str(taken)))
     except Barred as barred:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
+import os
 import re
 import shutil
 import tempfile
@@ -31,6 +32,10 @@ BY_HASH = "by-hash"  # folder of copies that several services share
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
+class NameTaken(RendezviewError):
+    """A model has this name already."""
+
+
 class StoredModel:
     """One model file, read on first use, by whichever thread is first."""
 
@@ -46,6 +51,9 @@ class StoredModel:
         self.own = own
         self._copies = copies
         self._read: tuple[ViewModel, Path] | None = None
+        self._held: int | None = (
+            None  # descriptor of its copy; it can be read when its name is gone
+        )
         self._lock = threading.Lock()
 
     @property
@@ -60,12 +68,19 @@ class StoredModel:
 
     @property
     def copy(self) -> Path:
-        """The copy of its file that is named by its hash.
+        """The copy of its file that is named by its hash; made again if a cleaner removed it.
 
         Raises:
             RendezviewError: the file is not a model, or is gone.
         """
-        return self._loaded()[1]
+        copy = self._loaded()[1]
+        if self._held is not None and not copy.exists():
+            make_folder(copy.parent)
+            content = os.pread(self._held, os.fstat(self._held).st_size, 0)
+            with atomic_write(copy, durable=False) as file:
+                file.write(content)
+            log.warning("a model's copy was removed, and is made again", extra={"copy": str(copy)})
+        return copy
 
     @property
     def sha256(self) -> str:
@@ -90,6 +105,8 @@ class StoredModel:
                     copy.unlink()
                     said = str(error).replace(str(copy), str(self.path))
                     raise RendezviewError(said) from None
+                self._held = os.open(copy, os.O_RDONLY)
+                weakref.finalize(self, os.close, self._held)
             return self._read
 
     @cached_property
@@ -199,13 +216,14 @@ class ModelStore:
         """The file of a new model, or of one that may be replaced.
 
         Raises:
-            RendezviewError: the name is invalid or taken.
+            NameTaken: there is one.
+            RendezviewError: the name is invalid.
         """
         if not _NAME.fullmatch(name):
             raise RendezviewError(f"model name {name[:80]!r}: use letters, digits, - and _")
         taken = self._models.get(name)
         if taken is not None and not (replace and taken.own):
-            raise RendezviewError(
+            raise NameTaken(
                 f"model {name}: there is one already: choose another name, or ?replace=true"
             )
         return self.folder / f"{name}{SUFFIX}"
@@ -217,7 +235,8 @@ class ModelStore:
             replace: a model of this name may be there; sessions that use it keep it.
 
         Raises:
-            RendezviewError: the name is invalid or taken, or the content is not a model.
+            NameTaken: there is one.
+            RendezviewError: the name is invalid, or the content is not a model.
         """
         with self._lock:  # no other upload takes the name meanwhile
             path = self.path_for(name, replace)

@@ -26,7 +26,7 @@ class Once(Generic[ResultT]):
     async def do(
         self, key: str | None, about: Hashable, work: Callable[[], Awaitable[ResultT]]
     ) -> ResultT:
-        """The result of the first request with this key; without a key, or a known one, of ``work``.
+        """The result of the first request with this key, or of ``work``.
 
         Args:
             about: what the request is, not None; a repeat is the same.

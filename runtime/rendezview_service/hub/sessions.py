@@ -113,8 +113,13 @@ class Session:
 
         Args:
             time_s: of a frame; None: its arrival.
+
+        Raises:
+            RendezviewError: a client's frame is far ahead of the session's clock.
         """
         now_s = time.monotonic()
+        if time_s is not None and self.source is None:
+            self.progress.check_time(time_s)
         unix_s = self.clock.unix_s(now_s)
         at_s = unix_s if time_s is None else time_s
         return SessionInput(pieces, at_s, unix_s, now_s, answer, sensor, sender, key)

@@ -6,10 +6,17 @@ be measured is ``null``, with a status and a reason beside it.
 
 from __future__ import annotations
 
+import warnings
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, FiniteFloat
+from pydantic import (
+    Field,
+    FiniteFloat,
+    ModelWrapValidatorHandler,
+    PrivateAttr,
+    model_validator,
+)
 
 from rendezview.geometry.camera import LensModel
 from rendezview_service.messages.approach_messages import Approach, ApproachRequest, Level, Motion
@@ -21,6 +28,7 @@ from rendezview_service.messages.frame_sensor_messages import (
 )
 from rendezview_service.messages.fusion_messages import Fused, FusionRequest, Marks
 from rendezview_service.messages.message_parts import (
+    Direction,
     Matrix6,
     Message,
     Name,
@@ -80,7 +88,7 @@ class SessionRequest(Message):
     prior: PoseMessage | None = Field(
         default=None, description="pose at the first frame, attitude within about 20°"
     )
-    sun_camera: Three | None = Field(default=None, description="towards the Sun, camera frame")
+    sun_camera: Direction | None = Field(default=None, description="towards the Sun, camera frame")
     trees: bool = Field(default=True, description="find active nodes on every frame")
     record: bool | None = Field(default=None, description="default: the service's setting")
     idle_s: FiniteFloat | None = Field(
@@ -101,6 +109,21 @@ class SessionRequest(Message):
     integrity: IntegrityRequest | None = Field(
         default=None, description="poses get protection levels; those with an alarm are not fused"
     )
+    _notes: list[str] = PrivateAttr(default_factory=list)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _note_warnings(cls, content: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", DeprecationWarning)
+            made = handler(content)
+        made._notes += [str(one.message) for one in caught]
+        return made
+
+    @property
+    def notes(self) -> list[str]:
+        """What of it is out of date, and ignored."""
+        return self._notes
 
 
 class Phase(StrEnum):
@@ -192,6 +215,7 @@ class SessionInfo(Message):
     recording: Recording
     finished: bool = Field(description="the source has ended or failed")
     reason: str | None = Field(default=None, description="if the source failed")
+    warnings: list[str] = Field(default=[], description="what of its request is ignored")
 
 
 class SessionList(Message):

@@ -32,18 +32,19 @@ class Geometry(Message):
 
 
 class ModelInfo(Message):
-    """A view model of the service."""
+    """A view model of the service; only its name and the error, if it cannot be read."""
 
     name: str
-    target: str
-    sha256: str
-    size_bytes: int
-    order: int
-    nodes: int
-    target_radius_m: float
-    sphere_radius_m: float
-    refines: bool
+    target: str | None = None
+    sha256: str | None = None
+    size_bytes: int | None = None
+    order: int | None = None
+    nodes: int | None = None
+    target_radius_m: float | None = None
+    sphere_radius_m: float | None = None
+    refines: bool | None = None
     loaded: bool = Field(description="in memory")
+    error: str | None = Field(default=None, description="why it cannot be read")
 
 
 class ModelList(Message):

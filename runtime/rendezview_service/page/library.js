@@ -70,8 +70,9 @@ async function refresh() {
     const [{ models }, { jobs }] = await Promise.all([json("/v1/models"), json("/v1/jobs")]);
     fill(find("models-list"), models.map((one) => {
       const hash = document.createElement("code");
-      hash.textContent = one.sha256.slice(0, 12);
-      hash.title = one.sha256;
+      hash.textContent = one.error ?? one.sha256.slice(0, 12);
+      hash.title = one.error ?? one.sha256;
+      if (one.error) return [one.name, "cannot be read", hash, "", ""];
       return [one.name, one.target, hash, String(one.nodes), megabytes(one.size_bytes)];
     }));
     find("jobs").replaceChildren(...jobs.map((job) => {
