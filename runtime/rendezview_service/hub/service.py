@@ -43,8 +43,8 @@ log = logging.getLogger("rendezview_service")
 _CLOSE_S, _STOP_S = 30.0, 4.0  # s, for a log to be completed; when all end. Source: chosen
 _MOST_ENDED_PROCESSES = 3  # by frames of one session within `ENDED_S`. Source: a chosen limit
 _REMEMBERED = 256  # openings and trainings, for requests that are repeated. Source: a chosen limit
-_START_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
-_IDLE_CHECK_S = 5.0  # s, between checks for idle sessions. Source: chosen
+# s; enough to read compiled loops from the cache; between checks for idle sessions. Source: chosen
+_START_WAIT_S, _IDLE_CHECK_S = 20.0, 5.0
 
 
 class Service:
@@ -73,9 +73,8 @@ class Service:
         self.settings = settings
         self.metrics = Metrics()
         self.sessions: dict[str, Session] = {}
-        self.watchers = 0
+        self.watchers, self.stopping = 0, False
         self.started_s = time.monotonic()
-        self.stopping = False
         self.version = metadata.version("rendezview")
         self._sources: list[Source] = []
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
@@ -87,9 +86,8 @@ class Service:
             self.models = ModelStore(folder, folder / BY_HASH if shares_models else None)
             self.given: StoredModel | None = None if model is None else self.models.give(model)
             self.defaults = SessionDefaults(settings)
-            camera = self.defaults.camera
             for name in sources or []:
-                self._sources.append(open_apart(name, camera))
+                self._sources.append(open_apart(name, self.defaults.camera))
             if self._sources and self.given is None:
                 raise RendezviewError("a source needs a model to track with: name one")
         except RendezviewError:
@@ -127,9 +125,8 @@ class Service:
             if folder == self.settings.record:
                 make_folder(folder)
             elif not folder.is_dir():
-                raise RendezviewError(
-                    f"{self.settings.record}: its folder does not exist: create it first"
-                )
+                reason = "its folder does not exist: create it first"
+                raise RendezviewError(f"{self.settings.record}: {reason}")
             self._spawn(keep_logs(folder, self.settings.logs_bytes, self.settings.logs_s))
         self._begun = asyncio.create_task(self._begin())
         self._begun.add_done_callback(self._begin_done)

@@ -397,5 +397,4 @@ class Session:
         now_s = time.monotonic()
         ended = (self.reason or "the source has ended") if self.finished else None
         reason = self._arrivals.silence(now_s, self._last_fault) if ended is None else ended
-        counts = self.progress.frames, self.drops
-        return self._others.health(now_s, self._arrivals, reason, *counts)
+        return self._others.health(now_s, self._arrivals, reason, self.progress.frames, self.drops)

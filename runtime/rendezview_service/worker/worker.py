@@ -1,8 +1,7 @@
 """The worker process: ``python -m rendezview_service.worker.worker``, started by the service.
 
-It holds the trackers and logs of some sessions and handles one input at a time. A crash here (of an
-image decoder, for example) ends these trackers, but not the service. When the service ends, the
-worker completes its logs and ends too.
+It holds the trackers and logs of some sessions and handles one input at a time. A crash here ends
+these, but not the service. When the service ends, the worker completes its logs and ends too.
 """
 
 from __future__ import annotations
@@ -50,9 +49,9 @@ from rendezview_service.worker.worker_models import Sight, WorkerModels
 JPEG_QUALITY = 80  # 0 … 100, of pictures for watchers. Source: chosen
 # s of processor time to decode a frame, and more for each pixel. Source: a chosen limit
 _DECODING_S, _DECODING_PIXEL_S = 0.1, 50e-9
-_TELL_S = 1.0  # s, between messages with the progress. Source: chosen
 _LOOK_S, _LOOK_ENDING_S = 0.5, 0.01  # s, between looks at logs, and at those that end
-_COMPLETE_S = 30.0  # s, to complete the logs at the end. Source: chosen
+# s, between messages with the progress; to complete the logs at the end. Source: chosen
+_TELL_S, _COMPLETE_S = 1.0, 30.0
 _HEADER_KEYS = ("session", "frame", "time_s", "status", "phase", "track_ms")
 log = logging.getLogger("rendezview_service.worker.worker")
 
@@ -361,12 +360,8 @@ def jpeg(image: GreyImage, width: int) -> bytes:
 
 
 def _fault(request: Header, error: str) -> Header:
-    return {
-        "kind": "fault",
-        "of": request["kind"],
-        "session": request.get("session"),
-        "error": error,
-    }
+    session = request.get("session")
+    return {"kind": "fault", "of": request["kind"], "session": session, "error": error}
 
 
 def _report(session: _WorkerSession) -> Header:
