@@ -19,7 +19,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 
 _UNIX, _J2000 = datetime(1970, 1, 1, tzinfo=UTC), datetime(2000, 1, 1, 12, tzinfo=UTC)
-_DATED_S = 3e8  # s; later times are dates since 1970, not a duration: 9.5 years. Source: chosen
+DATED_S = 3e8  # s; later times are dates since 1970, not a duration: 9.5 years. Source: chosen
 _FIRST_YEAR, _LAST_YEAR = 1957, 2200  # Source: Sputnik; a typing error is further away
 
 
@@ -61,7 +61,7 @@ def epoch_of(text: str | None, times_s: Sequence[float]) -> tuple[datetime, str 
     Raises:
         RendezviewError: the epoch is none, or contradicts times since 1970.
     """
-    dated = bool(times_s) and times_s[0] > _DATED_S
+    dated = bool(times_s) and times_s[0] > DATED_S
     if text is None:
         if dated:
             return _UNIX, None

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
+from rendezview.io.ccsds import DATED_S
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 from rendezview.io.sequences.images import camera_beside
 from rendezview.io.sequences.message_images import Calibration, PackedPicture, RawPicture, grey
@@ -113,7 +114,14 @@ def open_recording(
 
 def _in_order(times_s: list[float], lead: int) -> tuple[list[int], list[str]]:
     """Numbers of the pictures that are used, by their times, and notes on the others."""
-    stamped = [k for k in range(lead, len(times_s)) if times_s[k] != 0.0 or not any(times_s)]
+    # 0 is where durations begin. Among dates, and later, it is no stamp.
+    others = [time_s for time_s in times_s if time_s != 0.0]
+    begins = bool(others) and min(others) < DATED_S
+    stamped = [
+        k
+        for k in range(lead, len(times_s))
+        if times_s[k] != 0.0 or not others or (begins and k == lead)
+    ]
     order: list[int] = []
     latest, late = -math.inf, 0
     for k in stamped:
