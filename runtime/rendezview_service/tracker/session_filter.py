@@ -388,7 +388,9 @@ def warm_up() -> None:
             kind = kind_of(timed, sensor)
             filter_.take(sensor, read_line(timed, kind, sensor, filter_._context, sensor))
         filter_.track(
-            Observation(Status.OK, time_s=k + 0.5, pose=start, covariance=1e-4 * np.eye(6))
+            Observation(
+                Status.OK, time_s=k + 0.5, pose=start, covariance=0.1 ** (4 + k) * np.eye(6)
+            )
         )
     far = {"time_s": 2.9, "range_m": 30.0, "sigma_m": 0.02}
     filter_.take("range", read_line(far, "range", "range", filter_._context, "range"))
