@@ -6,7 +6,10 @@ const DEGREES = 180 / Math.PI;
 const MOST = 900; // points of a curve: more than its pixels help no one
 const LEAST_ZOOM_PX = 5;
 const HOLE_S = 1; // without frames: no curve is drawn across
-const [RED, GREEN, BLUE, YELLOW] = ["#ff8f87", "#6bdb7b", "#79b8ff", "#f2c14e"];
+// Apart for red-green blindness, too; the second and third curve of an axis are also dashed.
+const [RED, GREEN, BLUE, YELLOW] = ["#ff7a4d", "#eaffc4", "#5aa9ff", "#f2c14e"];
+const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]];
+const LINES = ["solid", "dashed", "dotted", "double"];
 
 const deviation = (s, from) => s.covariance && 3 * Math.sqrt(s.covariance[from][from] + s.covariance[from + 1][from + 1] + s.covariance[from + 2][from + 2]);
 const shown = (s) => ({ covariance: s.covariance ?? s.motion?.covariance ?? null });
@@ -60,10 +63,11 @@ export class Plots {
     box.className = "plot";
     const head = document.createElement("h2");
     head.textContent = `${title} `;
-    const keys = curves.map(([name, colour]) => {
+    const keys = curves.map(([name, colour], k) => {
       const key = document.createElement("b");
       key.textContent = ` ${name}`;
       key.style.color = colour;
+      key.style.textDecoration = `underline ${LINES[k]}`;
       head.append(key);
       return key;
     });
@@ -96,7 +100,7 @@ export class Plots {
         { ...axis, size: 52, space: 22, values: ticks },
         ...(right ? [{ ...axis, values: ticks, scale: "right", side: 1, size: 52, space: 22, grid: { show: false } }] : []),
       ],
-      series: [{}, ...curves.map(([name, stroke, , side]) => ({ label: name, stroke, width: 1.4, points: { show: false }, scale: side ?? "y" }))],
+      series: [{}, ...curves.map(([name, stroke, , side], k) => ({ label: name, stroke, dash: DASHES[k], width: 1.4, points: { show: false }, scale: side ?? "y" }))],
       hooks: { drawClear: [(u) => this._gaps(u)], draw: [(u) => this._mark(u)], setCursor: [say], setSelect: [select] },
     }, [[], ...curves.map(() => [])], box);
     plot.over.addEventListener("dblclick", () => this.zoomed(null));

@@ -20,6 +20,10 @@ export function verdict(state, silentS, info = null) {
   const reason = state.reason ?? state.status;
   if (state.pose !== null) {
     const sure = state.confidence === null ? "" : `confidence ${state.confidence.toFixed(3)}`;
+    // Green only where nothing contradicts the pose.
+    const { status: filter = "tracking", reason: why, protection } = state.fused ?? {};
+    if (filter !== "tracking") return ["unsure", "FOUND", `${sure ? `${sure}; ` : ""}fused state ${filter}: ${why ?? "no reason"}`];
+    if (protection?.alarm) return ["unsure", "FOUND", `${sure ? `${sure}; ` : ""}a sensor contradicts the fused state`];
     return ["found", "FOUND", sure];
   }
   if (["ambiguous", "rivals"].includes(state.status)) {
