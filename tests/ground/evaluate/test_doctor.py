@@ -67,7 +67,7 @@ def test_a_craft_that_looks_nearly_the_same_from_two_sides_is_told(tmp_path: Pat
     mast = trimesh.creation.box((0.1, 0.1, 0.5)).apply_translation((0.4, 0.3, 0.6))
     craft = trimesh.util.concatenate([trimesh.creation.box((1.2, 1.2, 1.0)), wings, mast])
     craft.export(tmp_path / "part.stl")
-    (found,) = of_look_alikes(load_mesh(tmp_path / "part.stl", "m"))
+    (found,) = of_look_alikes(load_mesh(tmp_path / "part.stl", "m"), ())
     assert "looks nearly the same" in found.what
     assert found.mark is Mark.NOTE
     assert "180° about" in found.what

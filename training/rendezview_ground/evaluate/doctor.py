@@ -13,6 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from rendezview.geometry.geodesic import Geodesic
+from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.sequences import Sequence
 from rendezview_ground.learn.look_alike_words import look_alike_words
 from rendezview_ground.learn.look_alikes import look_alikes
@@ -62,6 +63,7 @@ class Diagnosis:
 
     mesh: Mesh
     findings: tuple[Finding, ...]
+    symmetries: tuple[Symmetry, ...]
     open_edges: NDArray[np.int64]  # (K, 2) vertices
     mixed_edges: NDArray[np.int64]  # (K, 2) vertices
     far_faces: NDArray[np.bool_]  # (F,) of a body that should not be there
@@ -79,7 +81,7 @@ def diagnose(mesh: Mesh, progress: Callable[[int, int], None] | None = None) -> 
         mesh: cleaned, metres.
         progress: called with the number of views drawn and their total.
     """
-    edges = _Edges.of(mesh.faces)
+    edges, symmetries = _Edges.of(mesh.faces), tuple(find_symmetries(mesh))
     far, far_finding = _far_body(mesh)
     findings = [
         Finding(Mark.FINE, " ".join(mesh.notes[:2]), "read as it is", "none"),
@@ -91,11 +93,11 @@ def diagnose(mesh: Mesh, progress: Callable[[int, int], None] | None = None) -> 
         *_doubled(mesh),
         *_facets(mesh, edges),
         *_hidden(mesh, progress),
-        *_symmetric(mesh),
+        *_symmetric(symmetries),
         *_colourless(mesh),
         *_many(mesh),
     ]
-    return Diagnosis(mesh, tuple(findings), edges.open_edges, edges.mixed_edges, far)
+    return Diagnosis(mesh, tuple(findings), symmetries, edges.open_edges, edges.mixed_edges, far)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -310,8 +312,7 @@ def _hidden(mesh: Mesh, progress: Callable[[int, int], None] | None) -> list[Fin
     ]
 
 
-def _symmetric(mesh: Mesh) -> list[Finding]:
-    symmetries = find_symmetries(mesh)
+def _symmetric(symmetries: tuple[Symmetry, ...]) -> list[Finding]:
     if not symmetries:
         return []
     return [
@@ -324,12 +325,12 @@ def _symmetric(mesh: Mesh) -> list[Finding]:
     ]
 
 
-def of_look_alikes(mesh: Mesh) -> list[Finding]:
-    """Turns that change little of a mesh: some seconds of work, as in training."""
+def of_look_alikes(mesh: Mesh, symmetries: tuple[Symmetry, ...]) -> list[Finding]:
+    """Turns that change little of a mesh, beside its symmetries: some seconds of work."""
     near = look_alikes(mesh, mesh.bounding_sphere[0])
     turns = np.array([one.turn for one in near]).reshape(-1, 3, 3)
     alike = np.array([one.alike for one in near])
-    words = look_alike_words(turns, alike, find_symmetries(mesh))
+    words = look_alike_words(turns, alike, symmetries)
     if words is None:
         return []
     return [

@@ -55,7 +55,7 @@ def doctor(
         progress = bar.stage("views", 42)
         diagnosis = diagnose(mesh, lambda done, _: progress(done))
     table = Table("", "finding", "what is done", "what it costs", show_lines=True)
-    findings = (*diagnosis.findings, *of_look_alikes(mesh))
+    findings = (*diagnosis.findings, *of_look_alikes(mesh, diagnosis.symmetries))
     if frames is not None:
         seen_by = load_camera(camera) if camera else None
         findings = (*findings, *of_frames(open_sequence(frames, seen_by)))
