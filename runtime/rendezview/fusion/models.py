@@ -157,7 +157,7 @@ def _range(
     state: FilterState, measurement: RangeMeasurement, sensor: SensorOptions
 ) -> list[Forecast] | str:
     beam, rotation = measurement.direction, state.rotation
-    start_m = state.place_m + rotation.T @ measurement.origin_m  # target frame, as all below
+    start_m = state.place_m + rotation.T @ measurement.origin_m  # target frame
     met = _met(state, measurement, start_m)
     if isinstance(met, str):
         return met

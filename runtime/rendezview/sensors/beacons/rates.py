@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
-
-import numpy as np
 
 from rendezview.estimation.rates import RateBank, RateOptions
 from rendezview.geometry.pose import Array, Pose
@@ -15,10 +12,6 @@ from rendezview.sensors.beacons.pose.refinement import Refined
 from rendezview.sensors.beacons.track import TrackingOptions
 
 _LONGEST_S = 30.0  # s between two readings: the motion is forgotten. Source: by construction
-# Readings that show how well the motion is predicted: a glint that lasts for half of them would
-# raise the limit that it is tested by. Source: reflector-hidden --scene glint; with 8 it is taken
-# half as often again
-_USUAL = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,20 +38,17 @@ class RateEstimator:
         self._bank = RateBank(options)
         self._first_s = self._last_s = math.nan
         self._readings = 0
-        self._surprises: deque[float] = deque(maxlen=_USUAL)  # χ² of poses that did not jump
 
     def clear(self) -> None:
         """Forget the readings: the target was lost."""
         self._bank.clear()
-        self._surprises.clear()
         self._readings = 0
 
     def jumps(self, time_s: float, refined: Refined, options: TrackingOptions, sure: bool) -> bool:
         """Whether a pose breaks with the motion so far; never where that is unknown.
 
-        The limit is that of a motion that is predicted well; χ² of a swing that is sampled coarsely
-        is larger all the time. ``sure``: the last reading gave a pose. After a gap only the
-        likeliest motion counts: others would by then allow anything.
+        ``sure``: the last reading gave a pose. After a gap only the likeliest motion counts: others
+        would by then allow anything.
         """
         if not self._readings or time_s - self._last_s > _LONGEST_S:
             return False
@@ -69,13 +59,7 @@ class RateEstimator:
         variances[3:] += share**2 * float(place @ place)
         odds = options.jump_odds if sure else math.inf
         limit = options.jump_limit if sure else options.gap_limit
-        found = self._bank.surprise(time_s, pose, covariance, odds, limit)
-        usual = float(np.median(self._surprises)) if self._surprises else 0.0
-        if found > limit * max(1.0, usual):
-            return True
-        if sure:
-            self._surprises.append(found)
-        return False
+        return self._bank.surprise(time_s, pose, covariance, odds, limit) > limit
 
     def add(self, time_s: float, pose: Pose, covariance: Array, face: Face) -> Rates | None:
         """Take a reading in; None while there is only one. ``face``: of the six numbers."""

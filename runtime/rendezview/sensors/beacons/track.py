@@ -46,8 +46,8 @@ class TrackingOptions:
     # × the χ² by which a kind of motion is behind the likeliest: a cost. Source: likewise
     jump_odds: float = 5.0
     # … whose σ is at least so many rad, and share of the range: a smaller jump misleads nobody.
-    # Source: by construction, 5° and 3 % over the root of jump_limit; with half an approach
-    # that slows down is lost
+    # Source: by construction, 5° and 3 % over the root of jump_limit; at half of it an
+    # approach that slows down is lost
     jump_floor: tuple[float, float] = (0.0195, 0.0067)
     # Readings after the target was found again, in which every spot of the picture counts.
     # Source: experiment reflector-hidden --scene glint
