@@ -7,6 +7,7 @@ first two steps, `OutlineRecognition.recognize` the others.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import accumulate, pairwise
@@ -31,6 +32,7 @@ from rendezview.sensors.appearance.outline.silhouette import (
     Silhouette,
     SilhouetteOptions,
     find_silhouette,
+    silhouette_of_mask,
 )
 from rendezview.sensors.appearance.outline.voted import VotedPose
 from rendezview.sensors.appearance.outline.votes import Matcher, MatchOptions
@@ -69,7 +71,15 @@ class OutlineRecognition:
         self._foreground = Foreground()
         self._forest_scores = self.matcher.forest_scores
         self._voted = None if self._forest_scores is None else VotedPose(model, self._forest_scores)
+        self._mask: Picture | None = None
         self._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
+
+    def with_camera(self, camera: Camera, mask: Picture | None = None) -> OutlineRecognition:
+        """The same in the frames of another camera; ``mask`` (H, W): not 0 where the target is."""
+        other = copy(self)
+        other.camera, other._mask = camera, mask
+        other._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
+        return other
 
     def trace(
         self, frame: Picture, prior: Pose | None, clock: StageClock, *, bright_sky: bool
@@ -82,7 +92,12 @@ class OutlineRecognition:
             clock: counts the stages ``silhouette`` and ``signature``.
             bright_sky: whether the network looks for the target first.
         """
-        bodies = find_bodies(frame, self._foreground) if bright_sky else None
+        bodies: list[Silhouette] | Missing | None = None
+        if self._mask is not None:
+            told = silhouette_of_mask(self._mask)
+            bodies = told if isinstance(told, Missing) else [told]
+        elif bright_sky:
+            bodies = find_bodies(frame, self._foreground)
         if bodies is None or isinstance(bodies, Missing):
             expected_px = None
             if prior is not None:

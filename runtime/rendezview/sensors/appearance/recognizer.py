@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,57 +13,26 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import nearest_alike
-from rendezview.io.grey_frame import Picture, check_frame
+from rendezview.io.grey_frame import check_frame
 from rendezview.sensors.appearance.by_outline import OutlineRecognition
-from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
 from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
 from rendezview.sensors.appearance.integrity.evidence import Second
 from rendezview.sensors.appearance.joint_configurations import around, best_of
-from rendezview.sensors.appearance.judge.confidence import Found
-from rendezview.sensors.appearance.judge.sketch_found import SketchFound
-from rendezview.sensors.appearance.model.joint_angles import JointAngles
 from rendezview.sensors.appearance.model.view_model import ViewModel
-from rendezview.sensors.appearance.observation import (
-    CLOSE_MARGIN,
-    AppearanceObservation,
-    StageClock,
-)
+from rendezview.sensors.appearance.observation import AppearanceObservation, StageClock
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
-from rendezview.sensors.appearance.search.close import CloseSearch
+from rendezview.sensors.appearance.pose_finder import PoseFinder, Request
+from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search.levels import LevelSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
-from rendezview.sensors.appearance.verdict import (
-    LEAST_POSTERIOR,
-    NEAR_RAD,
-    Near,
-    agree,
-    is_known,
-    refused,
-)
+from rendezview.sensors.appearance.verdict import NEAR_RAD
 from rendezview.sensors.arguments import check_prior, check_types
 from rendezview.sensors.observation import Status
 
-# Confidence: with less after the likeliest starts, a sketch is tried before all others. Of 79
-# frames of Hubble, Sun 30° and 60° aside, 4 have less although grey edges find their pose at last.
-# Source: by hand, seeds 5 and 6 of rendezview simulate --trajectory random
-_LEAST_CONFIDENT = 0.1
 # Configurations of a target with joints that are searched whole. Source: pose-joints (0.1)
 _CONFIGURATIONS = 3
-# merit; chance decides between two poses nearer to each other, where no look-alike was drawn.
-# Source: pose-accuracy, seed 77
-_LEAST_MARGIN = 0.01
-
-
-class _Request(NamedTuple):
-    """What ``recognize`` is asked of one frame; see there."""
-
-    frame: Picture
-    prior: Pose | None
-    prior_error_rad: float | None
-    sun_camera: npt.ArrayLike | None
-    enough_inliers: float
 
 
 class Recognizer:
@@ -100,31 +69,44 @@ class Recognizer:
             trees=trees, sketch=sketch, least_confidence=least_confidence)  # fmt: skip
         self.model = model
         self.camera = camera
-        self.trees = trees
-        self.least_confidence = least_confidence
-        self.search = LevelSearch(model, camera) if refine and model.contours is not None else None
-        self.close = None
-        if self.search is not None and model.near:
-            self.close = CloseSearch(model, camera)
-        self.sketch = None
-        # A sketch shows one angle of the joints only.
-        sketch = sketch and not model.joints
-        if sketch and self.search is not None and model.sketches is not None:
-            self.sketch = SketchSearch(model, camera, self.search.refiner.views)
-        if silhouette is None and self.search is not None:
-            # Shadow cuts a body into pieces; refinement decides whether they are the target's.
-            silhouette = SilhouetteOptions(rival_fraction=2.0, merge_gap=0.6)
-        self.outline = OutlineRecognition(model, camera, silhouette or SilhouetteOptions(), match)
-        self.prior_error_rad = self.outline.matcher.options.prior_error_rad
-        # The same target with its joints at other angles.
-        self._others = tuple(
-            Recognizer(
-                one, camera, silhouette, match, refine=refine, trees=trees,
-                least_confidence=least_confidence,
-            )
-            for one in model.configurations
+        finder = partial(
+            PoseFinder, camera=camera, silhouette=silhouette, match=match, refine=refine,
+            trees=trees, least_confidence=least_confidence,
         )  # fmt: skip
+        self._finder = finder(model, sketch=sketch)
+        # The same target with its joints at other angles: a sketch shows one of them only.
+        others = (finder(one, sketch=False) for one in model.configurations)
+        self._finders = (self._finder, *others)
         self._lock = threading.Lock()
+
+    @property
+    def search(self) -> LevelSearch | None:
+        """By grey edges; None where poses are not refined."""
+        return self._finder.search
+
+    @property
+    def sketch(self) -> SketchSearch | None:
+        """By the sketch of a frame; None where none is drawn."""
+        return self._finder.sketch
+
+    @property
+    def outline(self) -> OutlineRecognition:
+        """By the silhouette."""
+        return self._finder.outline
+
+    @property
+    def least_confidence(self) -> float:
+        """Of a pose that is given."""
+        return self._finder.least_confidence
+
+    @property
+    def prior_error_rad(self) -> float:
+        """How far off a prior may be, if nothing is said."""
+        return self._finder.prior_error_rad
+
+    def overflows(self, pose: Pose) -> bool:
+        """Whether a target there is too near for a whole view: no search near it can find one."""
+        return self._finder.overflows(pose)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Made anew where it is unpickled: the networks are read there."""
@@ -140,6 +122,7 @@ class Recognizer:
         *,
         angles_rad: npt.ArrayLike | None = None,
         time_s: float | None = None,
+        roi: npt.ArrayLike | None = None,
     ) -> AppearanceObservation:
         """Look at one frame.
 
@@ -154,85 +137,60 @@ class Recognizer:
                 another search, where it is below that of the search's options.
             angles_rad: (J,) of the joints with the prior, to a few degrees; ``None``: unknown.
             time_s: when the frame was taken; the observation carries it.
+            roi: where the whole target is, to a fifth of its size: a box (4,) x, y, width, height,
+                px, or a mask (H, W), not 0 on the target. ``None``: anywhere.
 
         Raises:
             ValueError: the direction to the Sun is zero or not finite.
-            RendezviewError: the image is no picture of the camera.
+            RendezviewError: the image is no picture of the camera, or the region is none.
         """
         frame, near = check_frame(image, self.camera), check_prior(prior)
+        finders, region = self._finders, None
+        if roi is not None:
+            region = Region.of(roi, self.camera)
+            frame = region.cut(frame)
+            finders = tuple(finder.looking_at(region) for finder in finders)
         with self._lock:
-            request = _Request(frame, near, prior_error_rad, sun_camera, enough_inliers)
+            request = Request(frame, near, prior_error_rad, sun_camera, enough_inliers)
             if self.model.joints and self.search is not None:
-                seen = self._of_configurations(request, angles_rad)
+                seen = self._of_configurations(finders, request, angles_rad)
             else:
-                seen = self._recognize(*request)
+                seen = finders[0].find(request)
+        if region is not None:
+            seen = region.in_frame(seen)
         return seen if time_s is None else replace(seen, time_s=time_s)
 
     def _of_configurations(
-        self, request: _Request, angles_rad: npt.ArrayLike | None
+        self, finders: tuple[PoseFinder, ...], request: Request, angles_rad: npt.ArrayLike | None
     ) -> AppearanceObservation:
         """The observation of the configuration next to the angles, or the best of all."""
-        searched = every = (self, *self._others)
-        models = [one.model for one in every]
+        searched, judged = finders, finders[0].judged
+        models = [one.model for one in finders]
 
-        def at(angles: Array) -> Recognizer:
-            return every[models.index(self.model.configuration_at(angles))]
+        def at(angles: Array) -> PoseFinder:
+            return finders[models.index(self.model.configuration_at(angles))]
 
         if request.prior is not None and angles_rad is not None:
             angles = np.array(angles_rad, dtype=np.float64).reshape(len(self.model.joints))
-            seen = at(angles)._turned_to(angles, request, tracked=True)
+            seen = _turned_to(at(angles), angles, request, tracked=True)
             if seen.found is None or seen.found.best.joint_support >= LEAST_SUPPORT:
                 return seen
             # The parts are elsewhere, or hidden.
             others = around(self.model.joints, angles) + [model.angles_rad for model in models]
-            again = [at(other)._turned_to(other, request) for other in others]
-            return best_of([seen, *again], models, self._judged)
+            again = [_turned_to(at(other), other, request) for other in others]
+            return best_of([seen, *again], models, judged)
         observations: list[AppearanceObservation] = []
         if request.prior is None:
-            searched, observations = self._likely(searched, request)
-        observations += [one._turned_to(one.model.angles_rad, request) for one in searched]
-        best = best_of(observations, models, self._judged)
+            searched, observations = _likely(searched, request)
+        observations += [_turned_to(one, one.model.angles_rad, request) for one in searched]
+        best = best_of(observations, models, judged)
         if best.found is None or best.found.best.angles_rad is None:
             return best
         # Edges of a part may have led to a local optimum of its angle.
         near = request._replace(prior=best.found.best.pose, prior_error_rad=NEAR_RAD)
         others = around(self.model.joints, best.found.best.angles_rad)
-        again = [at(angles)._turned_to(angles, near) for angles in others]
-        return best_of([*observations, *again], models, self._judged)
-
-    def _likely(
-        self, searched: tuple[Recognizer, ...], request: _Request
-    ) -> tuple[tuple[Recognizer, ...], list[AppearanceObservation]]:
-        """The configurations that fit best after a brief search, and what the others observed."""
-        frame, sky = request.frame, Sky.of(request.frame, request.sun_camera)
-        traced = self.outline.trace(frame, None, StageClock(), bright_sky=not sky.dark)
-        merits, observations = [], []
-        for one in searched:
-            assert one.search is not None
-            one.search.start_at(one.model.angles_rad)
-            found = None
-            if traced.outlines:
-                found = one.search.anywhere(frame, sky, traced.outlines, sky.sun_camera, brief=True)
-            merits.append(-np.inf if found is None else found.merit)
-            observations.append(AppearanceObservation(Status.LOST, found=found))
-        order = np.argsort(-np.array(merits), kind="stable")
-        chosen, others = order[:_CONFIGURATIONS], order[_CONFIGURATIONS:]
-        return tuple(searched[k] for k in chosen), [observations[k] for k in others]
-
-    def _turned_to(
-        self, angles_rad: Array, request: _Request, *, tracked: bool = False
-    ) -> AppearanceObservation:
-        """The observation of this configuration, with the joints starting at some angles (J,)."""
-        assert self.search is not None
-        self.search.start_at(angles_rad, tracked=tracked)
-        return self._recognize(*request)
-
-    def _judged(self, seen: AppearanceObservation) -> AppearanceObservation:
-        """The observation with its found pose given or refused."""
-        assert seen.found is not None
-        if self._confident(seen.found):
-            return self._given(seen, seen.found)
-        return refused(seen, seen.found)
+        again = [_turned_to(at(angles), angles, near) for angles in others]
+        return best_of([*observations, *again], models, judged)
 
     def second_estimate(self, image: npt.ArrayLike, pose: Pose) -> Second | None:
         """The pose that the sketch of a frame shows, searched without a prior, beside another one.
@@ -249,150 +207,31 @@ class Recognizer:
         other = nearest_alike(choice.pose, pose, self.model.symmetries)
         return Second(other.angle_to(pose), choice.confidence)
 
-    def _recognize(
-        self, frame: Picture, prior: Pose | None, prior_error_rad: float | None,
-        sun_camera: npt.ArrayLike | None, enough_inliers: float,
-    ) -> AppearanceObservation:  # fmt: skip
-        clock, search = StageClock(), self.search
-        if search is None:
-            traced = self.outline.trace(frame, prior, clock, bright_sky=False)
-            return self.outline.recognize(traced, prior, prior_error_rad, clock, alone=True)
-        sky = Sky.of(frame, sun_camera)
-        if prior is None:
-            return self._anywhere(search, frame, sky, clock)
-        near = Near(prior, prior_error_rad or self.prior_error_rad)
-        seen = self._next_to(search, frame, sky, near, enough_inliers, clock)
-        return seen or self._near(search, frame, sky, near, clock)
 
-    def _anywhere(
-        self, search: LevelSearch, frame: Picture, sky: Sky, clock: StageClock
-    ) -> AppearanceObservation:
-        """Without a prior: by the outline, then on a sketch, then by the outline thoroughly."""
-        traced = self.outline.trace(frame, None, clock, bright_sky=not sky.dark)
-        by_outline = partial(search.anywhere, frame, sky, traced.outlines, sky.sun_camera)
-        found, sketched = None, None
+def _likely(
+    searched: tuple[PoseFinder, ...], request: Request
+) -> tuple[tuple[PoseFinder, ...], list[AppearanceObservation]]:
+    """The configurations that fit best after a brief search, and what the others observed."""
+    frame, sky = request.frame, Sky.of(request.frame, request.sun_camera)
+    traced = searched[0].outline.trace(frame, None, StageClock(), bright_sky=not sky.dark)
+    merits, observations = [], []
+    for one in searched:
+        assert one.search is not None
+        one.search.start_at(one.model.angles_rad)
+        found = None
         if traced.outlines:
-            found = by_outline(give_up=0.0 if self.sketch is None else _LEAST_CONFIDENT)
-            clock.lap("refine")
-        best = found if self._confident(found) else None
-        if best is None and self.sketch is not None:
-            sketched = SketchFound.of(self.sketch.best(frame, sky), dark=sky.dark)
-            clock.lap("sketch")
-            doubtful = found is None or found.confidence < _LEAST_CONFIDENT
-            answers = [] if found is None or doubtful else found.answers
-            if sketched is not None:
-                # Grey edges judge what the sketch proposes, and are the finer ones.
-                answers = sketched.answers + answers
-                doubted = not self._confident(sketched) or sketched.margin < CLOSE_MARGIN
-                proposed = search.proposed(
-                    frame, sky, answers, traced.outlines, half_turns=doubted, sketched=sketched
-                )
-                found = found if proposed is None else proposed
-            best = self._likelier(search, frame, sky, found, sketched)
-            if best is None and traced.outlines and doubtful:
-                answers += [] if found is None else found.answers
-                found = by_outline(again=True, also=answers, sketched=sketched)
-                best = self._likelier(search, frame, sky, found, sketched)
-            clock.lap("refine")
-        if best is not None:
-            return self._given(self.outline.seen(traced, best.best.pose, clock), best)
-        view = self.outline.recognize(traced, None, None, clock)
-        return refused(view, self._refusable(found, sketched))
+            found = one.search.anywhere(frame, sky, traced.outlines, sky.sun_camera, brief=True)
+        merits.append(-np.inf if found is None else found.merit)
+        observations.append(AppearanceObservation(Status.LOST, found=found))
+    order = np.argsort(-np.array(merits), kind="stable")
+    chosen, others = order[:_CONFIGURATIONS], order[_CONFIGURATIONS:]
+    return tuple(searched[k] for k in chosen), [observations[k] for k in others]
 
-    def _next_to(
-        self, search: LevelSearch, frame: Picture, sky: Sky, near: Near, enough_inliers: float,
-        clock: StageClock,
-    ) -> AppearanceObservation | None:  # fmt: skip
-        """The pose next to a prior; None unless it is confident at once."""
-        if self.close is not None:
-            found = near.bounds(self.close.at(frame, sky, near.prior, enough_inliers))
-            clock.lap("refine")
-            if found is not None:
-                return self._given(AppearanceObservation(Status.OK, stage_ms=clock.stage_ms), found)
-        found = near.bounds(search.at(frame, sky, near.prior, near.error_rad, enough_inliers))
-        clock.lap("refine")
-        if found is None or not self._confident(found):
-            return None
-        seen = AppearanceObservation(Status.OK, stage_ms=clock.stage_ms)
-        if self.trees:
-            pose, bright = found.best.pose, not sky.dark
-            seen = self.outline.seen_from(frame, pose, clock, bright_sky=bright)
-        return self._given(seen, found)
 
-    def _near(
-        self, search: LevelSearch, frame: Picture, sky: Sky, near: Near, clock: StageClock
-    ) -> AppearanceObservation:
-        """Within the error of a prior: by outline and rotations of it, then on a sketch."""
-        prior, error_rad = near.prior, near.error_rad
-        traced = self.outline.trace(frame, prior, clock, bright_sky=not sky.dark)
-        view = self.outline.recognize(traced, prior, error_rad, clock)
-        if self.overflows(prior):
-            return refused(view, None)
-        also = [] if view.pose is None else [view.pose]
-        found = near.bounds(search.near(frame, sky, prior, error_rad, traced.outlines, also))
-        clock.lap("refine")
-        if found is not None and self._confident(found):
-            return self._given(view, found)
-        sketched = None
-        if self.sketch is not None:
-            sketched = SketchFound.of(self.sketch.near(frame, sky, prior, error_rad), dark=sky.dark)
-            sketched = near.bounds(sketched)
-            clock.lap("sketch")
-            best = near.bounds(self._likelier(search, frame, sky, found, sketched))
-            clock.lap("refine")
-            if best is not None:
-                return self._given(self.outline.seen(traced, best.best.pose, clock), best)
-        return refused(view, self._refusable(found, sketched))
-
-    def _likelier(
-        self, search: LevelSearch, frame: Picture, sky: Sky, found: Found | None,
-        sketched: SketchFound | None,
-    ) -> Found | None:  # fmt: skip
-        """What grey edges found, or else a sketch; None where neither is confident."""
-        if self._confident(found):
-            return found
-        if sketched is None or not self._confident(sketched):
-            return None
-        if not agree(found, sketched, self.model.symmetries):
-            return None
-        # Grey edges are the finer ones, where they are seen.
-        return search.at(frame, sky, sketched.best.pose, NEAR_RAD) or sketched
-
-    def _refusable(self, found: Found | None, sketched: SketchFound | None) -> Found | None:
-        """What is the reason for no pose: the more confident of both, unless they disagree."""
-        if sketched is None or not agree(found, sketched, self.model.symmetries):
-            return found
-        if found is None or sketched.confidence > found.confidence:
-            return sketched
-        return found
-
-    def overflows(self, pose: Pose) -> bool:
-        """Whether a target there is too near for a whole view: no search near it can find one."""
-        depth_m = pose.apply(self.model.centre_m)[2]
-        return bool(depth_m < NEAREST_RADII * self.model.target_radius_m)
-
-    def _given(self, seen: AppearanceObservation, found: Found) -> AppearanceObservation:
-        """The observation with the refined pose."""
-        best, joints = found.best, None
-        if best.angles_rad is not None and best.joint_covariance is not None:
-            joints = JointAngles(self.model.joints, best.angles_rad, best.joint_covariance)
-        return replace(
-            seen,
-            status=Status.OK,
-            reason=None,
-            pose=best.pose,
-            covariance=best.covariance,
-            confidence=found.confidence,
-            joints=joints,
-            found=found,
-        )
-
-    def _confident(self, found: Found | None) -> bool:
-        """Whether a pose is given: it is likely right, and without a prior it has no rival."""
-        if found is None:
-            return False
-        if found.weighed:
-            close = found.posterior < LEAST_POSTERIOR
-        else:
-            close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
-        return found.confidence >= self.least_confidence and not close and is_known(found.best)
+def _turned_to(
+    finder: PoseFinder, angles_rad: Array, request: Request, *, tracked: bool = False
+) -> AppearanceObservation:
+    """The observation of a configuration, with the joints starting at some angles (J,)."""
+    assert finder.search is not None
+    finder.search.start_at(angles_rad, tracked=tracked)
+    return finder.find(request)

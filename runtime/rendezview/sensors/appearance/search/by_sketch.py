@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -55,6 +57,12 @@ class SketchRetrieval:
         self._radius_m = model.target_radius_m
         self._vectors = _vectors(sketches.decoded())
         self._partial: PartialViews | None = None  # made for the first target that is cut
+
+    def with_camera(self, camera: Camera) -> SketchRetrieval:
+        """The same for sketches of another camera's frames."""
+        other = copy(self)
+        other._camera = camera
+        return other
 
     def starts(
         self, sketch: Sketch, most: int, near: Array | None = None, within_rad: float = np.pi

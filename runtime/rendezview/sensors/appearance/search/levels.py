@@ -19,8 +19,6 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture, shrunk
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.judge.confidence import Found
-from rendezview.sensors.appearance.judge.rivals import Rivals
-from rendezview.sensors.appearance.judge.shading import Shading
 from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -49,6 +47,13 @@ class LevelSearch:
         self.model = model
         self.whole = PoseSearch(model, camera)
         self._levels = {1: self.whole}
+
+    def with_camera(self, camera: Camera) -> LevelSearch:
+        """The same search in the frames of another camera."""
+        other = copy(self)
+        other.whole = self.whole.with_camera(camera, self.whole.refine_options)
+        other._levels = {1: other.whole}
+        return other
 
     @property
     def refiner(self) -> Refiner:
@@ -171,16 +176,9 @@ class LevelSearch:
         if times == 1:
             return whole, image, sky
         if times not in self._levels:
-            level = self._levels[times] = copy(whole)
-            level.camera = whole.camera.binned(times)
             blur_px = shrunk_blur(whole.refine_options.blur_px, times)
-            level.refine_options = replace(whole.refine_options, blur_px=blur_px)
-            level.refiner = Refiner(self.model, level.camera, level.refine_options)
-            level.shading = Shading(self.model, level.camera)
-            if whole.rivals is not None:
-                level.rivals = Rivals(self.model, level.camera)
-            if level.refiner.articulation is not None and whole.refiner.articulation is not None:
-                level.refiner.articulation.start_rad = whole.refiner.articulation.start_rad
+            options = replace(whole.refine_options, blur_px=blur_px)
+            self._levels[times] = whole.with_camera(whole.camera.binned(times), options)
         small = shrunk(image, times)
         return self._levels[times], small, shrunk_sky(small, sky)
 

@@ -9,6 +9,7 @@ regression gives the confidence of the best (``confidence``).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -111,6 +112,19 @@ class PoseSearch:
         self.retrieval = Retrieval(self.model)
         self.forest_scores = self.model.forest_scores()
         self._half_turns = half_turns(self.model)
+
+    def with_camera(self, camera: Camera, options: RefineOptions) -> PoseSearch:
+        """The same search in the frames of another camera."""
+        other = copy(self)
+        other.camera, other.refine_options = camera, options
+        other.refiner = Refiner(self.model, camera, options)
+        other.shading = Shading(self.model, camera)
+        if self.rivals is not None:
+            other.rivals = Rivals(self.model, camera)
+        if other.refiner.articulation is not None and self.refiner.articulation is not None:
+            other.refiner.articulation.start_rad = self.refiner.articulation.start_rad
+            other.refiner.articulation.tracked = self.refiner.articulation.tracked
+        return other
 
     def _candidates(
         self,

@@ -160,6 +160,7 @@ class SketchSearch:
         """The same search for the model with its contour points moved, and a camera alike."""
         moved = copy(self)
         moved._set_tables(model, camera, views)
+        moved.retrieval = self.retrieval.with_camera(camera)
         return moved
 
     def closer_sketch(self, frame: Picture, pose: Pose, *, turned: bool = False) -> Sketch | None:
