@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
@@ -47,6 +48,11 @@ _LEAST_CONFIDENT = 0.1
 # merit; chance decides between two poses nearer to each other, where no look-alike was drawn.
 # Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
+
+
+# Bodies of a frame that are looked at closely: the target is the likeliest in 11 of 16 frames, and
+# the second in 2. Source: photographs of everyday objects
+_BODIES = 3
 
 
 class Request(NamedTuple):
@@ -118,10 +124,12 @@ class PoseFinder:
             return self.outline.recognize(traced, prior, prior_error_rad, clock, alone=True)
         sky = Sky.of(frame, sun_camera)
         if prior is None:
-            return self._anywhere(search, frame, sky, clock)
+            seen = self._anywhere(search, frame, sky, clock)
+            cluttered = seen.pose is None and not sky.dark and self.region is None
+            return self._among_others(seen, request) if cluttered else seen
         near = Near(prior, prior_error_rad or self.prior_error_rad)
-        seen = self._next_to(search, frame, sky, near, enough_inliers, clock)
-        return seen or self._near(search, frame, sky, near, clock)
+        close = self._next_to(search, frame, sky, near, enough_inliers, clock)
+        return close or self._near(search, frame, sky, near, clock)
 
     def _anywhere(
         self, search: LevelSearch, frame: Picture, sky: Sky, clock: StageClock
@@ -157,6 +165,34 @@ class PoseFinder:
             return self._given(self.outline.seen(traced, best.best.pose, clock), best)
         view = self.outline.recognize(traced, None, None, clock)
         return refused(view, self._refusable(found, sketched))
+
+    def _among_others(self, seen: AppearanceObservation, request: Request) -> AppearanceObservation:
+        """The pose of the body that is the target, where a frame is full of other things.
+
+        Args:
+            seen: what the whole frame showed: no pose.
+        """
+        if self.sketch is None:
+            return seen
+        looks = []
+        for body in self.sketch.bodies(request.frame, _BODIES):
+            region = Region.around(body.box_px, self.camera)
+            part = request._replace(frame=region.cut(request.frame))
+            looks.append(region.in_frame(self.looking_at(region).find(part)))
+        given = [look for look in looks if look.pose is not None]
+        if not given:
+            return seen
+        symmetries, best = self.model.symmetries, max(given, key=lambda look: look.score)
+        assert best.pose is not None
+        for look in given:
+            assert look.pose is not None
+            if angle_between(look.pose, best.pose, symmetries) > NEAR_RAD:
+                return replace(
+                    seen,
+                    status=Status.RIVALS,
+                    reason=f"{len(given)} bodies look like the target: say where it is (roi)",
+                )
+        return best
 
     def _next_to(
         self, search: LevelSearch, frame: Picture, sky: Sky, near: Near, enough_inliers: float,

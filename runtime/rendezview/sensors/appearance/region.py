@@ -15,6 +15,7 @@ from rendezview.sensors.appearance.edges.contour_at import contour_pixels
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.reading import LateReading, OutlineReading
+from rendezview.sensors.appearance.search.windows import overlap
 
 # Of the longer side of a box: what is looked at around it. A detector's box that is 20 % too small
 # and 20 % aside still leaves the whole target, and some sky. Source: by construction
@@ -46,7 +47,7 @@ class Region:
             if not len(rows):
                 raise RendezviewError("the mask of the target is empty: nothing to look at")
             first, last = (np.array([columns[k], rows[k]]) for k in (0, -1))
-            region = cls._around(np.concatenate([first - 0.5, last + 0.5]), width, height)
+            region = cls.around(np.concatenate([first - 0.5, last + 0.5]), camera)
             mask = np.where(inside, 255, 0).astype(np.uint8)
             return replace(region, mask=region.cut(mask))
         if given.shape != (4,) or not np.isfinite(given.astype(np.float64)).all():
@@ -63,14 +64,15 @@ class Region:
                 f"{width} × {height} px"
             )
         box = np.array([x, y, x + across, y + down]) - 0.5
-        return cls._around(box, width, height)
+        return cls.around(box, camera)
 
     @classmethod
-    def _around(cls, box: Array, width: int, height: int) -> Region:
+    def around(cls, box: Array, camera: Camera) -> Region:
+        """Around a box (4,) left, top, right, bottom, px."""
         more = _AROUND * max(box[2] - box[0], box[3] - box[1])
         left, top = np.maximum(np.floor(box[:2] - more + 0.5), 0).astype(int).tolist()
         right, bottom = np.ceil(box[2:] + more + 0.5).astype(int).tolist()
-        return cls(box, (left, top, min(right, width), min(bottom, height)))
+        return cls(box, (left, top, min(right, camera.width), min(bottom, camera.height)))
 
     def seen_by(self, camera: Camera) -> Camera:
         """The camera of the part."""
@@ -100,9 +102,6 @@ class Region:
         seen = contour_pixels(model, camera, pose)
         if seen is None or not len(seen.points_px):
             return False
-        corner = np.tile(self.part[:2], 2)
-        given, found = self.box_px - corner, [*seen.points_px.min(0), *seen.points_px.max(0)]
-        across, down = np.minimum(given[2:], found[2:]) - np.maximum(given[:2], found[:2])
-        common = max(across, 0.0) * max(down, 0.0)
-        areas = sum((box[2] - box[0]) * (box[3] - box[1]) for box in (given, found))
-        return bool(common >= _LEAST_OVERLAP * (areas - common))
+        given = self.box_px - np.tile(self.part[:2], 2)
+        box = np.concatenate([seen.points_px.min(0), seen.points_px.max(0)])
+        return overlap(given, box) >= _LEAST_OVERLAP

@@ -91,6 +91,11 @@ class SketchRetrieval:
         rotations = ahead @ spins[roll] @ self._sketches.rotation[view].astype(np.float64)
         return rotations, bearings * ranges_m[:, None]
 
+    def likeness(self, sketch: Sketch) -> float:
+        """Correlation of a sketch that shows a whole target alone with the likeliest view."""
+        turns = 2.0 * np.pi * np.arange(_ROLLS) / _ROLLS
+        return float(self._alike(sketch, [centroid(cover_of(sketch.maps))], turns, None).max())
+
     def _placements(self, sketch: Sketch) -> list[tuple[Array, float]]:
         """Centre and size (root of the area) of the cover, px; guesses of both where it is cut."""
         centre, size = centroid(cover_of(sketch.maps))

@@ -49,6 +49,7 @@ from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
 from rendezview.sensors.appearance.search.by_sketch import SketchRetrieval
 from rendezview.sensors.appearance.search.starts import furthest_rad, rotated_about
+from rendezview.sensors.appearance.search.windows import Body, bodies_in_windows
 from rendezview.sensors.appearance.sky import Sky
 
 # Stages of alignment: reach and spread (sketch px), steps, stride, weight of inner edges. A third
@@ -155,6 +156,10 @@ class SketchSearch:
         reading = self.read(sketch, sky)
         poses = _within(self.aligned(reading, rotations, centres), prior, error_rad + _VIEW_RAD)
         return self._closer(frame, sky, reading, poses, (prior, error_rad), turned=False)
+
+    def bodies(self, frame: Picture, most: int) -> list[Body]:
+        """Bodies of a frame, those most like the target first."""
+        return bodies_in_windows(self.sketcher, self.retrieval, frame, most)
 
     def with_tables(self, model: ViewModel, views: ViewTables, camera: Camera) -> SketchSearch:
         """The same search for the model with its contour points moved, and a camera alike."""
