@@ -44,6 +44,8 @@ class Script:
         *,
         angles_rad=None,
         time_s,
+        roi=None,
+        thorough=True,
     ) -> AppearanceObservation:
         self.priors.append(prior)
         self.reach_deg.append(round(np.rad2deg(prior_error_rad), 6))
@@ -223,6 +225,8 @@ class Rivals(Script):
         *,
         angles_rad=None,
         time_s,
+        roi=None,
+        thorough=True,
     ) -> AppearanceObservation:
         if prior is None:
             both = tuple(self.poses.values())

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
@@ -26,10 +27,11 @@ from rendezview.sensors.appearance.observation import (
 )
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
-from rendezview.sensors.appearance.region import Region
+from rendezview.sensors.appearance.region import Region, target_box
 from rendezview.sensors.appearance.search.close import CloseSearch
 from rendezview.sensors.appearance.search.levels import LevelSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
+from rendezview.sensors.appearance.search.windows import SAME_BODY, overlap
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.appearance.verdict import (
     LEAST_POSTERIOR,
@@ -63,6 +65,7 @@ class Request(NamedTuple):
     prior_error_rad: float | None
     sun_camera: npt.ArrayLike | None
     enough_inliers: float
+    thorough: bool = False  # in windows, too
 
 
 class PoseFinder:
@@ -77,7 +80,6 @@ class PoseFinder:
         self.model = model
         self.camera = camera
         self.trees = trees
-        self.region: Region | None = None
         self.least_confidence = least_confidence
         self.search = LevelSearch(model, camera) if refine and model.contours is not None else None
         self.close = None
@@ -97,15 +99,17 @@ class PoseFinder:
     def looking_at(self, region: Region) -> PoseFinder:
         """The same in a part of the camera's frames: nothing else is looked at."""
         other, camera = copy(self), region.seen_by(self.camera)
-        other.camera, other.region = camera, region
+        other.camera = camera
+        may_be = partial(region.shows, self.model, camera)
         other.outline = self.outline.with_camera(camera, region.mask)
         if self.search is not None:
-            other.search = self.search.with_camera(camera)
+            other.search = self.search.with_camera(camera, may_be)
         if self.close is not None:
             other.close = CloseSearch(self.model, camera)
         if self.sketch is not None and other.search is not None:
             views = other.search.refiner.views
             other.sketch = self.sketch.with_tables(self.model, views, camera)
+            other.sketch.bounds = (*self.sketch.bounds, may_be)
         return other
 
     def judged(self, seen: AppearanceObservation) -> AppearanceObservation:
@@ -117,7 +121,7 @@ class PoseFinder:
 
     def find(self, request: Request) -> AppearanceObservation:
         """What is observed in one frame."""
-        frame, prior, prior_error_rad, sun_camera, enough_inliers = request
+        frame, prior, prior_error_rad, sun_camera, enough_inliers, thorough = request
         clock, search = StageClock(), self.search
         if search is None:
             traced = self.outline.trace(frame, prior, clock, bright_sky=False)
@@ -125,7 +129,7 @@ class PoseFinder:
         sky = Sky.of(frame, sun_camera)
         if prior is None:
             seen = self._anywhere(search, frame, sky, clock)
-            cluttered = seen.pose is None and not sky.dark and self.region is None
+            cluttered = thorough and seen.pose is None and not sky.dark
             return self._among_others(seen, request) if cluttered else seen
         near = Near(prior, prior_error_rad or self.prior_error_rad)
         close = self._next_to(search, frame, sky, near, enough_inliers, clock)
@@ -174,10 +178,14 @@ class PoseFinder:
         """
         if self.sketch is None:
             return seen
-        looks = []
+        looks, looked_at = [], np.zeros(4)
+        if seen.found is not None:
+            looked_at = target_box(self.model, self.camera, seen.found.best.pose)
         for body in self.sketch.bodies(request.frame, _BODIES):
+            if overlap(body.box_px, looked_at) > SAME_BODY:
+                continue  # it would look the same again
             region = Region.around(body.box_px, self.camera)
-            part = request._replace(frame=region.cut(request.frame))
+            part = request._replace(frame=region.cut(request.frame), thorough=False)
             looks.append(region.in_frame(self.looking_at(region).find(part)))
         given = [look for look in looks if look.pose is not None]
         if not given:
@@ -290,6 +298,4 @@ class PoseFinder:
             close = found.posterior < LEAST_POSTERIOR
         else:
             close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
-        if found.confidence < self.least_confidence or close or not is_known(found.best):
-            return False
-        return self.region is None or self.region.shows(self.model, self.camera, found.best.pose)
+        return found.confidence >= self.least_confidence and not close and is_known(found.best)

@@ -123,6 +123,7 @@ class Recognizer:
         angles_rad: npt.ArrayLike | None = None,
         time_s: float | None = None,
         roi: npt.ArrayLike | None = None,
+        thorough: bool = True,
     ) -> AppearanceObservation:
         """Look at one frame.
 
@@ -139,6 +140,8 @@ class Recognizer:
             time_s: when the frame was taken; the observation carries it.
             roi: where the whole target is, to a fifth of its size: a box (4,) x, y, width, height,
                 px, or a mask (H, W), not 0 on the target. ``None``: anywhere.
+            thorough: without a prior or a region, search a frame that shows other things in
+                windows, too, where nothing else finds a pose. It takes a second or two.
 
         Raises:
             ValueError: the direction to the Sun is zero or not finite.
@@ -151,7 +154,8 @@ class Recognizer:
             frame = region.cut(frame)
             finders = tuple(finder.looking_at(region) for finder in finders)
         with self._lock:
-            request = Request(frame, near, prior_error_rad, sun_camera, enough_inliers)
+            thorough = thorough and region is None
+            request = Request(frame, near, prior_error_rad, sun_camera, enough_inliers, thorough)
             if self.model.joints and self.search is not None:
                 seen = self._of_configurations(finders, request, angles_rad)
             else:

@@ -23,6 +23,8 @@ _AROUND = 0.3
 # Intersection over union of the given box and the pose's: a box whose sides are wrong by 20 %, and
 # which is 20 % aside, still has 0.4. Source: by construction
 _LEAST_OVERLAP = 0.3
+# The same of a mask, whose sides are wrong by a tenth at most. Source: by construction
+_LEAST_OF_MASK = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,9 +101,14 @@ class Region:
 
     def shows(self, model: ViewModel, camera: Camera, pose: Pose) -> bool:
         """Whether the target at a pose, in the part that a camera sees, is where it should be."""
-        seen = contour_pixels(model, camera, pose)
-        if seen is None or not len(seen.points_px):
-            return False
         given = self.box_px - np.tile(self.part[:2], 2)
-        box = np.concatenate([seen.points_px.min(0), seen.points_px.max(0)])
-        return overlap(given, box) >= _LEAST_OVERLAP
+        least = _LEAST_OVERLAP if self.mask is None else _LEAST_OF_MASK
+        return overlap(given, target_box(model, camera, pose)) >= least
+
+
+def target_box(model: ViewModel, camera: Camera, pose: Pose) -> Array:
+    """(4,) left, top, right, bottom, px, of the target at a pose; zeros where it has no picture."""
+    seen = contour_pixels(model, camera, pose)
+    if seen is None or not len(seen.points_px):
+        return np.zeros(4)
+    return np.concatenate([seen.points_px.min(0), seen.points_px.max(0)])

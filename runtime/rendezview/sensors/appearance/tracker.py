@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -78,6 +79,15 @@ class _Motion:
     @property
     def moves(self) -> bool:
         return bool(self.turn_rad_s.any() or self.move_m_s.any())
+
+
+class _Frame(NamedTuple):
+    """What `Tracker.update` is given; see there."""
+
+    time_s: float
+    image: npt.ArrayLike
+    sun_camera: npt.ArrayLike | None
+    roi: npt.ArrayLike | None
 
 
 class Tracker:
@@ -176,14 +186,16 @@ class Tracker:
         return self._joints.predicted(time_s, self.options.longest_prediction_s)
 
     def update(
-        self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None = None
-    ) -> AppearanceObservation:
+        self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None = None,
+        roi: npt.ArrayLike | None = None,
+    ) -> AppearanceObservation:  # fmt: skip
         """Look at the next frame.
 
         Args:
             time_s: when the frame was taken.
             image: as for `Recognizer.recognize`.
             sun_camera: (3,) towards the Sun, camera frame, if it is known.
+            roi: where the target is, as for `Recognizer.recognize`.
 
         Raises:
             ValueError: the time is not finite, or not later than that of the frame before.
@@ -193,14 +205,15 @@ class Tracker:
             check_time(time_s, self._last_time_s)
             self._last_time_s = time_s
             self._age(time_s)
+            frame = _Frame(time_s, image, sun_camera, roi)
             expected, self._expected = self._expected, None
             predicted = self.predicted(time_s) if self._monitor is not None else None
             if expected is not None and self.lost:
-                observation = self._look_at(expected, time_s, image, sun_camera)
+                observation = self._look_at(expected, frame)
             elif self._motion is None and self._rivals:
-                observation = self._decide(time_s, image, sun_camera)
+                observation = self._decide(frame)
             else:
-                observation = self._look(time_s, image, sun_camera)
+                observation = self._look(frame)
             observation = self._with_joints(observation, time_s)
             if observation.pose is None:
                 self._misses += 1
@@ -211,6 +224,16 @@ class Tracker:
             look = partial(self.recognizer.second_estimate, image)
             centre_m = self.recognizer.model.centre_m
             return self._monitor.protected(observation, time_s, predicted, centre_m, look)
+
+    def _seen(
+        self, frame: _Frame, prior: Pose | None = None, error_rad: float | None = None,
+        enough_inliers: float = 1.0, *, angles_rad: Array | None = None, thorough: bool = True,
+    ) -> AppearanceObservation:  # fmt: skip
+        """What the recognizer observes."""
+        return self.recognizer.recognize(
+            frame.image, prior, error_rad, frame.sun_camera, enough_inliers,
+            angles_rad=angles_rad, time_s=frame.time_s, roi=frame.roi, thorough=thorough,
+        )  # fmt: skip
 
     def _with_joints(
         self, observation: AppearanceObservation, time_s: float
@@ -233,50 +256,40 @@ class Tracker:
         elif time_s - since_s > self.options.longest_outage_s:
             self._motion = None
 
-    def _look_at(
-        self,
-        expected: tuple[Pose, float],
-        time_s: float,
-        image: npt.ArrayLike,
-        sun_camera: npt.ArrayLike | None,
-    ) -> AppearanceObservation:
+    def _look_at(self, expected: tuple[Pose, float], frame: _Frame) -> AppearanceObservation:
         """Near an expected pose, and as without it where the target is not there."""
-        observation = self.recognizer.recognize(
-            image, expected[0], expected[1], sun_camera, time_s=time_s
-        )
+        observation = self._seen(frame, *expected)
         if observation.pose is not None:
             self._motion = None  # the rates are those of the poses before it was lost
             return observation
         if self._motion is None and self._rivals:
-            return self._decide(time_s, image, sun_camera)
-        return self._look(time_s, image, sun_camera)
+            return self._decide(frame)
+        return self._look(frame)
 
-    def _look(
-        self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None
-    ) -> AppearanceObservation:
+    def _look(self, frame: _Frame) -> AppearanceObservation:
         """Near the prediction, and everywhere after a few frames without a pose."""
         options = self.options
-        prior = self.predicted(time_s)
+        prior = self.predicted(frame.time_s)
         if self._jump is not None:
-            confirmed = self._confirm(self._jump, time_s, image, sun_camera)
+            confirmed = self._confirm(self._jump, frame)
             if confirmed is not None:
                 return confirmed
         error_rad = min(
             self.recognizer.prior_error_rad + self._misses * options.widening_rad,
             options.widest_rad,
         )
-        observation = self.recognizer.recognize(
-            image, prior, error_rad, sun_camera, self._enough_inliers(),
-            angles_rad=self._predicted_angles(time_s), time_s=time_s,
+        observation = self._seen(
+            frame, prior, error_rad, self._enough_inliers(),
+            angles_rad=self._predicted_angles(frame.time_s),
         )  # fmt: skip
         late = prior is not None and self._misses >= options.restart_after
         if prior is not None and self.recognizer.overflows(prior):
             due = self._misses % options.close_restart == options.close_restart - 1
             late = due and observation.silhouette is not None
         if late and observation.pose is None and self.recognizer.search is not None:
-            again = self.recognizer.recognize(image, None, None, sun_camera, time_s=time_s)
+            again = self._seen(frame, thorough=self._motion is None)
             if again.pose is not None and (again.confidence or 0.0) >= options.restart_confidence:
-                restarted = self._as_before(again, prior, time_s, image, sun_camera)
+                restarted = self._as_before(again, prior, frame)
                 if prior is None or self._may_follow(prior, restarted, error_rad):
                     self._motion = None  # a restart: no rates from the pose before
                     return restarted
@@ -294,24 +307,17 @@ class Tracker:
         near = abs(np.log(now_m / max(before_m, 1e-9))) <= np.log1p(self.options.restart_range)
         return bool(near) and seen.pose.angle_to(prior) <= error_rad
 
-    def _confirm(
-        self, jump: Pose, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None
-    ) -> AppearanceObservation | None:
+    def _confirm(self, jump: Pose, frame: _Frame) -> AppearanceObservation | None:
         """The pose next to the one of the frame before; None where it is not there again."""
         self._jump = None
-        seen = self.recognizer.recognize(image, jump, None, sun_camera, time_s=time_s)
+        seen = self._seen(frame, jump)
         if seen.pose is None or not self._may_follow(jump, seen, self.recognizer.prior_error_rad):
             return None
         self._motion = None  # a restart: no rates from the pose before
         return seen
 
     def _as_before(
-        self,
-        again: AppearanceObservation,
-        prior: Pose | None,
-        time_s: float,
-        image: npt.ArrayLike,
-        sun_camera: npt.ArrayLike | None,
+        self, again: AppearanceObservation, prior: Pose | None, frame: _Frame
     ) -> AppearanceObservation:
         """Of the poses that look alike after a restart, the one that was tracked before."""
         if again.pose is None or prior is None:
@@ -319,7 +325,7 @@ class Tracker:
         same = nearest_alike(again.pose, prior, self.recognizer.model.symmetries)
         if same.angle_to(again.pose) < _SAME_RAD:
             return again
-        there = self.recognizer.recognize(image, same, None, sun_camera, time_s=time_s)
+        there = self._seen(frame, same)
         return again if there.pose is None else there
 
     def _enough_inliers(self) -> float:
@@ -329,13 +335,11 @@ class Tracker:
             return 1.0
         return self.options.confirmed_share * inliers
 
-    def _decide(
-        self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None
-    ) -> AppearanceObservation:
+    def _decide(self, frame: _Frame) -> AppearanceObservation:
         """Compare all rivals with the next frame; a pose is given when one leads."""
         looks = []
         for pose, merit in self._rivals:
-            observation = self.recognizer.recognize(image, pose, None, sun_camera, time_s=time_s)
+            observation = self._seen(frame, pose)
             found = observation.found
             if found is not None:
                 looks.append((merit + found.merit, observation, found.best.pose))
@@ -348,7 +352,7 @@ class Tracker:
                 del looks[k]
         if not looks:
             self._rivals = []
-            return self.recognizer.recognize(image, None, None, sun_camera, time_s=time_s)
+            return self._seen(frame, thorough=self._motion is None)
         best = looks[0]
         lead = best[0] - looks[1][0] if len(looks) > 1 else np.inf
         if lead >= self.options.decisive_lead and best[1].pose is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
 from rendezview.sensors.appearance.sky import Sky
 
+Bound = Callable[[Pose], bool]  # whether a pose may be the answer at all
 Indices = npt.NDArray[np.intp]
 
 # Weights of the merit, beside an inlier ratio of weight 1.
@@ -155,11 +157,13 @@ class Candidates:
     bodies: list[Outlines]
     forest_scores: ForestScores | None = None
     prior: bool = False  # the search starts from a prior
+    bounds: tuple[Bound, ...] = ()  # of all poses
     _all: list[_Candidate] = field(default_factory=list)
 
     def add(self, refined: list[Refined]) -> None:
-        """Take more poses."""
-        self._all += [_Candidate(r, self._overshoot(r)) for r in refined]
+        """Take more poses, those within the bounds."""
+        may_be = (r for r in refined if all(bound(r.pose) for bound in self.bounds))
+        self._all += [_Candidate(r, self._overshoot(r)) for r in may_be]
 
     @property
     def most_inliers(self) -> Refined | None:

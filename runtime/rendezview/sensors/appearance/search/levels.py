@@ -18,7 +18,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture, shrunk
 from rendezview.sensors.appearance.edges.refinement import Refiner
-from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.confidence import Bound, Found
 from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -48,10 +48,11 @@ class LevelSearch:
         self.whole = PoseSearch(model, camera)
         self._levels = {1: self.whole}
 
-    def with_camera(self, camera: Camera) -> LevelSearch:
-        """The same search in the frames of another camera."""
+    def with_camera(self, camera: Camera, *bounds: Bound) -> LevelSearch:
+        """The same search in the frames of another camera, and within more bounds."""
         other = copy(self)
         other.whole = self.whole.with_camera(camera, self.whole.refine_options)
+        other.whole.bounds = (*self.whole.bounds, *bounds)
         other._levels = {1: other.whole}
         return other
 

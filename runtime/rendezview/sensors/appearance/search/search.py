@@ -8,7 +8,7 @@ regression gives the confidence of the best (``confidence``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 
@@ -22,7 +22,7 @@ from rendezview.sensors.appearance.edges.refinement import (
     RefineOptions,
     Refiner,
 )
-from rendezview.sensors.appearance.judge.confidence import Candidates, Found
+from rendezview.sensors.appearance.judge.confidence import Bound, Candidates, Found
 from rendezview.sensors.appearance.judge.rivals import Rivals
 from rendezview.sensors.appearance.judge.shading import Shading
 from rendezview.sensors.appearance.judge.sketch_found import SketchFound
@@ -31,10 +31,10 @@ from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
 from rendezview.sensors.appearance.search.starts import (
-    furthest_rad,
     half_turns,
     rotated_about,
     rotated_about_axes,
+    within,
 )
 from rendezview.sensors.appearance.sky import Sky
 
@@ -102,6 +102,7 @@ class PoseSearch:
     shading: Shading = field(init=False)
     rivals: Rivals | None = field(init=False)  # None: the model has no shape
     retrieval: Retrieval = field(init=False)
+    bounds: tuple[Bound, ...] = field(init=False, default=())  # of all poses
     forest_scores: ForestScores | None = field(init=False)  # None: the model has no forest
     _half_turns: Array = field(init=False)  # (3, 3, 3)
 
@@ -132,12 +133,13 @@ class PoseSearch:
         sky: Sky,
         bodies: list[Outlines],
         forest_scores: ForestScores | None = None,
-        *,
-        prior: bool = False,
+        prior: Bound | None = None,
     ) -> Candidates:
+        bounds = (*self.bounds, *(() if prior is None else (prior,)))
         return Candidates(
-            self.refiner, self.shading, self.retrieval, image, sky, bodies, forest_scores, prior
-        )
+            self.refiner, self.shading, self.retrieval, image, sky, bodies, forest_scores,
+            prior is not None, bounds,
+        )  # fmt: skip
 
     def anywhere(
         self,
@@ -221,8 +223,7 @@ class PoseSearch:
             asked.append(found.best)
             others = self.rivals.look_alikes(found.best.pose)
             worth = found.best.inlier_ratio - _MOST_BEHIND
-            refined = [self.refiner.refine(image, sky, pose, least=worth) for pose in others]
-            candidates.add([r for r in refined if r is not None])
+            candidates.add(self._refined(image, sky, others, least=worth))
             found = candidates.choose()
         if sketched is None:
             return candidates.weighed(self.rivals)
@@ -294,13 +295,9 @@ class PoseSearch:
         return found
 
     def at(
-        self,
-        image: Picture,
-        sky: Sky,
-        prior: Pose,
-        error_rad: float,
+        self, image: Picture, sky: Sky, prior: Pose, error_rad: float,
         sufficient_inlier_ratio: float = 1.0,
-    ) -> Found | None:
+    ) -> Found | None:  # fmt: skip
         """The pose next to a prior that is right to a few degrees; None unless it is confident.
 
         ``sufficient_inlier_ratio`` lowers the inlier ratio that the options require.
@@ -309,9 +306,7 @@ class PoseSearch:
         refined = self.refiner.refine(image, sky, prior)
         if refined is None or refined.inlier_ratio < min(sufficient_inlier_ratio, usual):
             return None
-        if refined.pose.angle_to(prior) > furthest_rad(error_rad):
-            return None
-        single = self._candidates(image, sky, [], prior=True)
+        single = self._candidates(image, sky, [], prior=within(prior, error_rad))
         single.add([refined])
         reaches_usual = refined.inlier_ratio >= usual
         found = single.choose(shade=not reaches_usual)
@@ -341,23 +336,18 @@ class PoseSearch:
         return self._beside_look_alikes(image, sky, candidates, candidates.choose(), sketched)
 
     def near(
-        self,
-        image: Picture,
-        sky: Sky,
-        prior: Pose,
-        error_rad: float,
-        bodies: list[Outlines],
+        self, image: Picture, sky: Sky, prior: Pose, error_rad: float, bodies: list[Outlines],
         also: list[Pose],
-    ) -> Found | None:
+    ) -> Found | None:  # fmt: skip
         """The pose within some angle of a prior, from rotations of it and retrieved views."""
         rotations, centres = self._starts_near(prior, error_rad, bodies, also)
-        refined = self._close_to(image, sky, prior)
-        refined += self.refiner.best(image, sky, rotations, centres, self.options.refined_near)
-        candidates = self._candidates(image, sky, bodies, prior=True)
-        candidates.add(_within(refined, prior, error_rad))
+        candidates = self._candidates(image, sky, bodies, prior=within(prior, error_rad))
+        candidates.add(self._close_to(image, sky, prior))
+        keep = self.options.refined_near
+        candidates.add(self.refiner.best(image, sky, rotations, centres, keep))
         found = candidates.choose()
         if found is not None and found.confidence < _CONFIDENT:
-            candidates.add(_within(self._around(image, sky, found.best), prior, error_rad))
+            candidates.add(self._around(image, sky, found.best))
             found = candidates.choose()
         return found
 
@@ -385,12 +375,14 @@ class PoseSearch:
     def _close_to(self, image: Picture, sky: Sky, prior: Pose) -> list[Refined]:
         """Poses from 3° around, refined without coarse stages, which may find another pose."""
         starts = rotated_about_axes(prior, self.model.centre_m, _CLOSE_RAD)
-        found = [self.refiner.refine(image, sky, start, closely=True) for start in starts]
-        found.append(self.refiner.refine(image, sky, prior))
-        return [refined for refined in found if refined is not None]
+        found = self._refined(image, sky, starts, closely=True)
+        return found + self._refined(image, sky, [prior])
 
-    def _refined(self, image: Picture, sky: Sky, poses: Sequence[Pose]) -> list[Refined]:
-        each = [self.refiner.refine(image, sky, pose) for pose in poses]
+    def _refined(
+        self, image: Picture, sky: Sky, poses: Iterable[Pose], *, closely: bool = False,
+        least: float = 0.0,
+    ) -> list[Refined]:  # fmt: skip
+        each = (self.refiner.refine(image, sky, p, closely=closely, least=least) for p in poses)
         return [refined for refined in each if refined is not None]
 
     def _half_turned(self, image: Picture, sky: Sky, pose: Pose) -> list[Refined]:
@@ -401,10 +393,5 @@ class PoseSearch:
         rotations = pose.rotation @ self._half_turns
         centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
         starts = map(Pose, rotations, centres - rotations @ self.model.centre_m)
-        refined = [self.refiner.refine(image, sky, start) for start in starts]
-        found = [r for r in refined if r is not None]
+        found = self._refined(image, sky, starts)
         return found + self.refiner.best(image, sky, rotations, centres, 2)
-
-
-def _within(refined: list[Refined], prior: Pose, error_rad: float) -> list[Refined]:
-    return [r for r in refined if r.pose.angle_to(prior) < furthest_rad(error_rad)]

@@ -34,6 +34,7 @@ from rendezview.sensors.appearance.edges.sketch import (
     align_to_sketch,
     pose_covariance,
 )
+from rendezview.sensors.appearance.judge.confidence import Bound
 from rendezview.sensors.appearance.judge.explained import explained_share
 from rendezview.sensors.appearance.judge.shading import SurfaceTables, shading
 from rendezview.sensors.appearance.judge.sketch_choice import (
@@ -48,7 +49,7 @@ from rendezview.sensors.appearance.model.sketches import COVER, CREASE, EDGE, Fl
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
 from rendezview.sensors.appearance.search.by_sketch import SketchRetrieval
-from rendezview.sensors.appearance.search.starts import furthest_rad, rotated_about
+from rendezview.sensors.appearance.search.starts import rotated_about, within
 from rendezview.sensors.appearance.search.windows import Body, bodies_in_windows
 from rendezview.sensors.appearance.sky import Sky
 
@@ -107,6 +108,7 @@ class SketchSearch:
         if model.sketches is None:
             raise ValueError("the model has no sketches")
         self.sketcher = Sketcher()
+        self.bounds: tuple[Bound, ...] = ()  # of all poses
         self.retrieval = SketchRetrieval(model, model.sketches, camera)
         self._set_tables(model, camera, views)
 
@@ -139,7 +141,7 @@ class SketchSearch:
             return None
         rotations, centres = self.retrieval.starts(sketch, _RETRIEVED)
         reading = self.read(sketch, sky)
-        poses = self.aligned(reading, rotations, centres)
+        poses = self._bounded(self.aligned(reading, rotations, centres))
         return self._closer(frame, sky, reading, poses, None, turned=turned)
 
     def near(self, frame: Picture, sky: Sky, prior: Pose, error_rad: float) -> SketchChoice | None:
@@ -154,7 +156,8 @@ class SketchSearch:
         rotations = np.concatenate([around, around, alike])
         centres = np.concatenate([stay, self.retrieval.placed(sketch, around), places])
         reading = self.read(sketch, sky)
-        poses = _within(self.aligned(reading, rotations, centres), prior, error_rad + _VIEW_RAD)
+        first = within(prior, error_rad + _VIEW_RAD)
+        poses = self._bounded(self.aligned(reading, rotations, centres), first)
         return self._closer(frame, sky, reading, poses, (prior, error_rad), turned=False)
 
     def bodies(self, frame: Picture, most: int) -> list[Body]:
@@ -254,8 +257,8 @@ class SketchSearch:
         starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
         places = np.array([b.pose.apply(centre_m) for b in best[1:]]).reshape(-1, 3)
         others = self._aligned(reading, starts, places, _FINE)
-        if prior is not None:
-            around, others = (_within(found, *prior) for found in (around, others))
+        bounds = () if prior is None else (within(*prior),)
+        around, others = (self._bounded(found, *bounds) for found in (around, others))
         passes, near = Passes(poses, around, others), prior is not None
         choice = chosen(passes, self.model.symmetries, prior=near, cut=sketch.is_cut)
         if choice is None:
@@ -270,6 +273,11 @@ class SketchSearch:
             pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
         )  # fmt: skip
         return choice.with_covariance(covariance, strained + scatter, residual_px / sketch.scale)
+
+    def _bounded(self, poses: list[SketchPose], *bounds: Bound) -> list[SketchPose]:
+        """The poses that may be the answer."""
+        every = (*self.bounds, *bounds)
+        return [found for found in poses if all(bound(found.pose) for bound in every)]
 
     def _mean(self, best: Pose, readings: list[Reading]) -> tuple[Pose, float, Array]:
         """The mean of the poses that one leads to in some sketches, weighted by what each knows.
@@ -322,10 +330,6 @@ class SketchSearch:
             return -1.0, -1.0, -1.0, -1.0  # nothing of it is ahead: outside the frame
         left, top, right, bottom = (float(v) for v in (*px.min(0), *px.max(0)))
         return left, top, right, bottom
-
-
-def _within(poses: list[SketchPose], prior: Pose, error_rad: float) -> list[SketchPose]:
-    return [p for p in poses if p.pose.angle_to(prior) < furthest_rad(error_rad)]
 
 
 def _last(sketch: Sketch) -> Array:

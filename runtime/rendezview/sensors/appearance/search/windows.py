@@ -25,7 +25,7 @@ _SIDES = (1.0, 0.62, 0.38)
 _STEP = 0.5  # of a window, to the next one. Source: by construction, a body is whole in one
 # Of a window: a smaller body has a smaller window of its own. Source: by construction
 _LEAST_SIDE = 0.25
-_SAME = 0.5  # intersection over union of boxes of the same body. Source: as in detection
+SAME_BODY = 0.5  # intersection over union of boxes of the same body. Source: as in detection
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +49,7 @@ def bodies_in_windows(
     for body in sorted(found, key=lambda b: -b.likeness):
         if len(kept) == most:
             break
-        if all(overlap(body.box_px, other.box_px) < _SAME for other in kept):
+        if all(overlap(body.box_px, other.box_px) < SAME_BODY for other in kept):
             kept.append(body)
     return kept
 
