@@ -37,7 +37,6 @@ from rendezview.sensors.appearance.verdict import (
     LEAST_POSTERIOR,
     NEAR_RAD,
     Near,
-    agree,
     is_known,
     refused,
 )
@@ -254,20 +253,24 @@ class PoseFinder:
         """What grey edges found, or else a sketch; None where neither is confident."""
         if self._confident(found):
             return found
+        sketched = self._beside(found, sketched)
         if sketched is None or not self._confident(sketched):
-            return None
-        if not agree(found, sketched, self.model.symmetries):
             return None
         # Grey edges are the finer ones, where they are seen.
         return search.at(frame, sky, sketched.best.pose, NEAR_RAD) or sketched
 
-    def _refusable(self, found: Found | None, sketched: SketchFound | None) -> Found | None:
-        """What is the reason for no pose: the more confident of both, unless they disagree."""
-        if sketched is None or not agree(found, sketched, self.model.symmetries):
-            return found
-        if found is None or sketched.confidence > found.confidence:
+    def _beside(self, found: Found | None, sketched: SketchFound | None) -> SketchFound | None:
+        """What a sketch shows, beside the look-alikes that were weighed with it."""
+        if sketched is None or found is None or not found.weighed:
             return sketched
-        return found
+        return sketched.beside(found.weighed, self.model.symmetries)
+
+    def _refusable(self, found: Found | None, sketched: SketchFound | None) -> Found | None:
+        """What is the reason for no pose: the more confident of both."""
+        sketched = self._beside(found, sketched)
+        if sketched is None or (found is not None and found.confidence >= sketched.confidence):
+            return found
+        return sketched
 
     def overflows(self, pose: Pose) -> bool:
         """Whether a target there is too near for a whole view: no search near it can find one."""

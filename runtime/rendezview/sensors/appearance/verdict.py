@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from rendezview.geometry.pose import Pose
-from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.edges.refinement import Refined
 from rendezview.sensors.appearance.judge.confidence import Found
 from rendezview.sensors.appearance.judge.sketch_found import SketchFound
@@ -29,19 +27,6 @@ _SIGMAS = 3.0  # of a pose beyond the error of its prior. Source: normal distrib
 # Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
 # tells how far. Source: by construction
 _MOST_SIGMA = 0.5
-
-
-def agree(weighed: Found | None, other: Found, symmetries: Sequence[Symmetry]) -> bool:
-    """Whether another pose is likely enough beside its look-alikes, if they were weighed."""
-    if weighed is None or not weighed.weighed:
-        return True
-    pose = other.best.pose
-
-    def near(one: Pose | None) -> bool:
-        return one is not None and angle_between(one, pose, symmetries) < NEAR_RAD
-
-    same = (w.probability for w in weighed.weighed if near(w.pose) or near(w.on_sketch))
-    return sum(same) >= LEAST_POSTERIOR
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +62,7 @@ def refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObser
             status, reason = Status.UNRECOGNIZED, "no pose of the target fits the edges"
     elif isinstance(found, SketchFound) and status not in _WHOLE_OUTLINE:
         pass  # the outline says why
-    elif found.weighed and found.posterior < LEAST_POSTERIOR:
+    elif len(found.weighed) > 1 and found.posterior < LEAST_POSTERIOR:
         first, second = found.weighed[:2]
         apart = first.pose.angle_to(second.pose)
         status = Status.AMBIGUOUS

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from scipy.special import expit, logit
+
 from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.edges.refinement import Refined
 from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.rivals import Weighed
 from rendezview.sensors.appearance.judge.sketch_choice import Aligned, SketchChoice, SketchPose
+
+# Rad; error of a pose that grey edges have moved. Source: experiment pose-joints (0.1)
+SAME_RAD = np.deg2rad(8.0)
+# Of the drawn look-alikes; a surer pose is no surer. Of .9, .95 and .99 it gives most right poses
+# and none wrong. Source: docs/notes/rivals.md
+_SUREST_SHARE = 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,6 +33,29 @@ class SketchFound(Found):
     def confidence(self) -> float:
         """Probability that the best pose is right, 0 … 1."""
         return self.probability
+
+    @property
+    def posterior(self) -> float:
+        """The confidence: it counts the look-alikes where they were weighed."""
+        return self.probability
+
+    def beside(self, weighed: Sequence[Weighed], symmetries: Sequence[Symmetry]) -> SketchFound:
+        """The same pose with the odds of its look-alikes in its probability, if it has any.
+
+        The forest that knows how the search went has hardly seen craft that look alike from
+        several sides, and drawings of look-alikes know nothing of the search: the odds of both
+        are multiplied.
+        """
+        pose = self.best.pose
+
+        def same(one: Pose | None) -> bool:
+            return one is not None and angle_between(one, pose, symmetries) < SAME_RAD
+
+        share = sum(w.probability for w in weighed if same(w.pose) or same(w.on_sketch))
+        if share == 1.0 == len(weighed):
+            return self  # it has no rival, and nothing was drawn
+        odds = logit(self.probability) + logit(min(share, _SUREST_SHARE))
+        return replace(self, probability=float(expit(odds)), weighed=tuple(weighed))
 
     @property
     def without_grey_edges(self) -> Refined:
