@@ -23,6 +23,7 @@ from rendezview.cli.guide import (
 )
 from rendezview.cli.inputs import given_sequence
 from rendezview.cli.progress import ProgressBar, say, say_summary
+from rendezview.cli.where import At, Box, Boxes, Mask, told
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import check_place, read_json
@@ -93,6 +94,10 @@ def track(
     obj_id: Annotated[
         int | None, typer.Option(help="Which object of a BOP scene is the target.")
     ] = None,
+    box: Box = None,
+    boxes: Boxes = None,
+    mask: Mask = None,
+    at: At = None,
     video: Annotated[
         Path | None,
         typer.Option(help="Frames with the result drawn over them (.webm, .mp4, .avi or .gif)."),
@@ -120,6 +125,7 @@ def track(
     first = _prior(prior, sequence, loaded) if others is None else None
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)
+    where, first_where = told(sequence, obj_id, box, boxes, mask, at)
     integrity = _integrity(integrity_risk, alarm_attitude_deg, alarm_position_m)
     levels = Levels()
     compile_ahead("track")
@@ -137,6 +143,8 @@ def track(
         sketch=sketch,
         integrity=integrity,
         expected=expected,
+        where=where,
+        first_where=first_where,
         watch=drawn.watch if drawn else None,
     )
 

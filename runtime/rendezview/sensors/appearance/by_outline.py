@@ -36,6 +36,7 @@ from rendezview.sensors.appearance.outline.silhouette import (
 )
 from rendezview.sensors.appearance.outline.voted import VotedPose
 from rendezview.sensors.appearance.outline.votes import Matcher, MatchOptions
+from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.observation import Status
 
 # Log odds of the forest about a pose that no refinement confirms.
@@ -71,13 +72,13 @@ class OutlineRecognition:
         self._foreground = Foreground()
         self._forest_scores = self.matcher.forest_scores
         self._voted = None if self._forest_scores is None else VotedPose(model, self._forest_scores)
-        self._mask: Picture | None = None
+        self._region: Region | None = None
         self._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
 
-    def with_camera(self, camera: Camera, mask: Picture | None = None) -> OutlineRecognition:
-        """The same in the frames of another camera; ``mask`` (H, W): not 0 where the target is."""
+    def with_camera(self, camera: Camera, region: Region) -> OutlineRecognition:
+        """The same in the part of a frame that a camera sees, where the target is."""
         other = copy(self)
-        other.camera, other._mask = camera, mask
+        other.camera, other._region = camera, region
         other._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
         return other
 
@@ -93,13 +94,16 @@ class OutlineRecognition:
             bright_sky: whether the network looks for the target first.
         """
         bodies: list[Silhouette] | Missing | None = None
-        if self._mask is not None:
-            told = silhouette_of_mask(self._mask)
+        region = self._region
+        if region is not None and region.mask is not None:
+            told = silhouette_of_mask(region.mask)
             bodies = told if isinstance(told, Missing) else [told]
         elif bright_sky:
             bodies = find_bodies(frame, self._foreground)
         if bodies is None or isinstance(bodies, Missing):
             expected_px = None
+            if region is not None and region.place_px is not None:
+                expected_px = region.place_px - region.part[:2]
             if prior is not None:
                 centre = prior.apply(self.model.centre_m)
                 expected_px = self.camera.project(centre) if centre[2] > 0.0 else None

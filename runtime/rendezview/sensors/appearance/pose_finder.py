@@ -79,6 +79,7 @@ class PoseFinder:
         self.model = model
         self.camera = camera
         self.trees = trees
+        self.region: Region | None = None
         self.least_confidence = least_confidence
         self.search = LevelSearch(model, camera) if refine and model.contours is not None else None
         self.close = None
@@ -98,9 +99,9 @@ class PoseFinder:
     def looking_at(self, region: Region) -> PoseFinder:
         """The same in a part of the camera's frames: nothing else is looked at."""
         other, camera = copy(self), region.seen_by(self.camera)
-        other.camera = camera
+        other.camera, other.region = camera, region
         may_be = partial(region.shows, self.model, camera)
-        other.outline = self.outline.with_camera(camera, region.mask)
+        other.outline = self.outline.with_camera(camera, region)
         if self.search is not None:
             other.search = self.search.with_camera(camera, may_be)
         if self.close is not None:
@@ -128,7 +129,8 @@ class PoseFinder:
         sky = Sky.of(frame, sun_camera)
         if prior is None:
             seen = self._anywhere(search, frame, sky, clock)
-            cluttered = thorough and seen.pose is None and not sky.dark
+            cluttered = not sky.dark or self.region is not None  # several things, anyway
+            cluttered = cluttered and thorough and seen.pose is None
             return self._among_others(seen, request) if cluttered else seen
         near = Near(prior, prior_error_rad or self.prior_error_rad)
         close = self._next_to(search, frame, sky, near, enough_inliers, clock)
@@ -180,7 +182,8 @@ class PoseFinder:
         looks, looked_at = [], np.zeros(4)
         if seen.found is not None:
             looked_at = target_box(self.model, self.camera, seen.found.best.pose)
-        for body in self.sketch.bodies(request.frame, _BODIES):
+        may_be = None if self.region is None else self.region.holds
+        for body in self.sketch.bodies(request.frame, _BODIES, may_be):
             if overlap(body.box_px, looked_at) > SAME_BODY:
                 continue  # it would look the same again
             region = Region.around(body.box_px, self.camera)

@@ -138,8 +138,9 @@ class Recognizer:
                 another search, where it is below that of the search's options.
             angles_rad: (J,) of the joints with the prior, to a few degrees; ``None``: unknown.
             time_s: when the frame was taken; the observation carries it.
-            roi: where the whole target is, to a fifth of its size: a box (4,) x, y, width, height,
-                px, or a mask (H, W), not 0 on the target. ``None``: anywhere.
+            roi: where the whole target is: a box (4,) x, y, width, height, px, right to a fifth; a
+                mask (H, W), not 0 on the target; a place on it (2,) x, y, px, or that and its
+                range (3,) x, y, m, right to a quarter. ``None``: anywhere.
             thorough: without a prior or a region, search a frame that shows other things in
                 windows, too, where nothing else finds a pose. It takes a second or two.
 
@@ -154,7 +155,7 @@ class Recognizer:
             frame = region.cut(frame)
             finders = tuple(finder.looking_at(region) for finder in finders)
         with self._lock:
-            thorough = thorough and region is None
+            thorough = thorough and (region is None or region.is_open)
             request = Request(frame, near, prior_error_rad, sun_camera, enough_inliers, thorough)
             if self.model.joints and self.search is not None:
                 seen = self._of_configurations(finders, request, angles_rad)

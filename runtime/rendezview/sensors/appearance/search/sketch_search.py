@@ -9,7 +9,7 @@ A forest gives the probability that the best of them is right (``choice``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
@@ -160,9 +160,11 @@ class SketchSearch:
         poses = self._bounded(self.aligned(reading, rotations, centres), first)
         return self._closer(frame, sky, reading, poses, (prior, error_rad), turned=False)
 
-    def bodies(self, frame: Picture, most: int) -> list[Body]:
-        """Bodies of a frame, those most like the target first."""
-        return bodies_in_windows(self.sketcher, self.retrieval, frame, most)
+    def bodies(
+        self, frame: Picture, most: int, may_be: Callable[[Array], bool] | None = None
+    ) -> list[Body]:
+        """Bodies of a frame, those most like the target first; see ``bodies_in_windows``."""
+        return bodies_in_windows(self.sketcher, self.retrieval, frame, most, may_be)
 
     def with_tables(self, model: ViewModel, views: ViewTables, camera: Camera) -> SketchSearch:
         """The same search for the model with its contour points moved, and a camera alike."""

@@ -7,7 +7,7 @@ the model come first.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -37,9 +37,13 @@ class Body:
 
 
 def bodies_in_windows(
-    sketcher: Sketcher, retrieval: SketchRetrieval, frame: Picture, most: int
-) -> list[Body]:
-    """Bodies of a frame (H, W), those most like the target first, ``most`` at most."""
+    sketcher: Sketcher, retrieval: SketchRetrieval, frame: Picture, most: int,
+    may_be: Callable[[Array], bool] | None = None,
+) -> list[Body]:  # fmt: skip
+    """Bodies of a frame (H, W), those most like the target first, ``most`` at most.
+
+    ``may_be``: whether a body with a box (4,), px, may be the target.
+    """
     found = [
         Body(np.array(part.box_in_frame(box)), retrieval.likeness(part))
         for window in _windows(*frame.shape)
@@ -49,7 +53,8 @@ def bodies_in_windows(
     for body in sorted(found, key=lambda b: -b.likeness):
         if len(kept) == most:
             break
-        if all(overlap(body.box_px, other.box_px) < SAME_BODY for other in kept):
+        told = may_be is None or may_be(body.box_px)
+        if told and all(overlap(body.box_px, other.box_px) < SAME_BODY for other in kept):
             kept.append(body)
     return kept
 
