@@ -13,7 +13,8 @@ from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance.edges.refinement import Refined
 from rendezview.sensors.appearance.judge.confidence import Found
 from rendezview.sensors.appearance.judge.rivals import Weighed
-from rendezview.sensors.appearance.verdict import Near, agree
+from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.verdict import Near
 
 SUN = np.array([0.0, 0.0, -1.0])
 
@@ -45,30 +46,48 @@ def test_an_answer_is_as_near_to_its_prior_as_both_errors_allow(apart_deg, sigma
     assert near.bounds(None) is None
 
 
-def test_a_pose_agrees_with_those_near_it_that_are_likely_together():
-    weighed = found(
-        turned(0.0), weighed=(beside(turned(0.0), 0.6), beside(turned(6.0), 0.35),
-                              beside(turned(90.0), 0.05)),
-    )  # fmt: skip
-    assert agree(weighed, found(turned(3.0)), ())
-    assert not agree(weighed, found(turned(-4.0)), ())
-    assert not agree(weighed, found(turned(90.0)), ())
+def sketched(pose: Pose, probability: float) -> SketchFound:
+    best = found(pose).best
+    return SketchFound(best, 0.0, 0.5, dark=True, prior=False, probability=probability)
+
+
+def odds(probability: float) -> float:
+    return probability / (1.0 - probability)
+
+
+def test_the_odds_of_a_sketch_and_of_its_look_alikes_are_multiplied():
+    weighed = (beside(turned(0.0), 0.6), beside(turned(6.0), 0.2), beside(turned(90.0), 0.2))
+    together = sketched(turned(3.0), 0.8).beside(weighed, ())
+    assert odds(together.confidence) == pytest.approx(odds(0.8) ** 2)
+    assert together.posterior == together.confidence
+    assert sketched(turned(90.0), 0.8).beside(weighed, ()).confidence == pytest.approx(0.5)
+    assert sketched(turned(45.0), 0.99).beside(weighed, ()).confidence == 0.0
+
+
+def test_look_alikes_that_are_unlikely_do_not_save_a_bad_pose():
+    weighed = (beside(turned(0.0), 0.99), beside(turned(90.0), 0.01))
+    assert sketched(turned(0.0), 0.4).beside(weighed, ()).confidence == 0.4
+    assert odds(sketched(turned(0.0), 0.6).beside(weighed, ()).confidence) == pytest.approx(
+        odds(0.6) * odds(0.95)
+    )
+
+
+def test_a_pose_without_rivals_keeps_its_confidence():
+    alone = sketched(turned(2.0), 0.7)
+    assert alone.beside((beside(turned(0.0), 1.0),), ()) is alone
+    assert alone.beside((beside(turned(90.0), 1.0),), ()).confidence == 0.0
 
 
 def test_a_pose_that_the_sketch_leads_to_the_same_one_is_the_same_answer():
-    weighed = found(turned(11.0), weighed=(beside(turned(11.0), 0.97, on_sketch=turned(1.0)),))
-    assert agree(weighed, found(turned(0.0)), ())
-    away = found(turned(11.0), weighed=(beside(turned(11.0), 0.97, on_sketch=turned(12.0)),))
-    assert not agree(away, found(turned(0.0)), ())
+    rival = beside(turned(90.0), 0.05)
+    led = (beside(turned(11.0), 0.95, on_sketch=turned(1.0)), rival)
+    assert sketched(turned(0.0), 0.7).beside(led, ()).confidence > 0.95
+    away = (beside(turned(11.0), 0.95, on_sketch=turned(12.0)), rival)
+    assert sketched(turned(0.0), 0.7).beside(away, ()).confidence == 0.0
 
 
 def test_poses_that_a_symmetry_makes_one_agree():
     half = Symmetry("discrete", np.array([0.0, 1.0, 0.0]), math.pi)
-    weighed = found(turned(180.0), weighed=(beside(turned(180.0), 1.0),))
-    assert agree(weighed, found(turned(0.0)), (half,))
-    assert not agree(weighed, found(turned(0.0)), ())
-
-
-def test_what_was_not_weighed_contradicts_nothing():
-    assert agree(None, found(turned(0.0)), ())
-    assert agree(found(turned(90.0)), found(turned(0.0)), ())
+    weighed = (beside(turned(180.0), 0.9), beside(turned(90.0), 0.1))
+    assert sketched(turned(0.0), 0.7).beside(weighed, (half,)).confidence > 0.9
+    assert sketched(turned(0.0), 0.7).beside(weighed, ()).confidence == 0.0

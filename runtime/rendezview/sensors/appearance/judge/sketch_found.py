@@ -44,7 +44,7 @@ class SketchFound(Found):
 
         The forest that knows how the search went has hardly seen craft that look alike from
         several sides, and drawings of look-alikes know nothing of the search: the odds of both
-        are multiplied.
+        are multiplied. A pose that the search holds for wrong gains nothing by its look-alikes.
         """
         pose = self.best.pose
 
@@ -55,7 +55,10 @@ class SketchFound(Found):
         if share == 1.0 == len(weighed):
             return self  # it has no rival, and nothing was drawn
         odds = logit(self.probability) + logit(min(share, _SUREST_SHARE))
-        return replace(self, probability=float(expit(odds)), weighed=tuple(weighed))
+        together = float(expit(odds))
+        if self.probability < 0.5:
+            together = min(together, self.probability)
+        return replace(self, probability=together, weighed=tuple(weighed))
 
     @property
     def without_grey_edges(self) -> Refined:
