@@ -22,6 +22,20 @@ def test_a_direction_that_has_none_is_refused_at_the_opening(client, camera, req
     assert refused.value.status == 422
 
 
+def test_where_to_look_holds_until_there_is_a_pose(client, camera, tour):
+    for roi, fault in (([1.0], "roi"), ([5000.0, 3.0], "outside"), ([1.0, 2.0, -3.0], "positive")):
+        with pytest.raises(ServiceError, match=fault) as refused:
+            client.open(camera, roi=roi)
+        assert refused.value.status == 422
+    _, pose, frame = tour[0]
+    x, y = camera.project(pose.translation_m)
+    away = [0.0, 0.0, max(x / 6.0, 8.0), max(y / 6.0, 8.0)]
+    with client.open(camera, roi=away) as session:
+        assert session.track(frame)["pose"] is None
+    with client.open(camera, roi=[x, y]) as session:
+        assert session.track(frame)["pose"] is not None
+
+
 @pytest.mark.parametrize("approach", [{"port": {"centre_m": [0, 0, 0], "axis": [1e308, 0, 1e308]}}])
 def test_a_port_without_a_direction_is_refused_at_the_opening(client, camera, approach):
     with pytest.raises(ServiceError, match="direction"):

@@ -111,6 +111,7 @@ class Client:
         model: str | None = None,
         prior: Pose | None = None,
         sun_camera: npt.ArrayLike | None = None,
+        roi: npt.ArrayLike | None = None,
         trees: bool = True,
         name: str | None = None,
         record: bool | None = None,
@@ -122,6 +123,8 @@ class Client:
         """Open a session; the service has defaults for all arguments. Use it in a ``with``.
 
         Args:
+            roi: where the target is until there is a pose: a box (4,) x, y, width, height, px, a
+                place on it (2,), or that and its range (3,) x, y, m.
             idle_s: without a frame for longer, the service ends the session (60 s).
             fusion: data on sensors, as in `FusionRequest`: ``ring`` (a `DockingRing`),
                 ``reflectors`` (each a `Reflector`), ``surfaces``, ``mounts`` (a `Pose` by sensor
@@ -148,6 +151,8 @@ class Client:
             request["prior"] = prior.as_dict()
         if sun_camera is not None:
             request["sun_camera"] = np.asarray(sun_camera, dtype=np.float64).tolist()
+        if roi is not None:
+            request["roi"] = np.asarray(roi, dtype=np.float64).tolist()
         given = {"fusion": fusion, "sensors": sensors, "approach": approach}
         request |= {key: json.loads(json_line(value)) for key, value in given.items() if value}
         info = self.request("POST", "/v1/sessions", json.dumps(request).encode())

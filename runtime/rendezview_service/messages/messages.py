@@ -89,6 +89,11 @@ class SessionRequest(Message):
         default=None, description="pose at the first frame, attitude within about 20°"
     )
     sun_camera: Direction | None = Field(default=None, description="towards the Sun, camera frame")
+    roi: Annotated[list[FiniteFloat], Field(min_length=2, max_length=4)] | None = Field(
+        default=None,
+        description="box x, y, width, height, px, of the target in the first frames, a place on it "
+        "x, y, or x, y, range",
+    )
     trees: bool = Field(default=True, description="find active nodes on every frame")
     record: bool | None = Field(default=None, description="default: the service's setting")
     idle_s: FiniteFloat | None = Field(
