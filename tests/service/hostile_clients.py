@@ -103,6 +103,8 @@ def attack(name: str, url: str, until_s: float, scale: float = 1.0) -> None:
     upgrade += "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
     stream = head(f"/v1/sessions/{THEIRS}/stream", None, "GET", upgrade)
     match name:
+        case "nobody":
+            time.sleep(max(0.0, until_s - time.monotonic()))
         case "bodies that trickle":
             hold(url, count, head("/v1/sessions", 100_000) + b"{", b" ", until_s)
         case "WebSockets":
@@ -146,6 +148,7 @@ def attack(name: str, url: str, until_s: float, scale: float = 1.0) -> None:
 
 # Names of hostile clients, and how many connections each has.
 KINDS = {
+    "nobody": 0,
     "bodies that trickle": 1100,
     "WebSockets": 1000,
     "bodies of 31.9 MB": 33,
@@ -177,6 +180,7 @@ class Innocent:
     def _track(self, done: threading.Event) -> None:
         with Client(self._url, timeout_s=10.0) as client:
             session = client.open(CAMERA, idle_s=600.0)
+            session.track(self._frame)
             self._last_s = time.monotonic()
             while not done.wait(1.0 / _RATE_HZ):
                 try:
