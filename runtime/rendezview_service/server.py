@@ -121,15 +121,16 @@ def _serve(server: _Server, settings: Settings, on_ready: Callable[[str], None])
 
 
 def _connections(wanted: int) -> int:
-    """As many as wanted, or as the limit of open files allows."""
+    """As many as wanted, or as open files allow: for a moment there are twice so many."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    needed = wanted + _OTHER_FILES
+    needed = 2 * wanted + _OTHER_FILES
     if soft != resource.RLIM_INFINITY and soft < needed:
         allowed = needed if hard == resource.RLIM_INFINITY else min(needed, hard)
         with contextlib.suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
             soft = allowed
-    return wanted if soft == resource.RLIM_INFINITY else max(1, min(wanted, soft - _OTHER_FILES))
+    most = wanted if soft == resource.RLIM_INFINITY else (soft - _OTHER_FILES) // 2
+    return max(1, min(wanted, most))
 
 
 class _Watched:

@@ -29,6 +29,8 @@ class Settings(BaseSettings):
     open_to_all: bool = False  # serve other machines without tokens
 
     models_folder: Path | None = None  # uploaded and trained models; default: a temporary folder
+    # Open sessions go on from there after a restart; all nodes of a cluster share it.
+    state_folder: Path | None = None
     camera: Path | None = None  # for sessions that give none
     target: Path | None = None  # its ring and reflectors, for sessions without
     approach: Path | None = None  # docking port, corridor, limits, for sessions that give none
@@ -53,7 +55,6 @@ class Settings(BaseSettings):
     viewer_host: str = "127.0.0.1"  # where these streams listen; they have no tokens
 
     cluster: str | None = None  # address of a Ray cluster that tracks; this is then a gateway
-    cluster_folder: Path | None = None  # of the sessions' checkpoints; all nodes share it
     spare_seats: int = Field(default=1, ge=0)  # of the cluster, kept free for sessions that move
 
     workers: int = Field(default=0, ge=0, le=256)  # worker processes; 0: one per core

@@ -70,7 +70,7 @@ def kill_tree(pid: int) -> None:
 
 class Gateway:
     def __init__(self, address: str, work: Path) -> None:
-        flags = ["--cluster", address, "--cluster-folder", str(work / "open")]
+        flags = ["--cluster", address, "--state", str(work / "open")]
         flags += ["--models", str(work / "models"), "--record", str(work / "logs"), "--port", "0"]
         command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "serve"]
         settings = {

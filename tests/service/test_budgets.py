@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import httpx
 import pytest
+from tests.service.hostile_clients import LOG, connected, head, large_log
 from tests.waiting import MOST_S, wait_until
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
@@ -39,24 +41,22 @@ def served(start_service, tmp_path_factory):
         RENDEZVIEW_SERVE_COMPRESSION="",
         PYTHONPATH=str(folder),
     )
+    served.folder = folder
     yield served
     served.stop()
 
 
-def _connected(url: str) -> socket.socket:
-    parts = urlsplit(url)
-    return socket.create_connection((parts.hostname or "", parts.port or 0), timeout=MOST_S)
-
-
-def _head(path: str, length: int, method: str = "POST") -> bytes:
-    return (
-        f"{method} {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
-        f"Content-Length: {length}\r\n\r\n"
-    ).encode()
-
-
 def _resident_mb(served) -> float:
     return int(Path(f"/proc/{served.process.pid}/statm").read_text().split()[1]) * 4096 / 1e6
+
+
+def _sockets(served) -> int:
+    """Number of sockets that the service has open."""
+    found = 0
+    for file in Path(f"/proc/{served.process.pid}/fd").iterdir():
+        with contextlib.suppress(OSError):  # it has closed it
+            found += os.readlink(file).startswith("socket:")
+    return found
 
 
 def _neighbour(served, camera, tour) -> None:
@@ -91,10 +91,10 @@ def _trickling(connections: list[socket.socket]) -> Iterator[None]:
 
 def test_bodies_that_trickle_make_room_for_a_neighbour(served, camera, tour):
     with contextlib.ExitStack() as stack:
-        held = [stack.enter_context(_connected(served.url)) for _ in range(CONNECTIONS + 30)]
+        held = [stack.enter_context(connected(served.url)) for _ in range(CONNECTIONS + 30)]
         for connection in held:
             with contextlib.suppress(OSError):
-                connection.sendall(_head("/v1/sessions", 100_000) + b"{")
+                connection.sendall(head("/v1/sessions", 100_000) + b"{")
         with _trickling(held):
             _neighbour(served, camera, tour)
         refused = b""
@@ -111,11 +111,11 @@ def test_large_bodies_hold_no_more_than_their_budget_and_give_it_back(served, ca
     _neighbour(served, camera, tour)
     before_mb = _resident_mb(served)
     with contextlib.ExitStack() as stack:
-        held = [stack.enter_context(_connected(served.url)) for _ in range(8)]
+        held = [stack.enter_context(connected(served.url)) for _ in range(8)]
         peak_mb = 0.0
         for k, connection in enumerate(held):
             with contextlib.suppress(OSError):
-                connection.sendall(_head(f"/v1/models/m{k}", 36_000_000, "PUT"))
+                connection.sendall(head(f"/v1/models/m{k}", 36_000_000, "PUT"))
                 connection.sendall(bytes(35_000_000))
             peak_mb = max(peak_mb, _resident_mb(served))
         _neighbour(served, camera, tour)
@@ -124,10 +124,10 @@ def test_large_bodies_hold_no_more_than_their_budget_and_give_it_back(served, ca
     wait_until(lambda: _resident_mb(served) - before_mb < 0.5 * BODIES_MB)
 
 
-def test_a_frame_longer_than_any_of_its_camera_is_refused_by_its_head(served, camera, tour):
+def test_a_frame_longer_than_any_of_its_camera_is_refused_by_itshead(served, camera, tour):
     with served.client() as client, client.open(camera) as session:
-        with _connected(served.url) as connection:
-            connection.sendall(_head(f"/v1/sessions/{session.name}/frames", 31_900_000))
+        with connected(served.url) as connection:
+            connection.sendall(head(f"/v1/sessions/{session.name}/frames", 31_900_000))
             assert b" 413 " in connection.recv(200)
         with session.stream() as stream:
             stream.send(bytes(4_000_000))
@@ -158,3 +158,25 @@ def test_websockets_of_one_client_make_room_for_another(served, camera, tour):
             assert mine.receive(MOST_S)["status"] == "ok"
             wait_until(lambda: sum(map(_is_open, held)) < CONNECTIONS // 4)
             mine.close()
+
+
+def test_downloads_that_nobody_reads_end_and_give_back_what_they_hold(served, camera, tour):
+    """Each is far more than the system's own buffers take."""
+    length = large_log(served.folder / LOG, camera, 60)
+    _neighbour(served, camera, tour)
+    before, before_mb = wait_until(lambda: _sockets(served)), _resident_mb(served)
+    asked = head(f"/v1/recordings/{LOG}/log", None, "GET")
+    with contextlib.ExitStack() as stack:
+        for _ in range(3):
+            stack.enter_context(connected(served.url)).sendall(asked)
+        start_s = time.monotonic()
+        wait_until(lambda: _sockets(served) <= before)
+        assert time.monotonic() - start_s < 30.0  # ten times what an answer may wait
+    with contextlib.ExitStack() as stack:  # more than there may be at once
+        for _ in range(CONNECTIONS - 20):
+            stack.enter_context(connected(served.url)).sendall(asked)
+        _neighbour(served, camera, tour)
+        assert _resident_mb(served) - before_mb < 60.0
+    wait_until(lambda: _resident_mb(served) - before_mb < 20.0)
+    url = f"{served.url}v1/recordings/{LOG}/log"
+    assert len(httpx.get(url, timeout=MOST_S).content) >= length

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from pathlib import Path
 
 import pytest
 from tests.waiting import wait_until
 
+from rendezview.errors import RendezviewError
 from rendezview_service.hub import checkpoint
 from rendezview_service.hub.checkpoint import (
     Checkpoint,
     CheckpointKeeper,
     Tracked,
     checkpoint_path,
+    kept_in,
+    lock_state,
     read_checkpoint,
 )
 from rendezview_service.messages.messages import SessionRequest
@@ -31,6 +35,23 @@ def path(tmp_path) -> Path:
     folder = tmp_path / "open"
     folder.mkdir()
     return checkpoint_path(folder, "run")
+
+
+def test_a_checkpoint_that_cannot_be_read_hides_no_other(path):
+    keeper = CheckpointKeeper(path)
+    keeper.keep(_after(3))
+    wait_until(keeper.end)
+    checkpoint_path(path.parent, "half").write_text('{"request":')
+    checkpoint_path(path.parent, "odd").mkdir()
+    assert [kept.tracked.frames for kept in kept_in(path.parent)] == [3]
+
+
+def test_two_services_do_not_have_one_state(tmp_path):
+    ours = lock_state(tmp_path / "state")
+    with pytest.raises(RendezviewError, match="another service has its state there"):
+        lock_state(tmp_path / "state")
+    os.close(ours)
+    os.close(lock_state(tmp_path / "state"))
 
 
 def _frames(path: Path) -> int | None:

@@ -21,7 +21,7 @@ from tests.service.hostile_pictures import hostile
 from tests.waiting import MOST_S, wait_until
 
 from rendezview_service.client import ServiceError
-from rendezview_service.hub.clock import SessionClock
+from rendezview_service.hub.clock import SessionClock, Timer
 from rendezview_service.hub.lease import Lease, Taken
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.worker_handle import WorkerHandle
@@ -286,8 +286,10 @@ def test_a_worker_that_waits_for_a_processor_is_not_killed_for_it(
     monkeypatch.setattr(WorkerHandle, "_processor_s", lambda self: spent_s)
 
     async def late() -> bool:
+        handle._timer = Timer(5.0, lambda: None)
+        handle._timer.cancel()
         handle._late(5.0)
-        return handle._timer is not None  # it is looked at again
+        return not handle._timer._handle.cancelled()  # it is looked at again
 
     assert asyncio.run(late()) != killed
     assert bool(ended) == killed

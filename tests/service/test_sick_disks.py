@@ -75,6 +75,7 @@ class Disk:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.syncs = 0
         self.failing = {"fsync": 0, "writev": 0}  # number of calls that will fail
+        self.error: Exception = OSError(errno.EIO, "Input/output error")
         self.answers = threading.Event()
         self.answers.set()
         self.fsync, self.writev = os.fsync, os.writev
@@ -94,7 +95,7 @@ class Disk:
         self.answers.wait()
         if self.failing[call] > 0:
             self.failing[call] -= 1
-            raise OSError(errno.EIO, "Input/output error")
+            raise self.error
 
 
 @pytest.fixture
@@ -170,9 +171,11 @@ def test_a_file_that_is_moved_is_completed_where_it_is(writer_of, logs, tmp_path
     assert sorted(_frames(moved.parent, logs)) == list(range(6))
 
 
+@pytest.mark.parametrize("error", [OSError(errno.EIO, "a fault"), RuntimeError("a fault")])
 @pytest.mark.parametrize("sync", ["always", "interval"])
-def test_a_failed_fsync_is_a_failed_record(writer_of, logs, disk, monkeypatch, sync):
+def test_a_failed_fsync_is_a_failed_record(writer_of, logs, disk, monkeypatch, sync, error):
     """Its file is given up: a second fsync would say that all is well."""
+    disk.error = error
     monkeypatch.setattr(recording, "_SYNC_EVERY_S", 0.0)
     writer = writer_of(sync=sync)
     for k in range(3):
@@ -183,7 +186,7 @@ def test_a_failed_fsync_is_a_failed_record(writer_of, logs, disk, monkeypatch, s
         assert _write(writer, k) == RECORDED
     wait_until(lambda: writer.status.faults)
     status = writer.status
-    assert "Input/output error" in status.fault
+    assert "a fault" in status.fault
     assert (status.faults, status.lost) == (1, 0)
     wait_until(lambda: (writer.status.state, writer.status.parts) == ("on", 2))
     writer.close()

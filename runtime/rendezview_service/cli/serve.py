@@ -91,8 +91,9 @@ def serve(
         str | None,
         typer.Option(help="Address of a Ray cluster that tracks: be one of its gateways."),
     ] = None,
-    cluster_folder: Annotated[
-        Path | None, typer.Option(help="With --cluster: folder of open sessions, on all nodes.")
+    state: Annotated[
+        Path | None,
+        typer.Option(help="Folder of open sessions, which go on after a restart; see the docs."),
     ] = None,
     settings: Annotated[
         Path | None, typer.Option(help="Any of these and more, in a TOML file; see the docs.")
@@ -134,7 +135,7 @@ def serve(
         "workers": workers,
         "models_folder": models,
         "cluster": cluster,
-        "cluster_folder": cluster_folder,
+        "state_folder": state,
     }
     loaded = load_settings(settings, flags)
     console = Console(stderr=True)
@@ -155,9 +156,9 @@ def _be_gateway(settings: Settings, has_own: bool, tell: Callable[[str], None]) 
     from rendezview_service.json_logging import set_up_logging
     from rendezview_service.server import run_gateway
 
-    if has_own or None in (settings.models_folder, settings.cluster_folder):
+    if has_own or None in (settings.models_folder, settings.state_folder):
         raise RendezviewError(
-            "a gateway has no model or source of its own: give --models and --cluster-folder, "
+            "a gateway has no model or source of its own: give --models and --state, "
             "folders that all nodes share"
         )
     for name, value in _OF_RAY.items():

@@ -46,8 +46,8 @@ class Orchestrator:
     def __init__(self, settings: dict[str, Any]) -> None:
         self._settings = Settings.model_validate(settings)
         set_up_logging(self._settings.log_level)
-        assert self._settings.cluster_folder is not None
-        self._folder = self._settings.cluster_folder
+        assert self._settings.state_folder is not None
+        self._folder = self._settings.state_folder
         self._folder.mkdir(parents=True, exist_ok=True)
         self._service = Service(self._settings, shares_models=True)  # models only: not started
         self._app = make_routes(self._service)

@@ -17,11 +17,7 @@ from starlette.types import Message, Scope
 from rendezview_service.cluster.heartbeat import Beacon
 from rendezview_service.cluster.tunnel import Sockets, exchange
 from rendezview_service.http.app import make_routes
-from rendezview_service.hub.checkpoint import (
-    CheckpointKeeper,
-    checkpoint_path,
-    read_checkpoint,
-)
+from rendezview_service.hub.checkpoint import checkpoint_path, read_checkpoint
 from rendezview_service.hub.model_store import BY_HASH
 from rendezview_service.hub.model_store import SUFFIX as RVM
 from rendezview_service.hub.service import Service
@@ -44,14 +40,13 @@ class Slot:
     def __init__(self, settings: dict[str, Any]) -> None:
         self._settings = Settings.model_validate(settings | _OWN)
         set_up_logging(self._settings.log_level)
-        assert self._settings.cluster_folder is not None
-        self._folder = self._settings.cluster_folder
+        assert self._settings.state_folder is not None
+        self._folder = self._settings.state_folder
         self._service = Service(self._settings, shares_models=True)
         self._app = make_routes(self._service)
         self._sockets = Sockets(self._app)
         self._beacon = Beacon()
         self._held: str | None = None
-        self._keeper: CheckpointKeeper | None = None  # of the session that it has
         self._begun = False
 
     async def start(self) -> int:
@@ -98,32 +93,26 @@ class Slot:
         assert asked.model is not None
         self._service.models.know(asked.model, Path(copy))
         path = checkpoint_path(self._folder, asked.id)
-        self._held, self._keeper = asked.id, CheckpointKeeper(path)
-        resumed = read_checkpoint(path) if resumes else None
+        self._held = asked.id
         try:
-            await self._service.open(asked, resumed, self._keeper)
+            await self._service.open(asked, read_checkpoint(path) if resumes else None)
         except BaseException:
-            self._keeper.end(remove=resumed is None)
-            self._held = self._keeper = None
+            self._held = None
             raise
         return asked.id
 
     async def held(self) -> tuple[str | None, list[str]]:
         """The session that it has, and what is wrong. The checkpoint of an ended one goes first."""
-        ended = self._held is not None and not self._service.has(self._held)
-        if ended and (self._keeper is None or self._keeper.end(remove=True)):
-            self._held = self._keeper = None
+        if self._held is not None and not self._service.has(self._held):
+            self._held = None
         return self._held, self._service.health().reasons
 
     async def let_go(self, name: str) -> None:
         """End a session here, so that another slot continues it."""
         session = self._service.sessions.get(name)
         if session is not None:
-            if self._keeper is not None:
-                self._keeper.keep(session.checkpoint())
-                self._keeper.end()
-            self._held = self._keeper = session.keeper = None
-            await self._service.close(session, "another node continues it")
+            self._held = None
+            await self._service.close(session, "another node continues it", goes_on=True)
 
     async def http(self, session: str, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
         """The answer to a request about the session.

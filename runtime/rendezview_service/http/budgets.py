@@ -18,6 +18,7 @@ from typing import Any
 from starlette.exceptions import HTTPException
 from starlette.types import Receive, Scope, Send
 
+from rendezview_service.hub.clock import Timer
 from rendezview_service.settings import Settings
 
 _PATIENCE_S = 10.0  # s, without moving on … Source: chosen
@@ -38,7 +39,7 @@ class Share:
 
     def moved(self, count: float) -> None:
         """So many bytes have come or gone."""
-        self.due_s += count / _SLOWEST
+        self.due_s = min(self.due_s + count / _SLOWEST, time.monotonic() + _PATIENCE_S)
 
     def moved_on(self) -> None:
         """A message has come or gone."""
@@ -176,18 +177,21 @@ class Body:
         """The next message; None: it is late, or not wanted any more."""
         left_s = max(0.0, self._share.due_s - time.monotonic())
         try:
-            async with asyncio.timeout(left_s) as waiting:
+            async with asyncio.timeout(None) as waiting:
 
-                def end(reason: str) -> None:
+                def end(reason: str | None = None) -> None:
                     self._refusal = reason
                     waiting.reschedule(asyncio.get_running_loop().time())
 
+                timer = Timer(left_s, end)
                 self._share.end = end
-                return await receive()
+                try:
+                    return await receive()
+                finally:
+                    self._share.end = None
+                    timer.cancel()
         except TimeoutError:
             return None
-        finally:
-            self._share.end = None
 
 
 def watched(share: Share, receive: Receive, send: Send) -> tuple[Receive, Send]:

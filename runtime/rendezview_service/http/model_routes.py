@@ -72,7 +72,7 @@ async def put_model(request: Request, name: Name, replace: bool = False) -> Mode
     content = await body_of(request, service.settings.model_bytes)
     stored = await run_in_threadpool(service.models.add, name, content, replace)
     if present is not None:
-        service.release(present)
+        service.release()
     return await run_in_threadpool(_info, stored)
 
 
@@ -85,7 +85,7 @@ async def delete_model(request: Request, name: str) -> None:
     if service.uses(stored):
         raise HTTPException(409, f"model {stored.name}: a session uses it: close the session first")
     service.models.remove(stored.name)
-    service.release(stored)
+    service.release()
 
 
 @router.get("/jobs")

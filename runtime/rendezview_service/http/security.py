@@ -37,6 +37,7 @@ log = logging.getLogger("rendezview_service")
 SUBPROTOCOL, TOKEN_SUBPROTOCOL = "rendezview", "token."
 _FITS_SOCKET = re.compile(r"[\w!#$%&'*+\-.^`|~]+", re.ASCII)  # RFC 9110, 5.6.2
 _ALWAYS = ("/healthz", "/readyz", "/metrics")  # are answered however much there is to do
+_MOST_DOWNLOADS = 8  # each has the index of a log in memory: 15 MB an hour. Source: chosen
 _MOST_CALLERS = 10_000  # whose request rates are remembered. Source: a chosen limit
 _PAGE_POLICY = (
     "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; "
@@ -135,6 +136,7 @@ class Guard:
         # The rest of the connections is for those without a request, and for health and metrics.
         self._requests = Budget(settings.connections // 2, "requests")
         self._sockets = Budget(settings.connections // 4, "WebSockets")
+        self._downloads = Budget(_MOST_DOWNLOADS, "downloads of logs")
         self._callers: OrderedDict[str, TokenBucket] = OrderedDict()  # least recent first
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -146,7 +148,7 @@ class Guard:
         refusal = self._refusal(scope, headers)
         budget, share = self._sockets, Share(scope.get("state", {}).get("caller", "?"))
         if scope["type"] == "http":
-            budget = self._requests
+            budget = self._downloads if scope["path"].endswith("/log") else self._requests
         if refusal is None and scope["path"] not in _ALWAYS:
             try:
                 budget.enter(share)

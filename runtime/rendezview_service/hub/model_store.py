@@ -134,38 +134,36 @@ class StoredModel:
 class ModelStore:
     """Models by name. Uploads may come from several threads."""
 
-    def __init__(self, folder: Path, copies: Path | None = None) -> None:
-        """The models in a folder.
+    def __init__(
+        self, folder: Path | None, state: Path | None = None, *, shared: bool = False
+    ) -> None:
+        """The models in a folder; None: a temporary one.
 
         Args:
-            copies: folder of the files named by their hash, which several services share and
-                nobody empties; None: a temporary one.
+            state: folder of the one with the files named by their hash; None: a temporary one.
+            shared: several services share it, and nobody empties it.
 
         Raises:
             RendezviewError: the folder cannot be made.
         """
-        make_folder(folder)
-        self.folder = folder
-        self._keeps_copies = copies is not None
-        if copies is None:
-            self._copies = Path(tempfile.mkdtemp(prefix="rendezview-by-hash-"))
-            self._remove_copies = weakref.finalize(self, shutil.rmtree, self._copies, True)
-        else:
-            make_folder(copies)
-            self._copies = copies
+        self.folder = self._made(folder)
+        self._copies = self._made(None if state is None else state / BY_HASH)
+        self._shared = shared
         self._models: dict[str, StoredModel] = {}
         self._lock = threading.Lock()  # of a name's check and its insertion
-        for path in sorted(folder.glob(f"*{SUFFIX}")):
+        for path in sorted(self.folder.glob(f"*{SUFFIX}")):
             if _NAME.fullmatch(path.stem) and path.is_file():
                 self._models[path.stem] = self._stored(path.stem, path, own=True)
 
+    def _made(self, folder: Path | None) -> Path:
+        if folder is None:
+            folder = Path(tempfile.mkdtemp(prefix="rendezview-models-"))
+            weakref.finalize(self, shutil.rmtree, folder, True)
+        make_folder(folder)
+        return folder
+
     def _stored(self, name: str, path: Path, own: bool) -> StoredModel:
         return StoredModel(name, path.resolve(), own, self._copies)
-
-    def close(self) -> None:
-        """Remove the copies, unless others share them."""
-        if not self._keeps_copies:
-            self._remove_copies()
 
     def know(self, name: str, copy: Path) -> StoredModel:
         """A model that another service has stored, by its file named by its hash."""
@@ -173,6 +171,13 @@ class ModelStore:
         if stored is None or not stored.is_read or stored.copy != copy:
             stored = self._models[name] = StoredModel(name, copy, False, copy.parent)
         return stored
+
+    def kept(self, name: str, sha256: str) -> StoredModel:
+        """A model of a session of before, perhaps not the one that has its name now."""
+        named = self._models.get(name)
+        if named is not None and named.is_read and named.sha256 == sha256:
+            return named
+        return self._stored(name, self._copies / f"{sha256}{SUFFIX}", own=False)
 
     def give(self, path: Path) -> StoredModel:
         """Add a model file from elsewhere under its file name; it is read at once.
@@ -266,14 +271,15 @@ class ModelStore:
             stored.path.unlink()
         del self._models[name]
 
-    def forget(self, stored: StoredModel, used: set[str]) -> None:
-        """Delete the copy of a model that has no name any more and that nobody uses.
+    def prune(self, used: set[str]) -> None:
+        """Delete the copies of models that have no name any more and that nobody uses.
 
         Args:
             used: hashes of the models of the sessions.
         """
-        if self._keeps_copies:
+        if self._shared:
             return
-        named = {other.sha256 for other in list(self._models.values()) if other.is_read}
-        if stored.is_read and stored.sha256 not in named | used:
-            stored.copy.unlink(missing_ok=True)
+        used = used | {other.sha256 for other in list(self._models.values()) if other.is_read}
+        for copy in self._copies.glob(f"*{SUFFIX}"):
+            if copy.stem not in used:
+                copy.unlink(missing_ok=True)

@@ -4,12 +4,29 @@ from __future__ import annotations
 
 import logging
 import secrets
+from datetime import UTC, datetime
 from pathlib import Path
 
 from rendezview_service.logs.log_repair import LogPart
 from rendezview_service.messages.messages import Recording, RecordingState
 
 log = logging.getLogger("rendezview_service")
+
+
+class LogNames:
+    """Names of new logs: the file that was asked for is the first one's."""
+
+    def __init__(self, place: Path | None) -> None:
+        """``place``: a file (*.mcap) or a folder; None: nothing is recorded."""
+        self._place, self._taken = place, False
+
+    def __call__(self, session: str) -> Path:
+        place = self._place
+        assert place is not None
+        if place.suffix != ".mcap":
+            return place / f"{session}-{datetime.now(UTC):%Y%m%dT%H%M%S}.mcap"
+        first, self._taken = not self._taken, True
+        return place if first else place.with_name(f"{place.stem}-{session}{place.suffix}")
 
 
 class SessionLog:

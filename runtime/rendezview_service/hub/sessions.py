@@ -355,7 +355,7 @@ class Session:
         if kept.last_key is not None and self.progress.last is not None:
             self.once.know(kept.last_key, Answer(200, self.progress.last))
         self.log.resume(kept.log, kept.log_base, kept.log_paths)
-        self.events.add("node", Level.WARNING, "another node continues the session")
+        self.events.add("node", Level.WARNING, "another process continues the session")
         self.reopened()
 
     # The source, and the end
@@ -371,10 +371,10 @@ class Session:
         self.finished, self.reason = True, reason
         self.events.add("source", Level.WARNING if reason else Level.INFO, f"ended: {reason or ''}")
 
-    def end(self, reason: str) -> None:
-        """Answer everything that waits; nothing follows."""
+    def end(self, reason: str, status: int = 410) -> None:
+        """Answer everything that waits; nothing follows here."""
         for waiting in self._queue:
-            waiting.answer(Answer(410, b"", reason))
+            waiting.answer(Answer(status, b"", reason))
         self._queue.clear()
         self.watchers.end(reason)
         self._metrics.remove()

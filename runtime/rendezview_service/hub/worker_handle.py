@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import math
 import os
 import signal
 import socket
@@ -14,15 +13,16 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
+from rendezview_service.hub.clock import Timer
 from rendezview_service.hub.inputs import SessionInput
 from rendezview_service.messages.wire import Header, Unpacker, mapped, pack, shared_memory
 
 log = logging.getLogger("rendezview_service")
 
-_PAUSE_S = 0.5  # s, by which a timer is late after a pause of the service. Source: chosen
 _PATIENCE = 6.0  # × the limit of an input: for a process that waits for a processor. Source: chosen
 # Ends of a process that its input brings about: its decoder took too long, or failed. Source: the
 # limit of `decoding_time`, and the signals of faults (POSIX)
@@ -91,8 +91,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         self._turns: deque[ClientT] = deque()  # sessions with an input waiting
         self._current: tuple[ClientT, SessionInput] | None = None
         self._answers: deque[tuple[Header, asyncio.Future[Header]]] = deque()
-        self._timer: asyncio.TimerHandle | None = None
-        self._due_s = math.inf  # when the timer comes
+        self._timer: Timer | None = None
         self._sent_at_s = self._spent_before_s = 0.0  # of the input, its own processor's clock
         self._process: subprocess.Popen[bytes] | None = None
         self._killed = False  # by us: an input took too long
@@ -197,9 +196,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
             count = 1 if waiting.sensor is None else session.most_lines_of(waiting)
             limit_s = count * self._frame_timeout_s
             self._sent_at_s, self._spent_before_s = time.monotonic(), self._processor_s()
-            loop = asyncio.get_running_loop()
-            self._timer = loop.call_later(limit_s, self._late, limit_s)
-            self._due_s = self._sent_at_s + limit_s
+            self._timer = Timer(limit_s, partial(self._late, limit_s))
 
     def _done(self) -> None:
         self._current = None
@@ -209,31 +206,17 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         self._next()
 
     def _late(self, limit_s: float) -> None:
-        """An input takes long: kill the process, unless it only waits for a processor.
-
-        A timer that is late itself says that this service was stopped, and perhaps the answer waits
-        to be read: timers come before sockets.
-        """
-        late_s = time.monotonic() - self._due_s
-        if late_s > _PAUSE_S:
-            self._sent_at_s += late_s
-            self._again(
-                max(_PAUSE_S, limit_s - (self._processor_s() - self._spent_before_s)), limit_s
-            )
-            return
+        """An input takes long: kill the process, unless it only waits for a processor."""
+        assert self._timer is not None
         left_s = limit_s - (self._processor_s() - self._spent_before_s)
-        waited_s = time.monotonic() - self._sent_at_s
+        waited_s = time.monotonic() - self._sent_at_s - self._timer.paused_s
         if left_s > 0.01 and waited_s < _PATIENCE * limit_s and self._wants_processor:
-            self._again(left_s, limit_s)
+            self._timer.start(left_s)
             return
         self._killed = True
         log.error("a worker does not answer and is killed", extra={"waited_s": round(waited_s, 1)})
         if self._process is not None:
             self._process.kill()
-
-    def _again(self, wait_s: float, limit_s: float) -> None:
-        self._due_s = time.monotonic() + wait_s
-        self._timer = asyncio.get_running_loop().call_later(wait_s, self._late, limit_s)
 
     def _exit_code(self) -> int | None:
         """How the process ended; None if it has not."""

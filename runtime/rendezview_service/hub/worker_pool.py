@@ -106,9 +106,10 @@ class WorkerPool:
         return not any(worker.ready for worker in self._workers)
 
     @property
-    def compiling(self) -> bool:
-        """Whether loops are being compiled for the first model."""
-        return self._warming is not None and not self._warming.done()
+    def troubles(self) -> list[str]:
+        """Why no frame can be tracked; or not soon, because loops are being compiled."""
+        compiling = self._warming is not None and not self._warming.done()
+        return ["no worker process is ready"] * self.none_ready + [COMPILING] * compiling
 
     def least_busy(self) -> Worker:
         """The worker with the fewest sessions.

@@ -211,7 +211,7 @@ class LogWriter:
                     break
             except Exception as error:  # this thread must not end silently
                 log.exception("recording failed")
-                self._broken(OSError(0, f"an internal error, {error!r}"))
+                self._broken(_of_disk(error))
         for part in self._unfinished:
             part.close()
 
@@ -252,10 +252,8 @@ class LogWriter:
         return True
 
     def _has_work(self) -> bool:
-        if self._ending:
-            return True
-        if self._part is None:
-            return time.monotonic() >= self._retry_s
+        if self._ending or self._part is None:
+            return self._ending or time.monotonic() >= self._retry_s
         return self._kept.oldest is not None or self._part.sync_error is not None
 
     def _is_long(self, part: OpenPart) -> bool:
@@ -278,16 +276,17 @@ class LogWriter:
             self._sync_began_s = time.monotonic()
         try:
             sync.run()
-        except OSError as error:
-            part.sync_error = error
-            raise
+        except Exception as error:  # whatever it is, nothing is confirmed
+            part.sync_error = _of_disk(error)
+            raise part.sync_error from error
+        else:
+            with self._change:
+                part.confirm(sync)
+                if part is self._part:
+                    self._kept.confirmed(part.safe_end)
         finally:
             with self._change:
                 self._sync_began_s = None
-                if part.sync_error is None:
-                    part.confirm(sync)
-                    if part is self._part:
-                        self._kept.confirmed(part.safe_end)
                 self._change.notify_all()
 
     def _sync_sometimes(self, part: OpenPart) -> None:
@@ -322,9 +321,7 @@ class LogWriter:
                 number = free_number(self._base, number + 1)
         if self.options.sync == "always":
             try:
-                sync = part.sync()
-                sync.run()
-                part.confirm(sync)
+                self._sync(part, part.sync())
             except OSError:
                 part.remove()
                 raise
@@ -396,3 +393,8 @@ class LogWriter:
                 self._paths.remove(part.path)
                 part.remove()
         return f"{why}; states lost with it: {lost}, written again from memory: {rescued}"
+
+
+def _of_disk(error: Exception) -> OSError:
+    """Any error as one of the disk."""
+    return error if isinstance(error, OSError) else OSError(0, f"an internal error, {error!r}")
