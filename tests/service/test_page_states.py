@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,12 +14,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from tests.service.page_feed import SIZES, text_has, until, word_is
 from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import save_camera
+from rendezview.io.sequences import BopSceneWriter
 from rendezview_service.client import Client
+from rendezview_service.messages.model_messages import JobInfo
 
 pytest.importorskip("playwright", reason="the page's tests want playwright")
 
@@ -219,6 +225,10 @@ def test_a_session_that_ends_and_others_at_a_glance(service, sender, open_page, 
     one.stop()
     word_is(page, "ENDED")
     shoot(page, "ended")
+    page.reload()
+    word_is(page, "ENDED")
+    text_has(page, "#reason", "session ending has ended: a client closed it")
+    text_has(page, "#link", "session ended")
     page.click("#strip button:has-text('other')")
     until(page, "location.hash === '#other'")
     word_is(page, "FOUND")
@@ -298,6 +308,7 @@ def test_a_recording_is_looked_back_at(service, client, sender, open_page, shoot
     word_is(page, "FOUND")
     one.hold()
     third = client.session("viewed").history()[2]
+    since_s = third["received_unix_s"] - client.session("viewed").info()["created_unix_s"]
     one.stop()
     page.keyboard.press("r")
     text_has(page, "#recordings-list", "viewed-")
@@ -306,10 +317,15 @@ def test_a_recording_is_looked_back_at(service, client, sender, open_page, shoot
     assert look.bounding_box()["x"] + look.bounding_box()["width"] < SIZES["phone"][0]
     page.click("#recordings-list tr:has-text('viewed-') button:has-text('Look')")
     until(page, "document.getElementById('frame-note').textContent === 'frame 0'")
+    # Before any step: the camera in space, and what happened.
+    text_has(page, "#space-scale", "camera position")
+    text_has(page, "#events", "phase: tracking (ok, frame 0)")
+    text_has(page, "#events", "alarm: range")
     page.keyboard.press("ArrowRight")
     page.keyboard.press("ArrowRight")
     until(page, f"document.getElementById('frame-note').textContent === 'frame {third['frame']}'")
     text_has(page, "#approach", f"{third['approach']['range_m']:.3f}")
+    text_has(page, "#when", f"T+00:{int(since_s // 60):02d}:{int(since_s % 60):02d}")
     until(page, "document.querySelectorAll('#plots canvas').length === 8")
     shoot(page, "recording")
     with page.expect_download() as waiting:
@@ -329,6 +345,7 @@ def test_models_are_sent_from_the_page(service, client, open_page, shoot, model_
     page.click("#model-send")
     text_has(page, "#jobs", "wrong")
     page.set_input_files("#model-file", model_path)
+    assert page.input_value("#model-name") == "wrong"  # as it was typed
     page.fill("#model-name", "sent")
     page.click("#model-send")
     text_has(page, "#models-note", "sent is here")
@@ -363,3 +380,164 @@ def test_the_description_of_the_api_can_be_tried(service, open_page) -> None:
     page = open_page(f"{service.url}docs")
     text_has(page, "#api", "/v1/sessions/{name}/frames")
     text_has(page, "#api", "Authorize")
+
+
+def test_a_training_has_the_camera_that_is_given_and_says_what_is_odd(
+    service, client, open_page, shoot, tmp_path
+) -> None:
+    """Of two files the second gives the name; mesh and camera are both questioned."""
+    mesh, camera = tmp_path / "second.stl", tmp_path / "camera.yaml"
+    trimesh.creation.box((100.0, 50.0, 30.0)).export(mesh)  # m: as large as a space station
+    save_camera(Camera(640, 480, 60_000.0, 60_000.0, 319.5, 239.5), camera)  # of 0.6 degrees
+    page = open_page(service.url)
+    page.keyboard.press("m")
+    named = {"name": "first.stl", "mimeType": "model/stl", "buffer": b"solid"}
+    page.set_input_files("#model-file", named)
+    assert page.input_value("#model-name") == "first"
+    page.set_input_files("#model-file", mesh)
+    assert page.input_value("#model-name") == "second"
+    page.set_input_files("#model-camera", camera)
+    page.select_option("#model-order", "2")
+    page.click("#model-send")
+    text_has(page, "#jobs", "Check: camera: the field of view is 0.6°")
+    text_has(page, "#jobs", "the size of a space station")
+    shoot(page, "training")
+    page.click("#jobs button:has-text('Cancel')")
+    text_has(page, "#jobs", "second: cancelled")
+    job = client.request("GET", "/v1/jobs")["jobs"][0]
+    assert len(JobInfo.model_validate(job).warnings) == 2
+
+
+def test_a_source_that_has_ended_says_so_after_a_reload(
+    start_service, open_page, shoot, camera, tour, tmp_path
+) -> None:
+    scene = tmp_path / "scene"
+    with BopSceneWriter(scene, camera) as writer:
+        for k, (_, pose, image) in enumerate(tour[:4]):
+            writer.add(k, image, pose, 5.0 * k)
+    served = start_service("--source", str(scene), "--speed", "0")
+    with served.client() as client:
+        wait_until(lambda: client.session("main").info()["finished"])
+        last = client.session("main").state()
+    asked: list[str] = []
+    page = open_page("about:blank")
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(f"{served.url}#main")
+    for _ in range(2):
+        word_is(page, "ENDED")
+        text_has(page, "#reason", f"the source has ended: {scene} · 4 frames, 100 % with a pose")
+        text_has(page, "#events", f"source: ended: no frames are left in {scene}")
+        text_has(page, "#approach", f"{last['approach']['range_m']:.3f}")
+        text_has(page, "#frame-note", "frame 3")
+        page.reload()
+    # However long ago it ended: all that the service keeps.
+    (history,) = {url for url in asked if "/history" in url}
+    assert "seconds=1e6" in history
+    shoot(page, "ended-source")
+    page.close()
+    served.stop()
+
+
+def test_a_service_that_pauses_is_not_called_connected(
+    start_service, sender, open_page, shoot, tmp_path
+) -> None:
+    served = start_service()
+    one = sender("paused", served.url)
+    page = open_page(f"{served.url}#paused")
+    one.send(3)
+    text_has(page, "#link", "● connected")
+    os.kill(served.process.pid, signal.SIGSTOP)
+    try:
+        text_has(page, "#link", "no connection")
+        word_is(page, "NO CONNECTION")
+        text_has(page, "#reason", "the service does not answer for")
+        shoot(page, "paused-service")
+    finally:
+        os.kill(served.process.pid, signal.SIGCONT)
+    text_has(page, "#link", "● connected")
+    text_has(page, "#events", "connection: none for")
+    word_is(page, "FOUND")
+    one.stop()
+    page.close()
+    served.stop()
+
+
+def test_a_connection_that_died_without_a_word_is_made_again(
+    service, sender, open_page
+) -> None:
+    """Its first socket goes silent; the list of sessions has newer frames."""
+    one = sender("silent-socket")
+    sockets: list[Any] = []
+
+    def through(socket: Any) -> None:
+        sockets.append(socket)
+        server = socket.connect_to_server()
+        first = len(sockets) == 1
+        server.on_message(lambda message: None if first else socket.send(message))
+
+    page = open_page(service.url)
+    page.route_web_socket("**/watch*", through)
+    page.goto(f"{service.url}?again#silent-socket")
+    one.send(4)
+    word_is(page, "FOUND")
+    assert len(sockets) == 2
+
+
+# Text that is hard to read: less contrast than 4.5 : 1 (WCAG 2, AA) with what is behind it.
+_CONTRAST = """() => {
+  const channels = (colour) => colour.match(/[\\d.]+/g).map(Number);
+  const light = ([r, g, b]) => [r, g, b].map((v) => v / 255)
+    .map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4))
+    .reduce((sum, v, k) => sum + [0.2126, 0.7152, 0.0722][k] * v, 0);
+  const behind = (part) => {
+    for (let at = part; at; at = at.parentElement) {
+      const [r, g, b, a = 1] = channels(getComputedStyle(at).backgroundColor);
+      if (a > 0.7) return [r, g, b];
+    }
+  };
+  const faults = [];
+  for (const part of document.querySelectorAll('body *')) {
+    const own = [...part.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
+    if (!own || !part.getClientRects().length || part.closest('noscript')) continue;
+    const both = [light(channels(getComputedStyle(part).color)), light(behind(part))];
+    const ratio = (Math.max(...both) + 0.05) / (Math.min(...both) + 0.05);
+    if (ratio < 4.5) faults.push(`${part.id || part.tagName} ${part.textContent}: ${ratio}`);
+  }
+  return faults;
+}"""
+
+
+def test_light_and_dark_are_readable_and_the_operator_chooses(
+    service, sender, open_page, shoot
+) -> None:
+    one, other = sender("theme", approach=APPROACH), sender("theme-other")
+    one.send(4)
+    other.send(2)
+    page = open_page(f"{service.url}#theme", color_scheme="dark")
+    word_is(page, "FOUND")
+    until(page, "document.querySelectorAll('#plots canvas').length === 8")
+    text_has(page, "#alerts", "less than 9.5 m")
+    ground = "getComputedStyle(document.documentElement).backgroundColor"
+    dark = page.evaluate(ground)
+    assert page.evaluate(_CONTRAST) == []
+    page.keyboard.press("l")
+    until(page, f"{ground} !== {dark!r}")
+    assert page.evaluate(_CONTRAST) == []
+    shoot(page, "light")
+    page.reload()  # it is remembered
+    word_is(page, "FOUND")
+    assert page.evaluate(ground) != dark
+    for dialog in ("?", "m", "r"):
+        page.keyboard.press(dialog)
+        until(page, "document.querySelector('dialog[open]')")
+        assert page.evaluate(_CONTRAST) == []
+        shoot(page, f"light-{ {'?': 'help', 'm': 'models', 'r': 'recordings'}[dialog]}")
+        page.keyboard.press("Escape")
+    page.click("#theme")
+    until(page, f"{ground} === {dark!r}")
+    shoot(page, "dark")
+    page.emulate_media(color_scheme="light")  # the choice has precedence
+    assert page.evaluate(ground) == dark
+    page.evaluate("localStorage.clear()")
+    page.reload()
+    until(page, f"{ground} !== {dark!r}")

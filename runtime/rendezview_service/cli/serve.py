@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -94,6 +95,10 @@ def serve(
     cluster_folder: Annotated[
         Path | None, typer.Option(help="With --cluster: folder of open sessions, on all nodes.")
     ] = None,
+    check: Annotated[
+        bool,
+        typer.Option("--check", help="Check files, folders, clock, ports and models; do not serve."),
+    ] = False,
     settings: Annotated[
         Path | None, typer.Option(help="Any of these and more, in a TOML file; see the docs.")
     ] = None,
@@ -137,10 +142,16 @@ def serve(
         "cluster_folder": cluster_folder,
     }
     loaded = load_settings(settings, flags)
+    if check:
+        from rendezview_service.cli.check import check as is_well
+
+        raise typer.Exit(0 if is_well(loaded, model) else 1)
     console = Console(stderr=True)
 
-    def tell(address: str) -> None:
-        console.print(f"rendezview serves at {address}", highlight=False, soft_wrap=True)
+    def say(said: str, address: str) -> None:
+        console.print(f"rendezview {said} {address}", highlight=False, soft_wrap=True)
+
+    tell = functools.partial(say, "serves at")
 
     if loaded.cluster is not None:
         _be_gateway(loaded, bool(model or source), tell)
@@ -148,7 +159,7 @@ def serve(
     service = Service(loaded, model, source, speed)
     compile_ahead("serve")
     set_up_logging(loaded.log_level)
-    run(service, tell)
+    run(service, tell, functools.partial(say, "starts; its page is at"))
 
 
 def _be_gateway(settings: Settings, has_own: bool, tell: Callable[[str], None]) -> None:

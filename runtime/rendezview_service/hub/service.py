@@ -42,7 +42,8 @@ log = logging.getLogger("rendezview_service")
 
 _CLOSE_S, _STOP_S = 30.0, 4.0  # s, for a log to be completed; when all end. Source: chosen
 _MOST_ENDED_PROCESSES = 3  # by frames of one session within `ENDED_S`. Source: a chosen limit
-_REMEMBERED = 256  # openings and trainings, for requests that are repeated. Source: a chosen limit
+# Openings and trainings, for requests that are repeated; ended sessions. Source: a chosen limit
+_REMEMBERED = 256
 # s; enough to read compiled loops from the cache; between checks for idle sessions. Source: chosen
 _START_WAIT_S, _IDLE_CHECK_S = 20.0, 5.0
 
@@ -73,6 +74,7 @@ class Service:
         self.settings = settings
         self.metrics = Metrics()
         self.sessions: dict[str, Session] = {}
+        self.ended: dict[str, str] = {}  # why the last ones ended, by id
         self.watchers, self.stopping = 0, False
         self.started_s = time.monotonic()
         self.version = metadata.version("rendezview")
@@ -159,6 +161,12 @@ class Service:
         log.error("the service does not start", extra={"reason": str(error)})
         self.failure = error
         self.on_failure()
+
+    async def has_begun(self) -> bool:
+        """Wait until workers and sources have started; False: they do not."""
+        assert self._begun is not None
+        await asyncio.wait([self._begun])
+        return not self._begun.cancelled() and self._begun.exception() is None
 
     async def stop(self) -> None:
         """Complete the logs, notify the watchers, end the processes."""
@@ -283,6 +291,10 @@ class Service:
         """End a session and complete its log."""
         if self.sessions.pop(session.id, None) is None:
             return
+        self.ended.pop(session.id, None)
+        self.ended[session.id] = reason
+        while len(self.ended) > _REMEMBERED:
+            del self.ended[next(iter(self.ended))]
         feeder = self._feeders.pop(session.id, None)
         if feeder is not None:
             feeder.stop()

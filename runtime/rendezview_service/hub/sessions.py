@@ -369,7 +369,8 @@ class Session:
     def source_ended(self, reason: str | None) -> None:
         """The source has ended, or failed for a reason."""
         self.finished, self.reason = True, reason
-        self.events.add("source", Level.WARNING if reason else Level.INFO, f"ended: {reason or ''}")
+        said = f"ended: {reason or f'no frames are left in {self.source}'}"
+        self.events.add("source", Level.WARNING if reason else Level.INFO, said)
 
     def end(self, reason: str) -> None:
         """Answer everything that waits; nothing follows."""

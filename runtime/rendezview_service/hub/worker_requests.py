@@ -17,6 +17,7 @@ def open_request(session: Session, settings: Settings) -> Header:
     return {
         "kind": "open",
         "session": session.id,
+        "opened_unix_s": session.created_unix_s,
         "request": session.request_now.model_dump(mode="json"),
         "sight": sight_of(session.request, session.stored.copy),
         "model_file": session.stored.path.name,

@@ -354,6 +354,7 @@ class History(Message):
     newest_frame: int | None
     states: list[State]
     images: list[int] = Field(description="frames whose JPEG is kept, in ascending order")
+    events: list[Event] = Field(default=[], description="of a recording: phases, alarms, restarts")
 
 
 class Event(Message):

@@ -32,11 +32,16 @@ export class Events {
   add({ number, unix_s: at, level, kind, text }) {
     if (number < this.next) return;
     this.next = number + 1;
+    this.note(level, `${kind}: ${text}`, at);
+  }
+
+  /** What the page itself has noticed. */
+  note(level, text, at = Date.now() / 1000) {
     const item = document.createElement("li");
     item.className = level;
     const time = document.createElement("time");
     time.textContent = utc(at);
-    item.append(time, ` ${kind}: ${text}`);
+    item.append(time, ` ${text}`);
     this.list.prepend(item);
     while (this.list.children.length > MOST) this.list.lastChild.remove();
   }

@@ -55,6 +55,7 @@ export async function showRecordings(open, save) {
 // Models
 
 let timer = null;
+let proposed = ""; // name that the last file gave
 
 export async function showModels() {
   const dialog = find("models-dialog");
@@ -79,6 +80,12 @@ async function refresh() {
       const item = document.createElement("li");
       const part = job.state === "running" && job.stage ? `: ${job.stage} ${(100 * (job.progress ?? 0)).toFixed(0)} %` : "";
       item.append(`${job.model}: ${job.state}${part}${job.reason ? `: ${job.reason}` : ""} `);
+      for (const text of job.warnings) {
+        const doubt = document.createElement("div");
+        doubt.className = "warn";
+        doubt.textContent = `Check: ${text}`;
+        item.append(doubt);
+      }
       if (["queued", "running"].includes(job.state)) item.append(button("Cancel", () => request(`/v1/jobs/${job.id}`, { method: "DELETE" }).then(refresh, report)));
       return item;
     }));
@@ -100,7 +107,10 @@ async function send() {
       const made = await json(`/v1/models/${encodeURIComponent(name)}?replace=true`, { method: "PUT", body: file });
       say(find("models-note"), `${made.name} is here: ${made.sha256.slice(0, 12)}`);
     } else {
-      const query = new URLSearchParams({ model: name, file: file.name, unit: find("model-unit").value, order: find("model-order").value });
+      const query = new URLSearchParams({ model: name, file: file.name, order: find("model-order").value });
+      const [camera] = find("model-camera").files, unit = find("model-unit").value;
+      if (unit) query.set("unit", unit);
+      if (camera) query.set("camera", await camera.text());
       const job = await json(`/v1/jobs?${query}`, { method: "POST", body: file });
       say(find("models-note"), `training ${job.model}: ${job.state}`);
     }
@@ -117,6 +127,8 @@ find("model-file").onchange = () => {
   if (!file) return;
   const isModel = /\.rvm$/i.test(file.name);
   for (const label of document.querySelectorAll(".mesh")) label.hidden = isModel;
-  if (!find("model-name").value) find("model-name").value = file.name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "");
+  const field = find("model-name");
+  if (field.value && field.value !== proposed) return; // typed by the operator
+  field.value = proposed = file.name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "");
 };
 for (const close of document.querySelectorAll("dialog .close")) close.onclick = () => close.closest("dialog").close();

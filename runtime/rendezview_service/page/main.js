@@ -15,6 +15,8 @@ import { Views } from "./views.js";
 const find = (id) => document.getElementById(id);
 const SLOW_MS = 100; // between drawings of words and numbers
 const POLL_MS = 2000;
+const ANSWER_MS = 3000; // then the service does not answer
+const DEAD_MS = 6000; // a connection that brings none of the frames that the service has
 
 const live = new LiveView(find("frame"));
 const events = new Events(find("events").querySelector("ol"));
@@ -22,13 +24,15 @@ let session = null; // name
 let info = null; // as the service lists it
 let sessions = [], past = null;
 let leave = null; // closes the watch
+let openedAt = null; // ms, when the watch was opened; null: it is not open
 let last = null; // the newest message, its jpeg, and its arrival (ms)
 let shown = null; // what is drawn: state, contour, silhouette, bitmap, note
 let paused = null; // states at the pause, and the index of the shown one
 let ended = null; // reason
 let recorded = null, approach = null; // name of the recording that is looked at; of the session
 let unreachable = null, refusal = null; // since when the service is (ms), and the last poll's error
-let decoding = false, fetching = false, drawing = false;
+let gone = { name: null, reason: null }; // a session that is not there, and the service's answer
+let polling = false, decoding = false, fetching = false, drawing = false;
 let banner = ""; // phase and status that the banner shows
 let fresh = false, slowAt = 0, displayed = null; // the state whose words and numbers are shown
 // For tests: what was drawn, and how often.
@@ -39,7 +43,7 @@ const views = new Views(drawn, schedule, again);
 
 function received(message, jpeg) {
   drawn.received += 1;
-  unreachable = refusal = null;
+  reached();
   past.add(message.state);
   last = { message, jpeg, at: performance.now() };
   ended = null;
@@ -105,13 +109,37 @@ function words(now = paused === null) {
   if (refusal?.status === 401) return ["offline", "NO ACCESS", "the service requires a token: press Token"];
   if (unreachable !== null) {
     const away = (performance.now() - unreachable) / 1000;
-    const why = refusal.status ? `does not serve this page (${refusal.message})` : "cannot be reached";
-    return ["offline", "NO CONNECTION", `the service ${why} for ${away.toFixed(0)} s; trying again`];
+    const why = refusal.status ? `the service does not serve this page (${refusal.message})` : refusal.message;
+    return ["offline", "NO CONNECTION", `${why} for ${away.toFixed(0)} s; trying again`];
   }
   if (ended !== null) return ["ended", "ENDED", ended];
   if (leave === null && session !== null) return ["offline", "NO CONNECTION", "trying again"];
-  if (info?.finished) return ["ended", "ENDED", info.reason ?? "the source has ended"];
+  if (info?.finished) return ["ended", "ENDED", endOf(info)];
   return verdict(last?.message.state ?? null, ageS() ?? 0, info);
+}
+
+/** Why a session ended, and what it was. */
+function endOf({ reason, source, frames, found_fraction: found }) {
+  const share = found === null ? "" : `, ${(100 * found).toFixed(0)} % with a pose`;
+  return `${reason ?? `the source has ended: ${source}`} · ${frames} frames${share}`;
+}
+
+/** The chip: whether what is shown comes from the service now. */
+function sayLink() {
+  if (refusal?.status === 401) showLink("no access", "bad");
+  else if (unreachable !== null) showLink("no connection", "bad");
+  else if (recorded !== null) showLink(`recording ${recorded}`, "");
+  else if (ended !== null || gone.reason !== null) showLink("session ended", "bad");
+  else if (session === null) showLink("no session", "");
+  else if (leave === null) showLink("no connection", "bad");
+  else if (openedAt === null) showLink("connecting", "");
+  else showLink("● connected", "good");
+}
+
+/** The service has answered; a time without it is an event. */
+function reached() {
+  if (unreachable !== null) events.note("warning", `connection: none for ${((performance.now() - unreachable) / 1000).toFixed(0)} s`);
+  unreachable = refusal = null;
 }
 
 /** Age of the newest state, s; null: there is none, or a past one is looked at. */
@@ -122,7 +150,8 @@ function tick() {
   showAge(ageS(), info?.sensors?.[0]?.rate_hz);
   if (shown !== null && shown !== displayed) slow(performance.now());
   if (shown !== null) sayWhen(), views.catchUp(shown, paused === null ? past.states : []);
-  if (session === null && recorded === null) return;
+  sayLink();
+  if (session === null && recorded === null && unreachable === null) return;
   if (paused === null) showVerdict(words());
 }
 
@@ -139,7 +168,7 @@ function slow(now) {
     showSensors(last.message.sensors);
     showRecording(last.message.recording);
   }
-  showAlerts(shown.state, paused === null ? (info?.recording.state === "failed" ? info.recording : last?.message.recording) : null);
+  showAlerts(shown.state, paused === null ? (info?.recording.state === "failed" ? info.recording : last?.message.recording) : null, info?.warnings);
   showAge(ageS(), info?.sensors?.[0]?.rate_hz);
   for (const label of document.querySelectorAll(".others")) label.hidden = !(shown.state.fused || shown.state.ring || shown.marks?.length);
   views.moved = true;
@@ -178,22 +207,30 @@ function again() {
 // Sessions
 
 async function poll() {
+  if (polling) return;
+  polling = true;
+  const asked = performance.now();
   try {
-    sessions = (await json("/v1/sessions")).sessions;
+    sessions = (await json("/v1/sessions", { signal: AbortSignal.timeout(ANSWER_MS) })).sessions;
   } catch (error) {
     refusal = error;
-    if (error.status !== 401) unreachable ??= performance.now();
-    showLink(error.status === 401 ? "no access" : "no connection", "bad");
+    if (error.status !== 401) unreachable ??= asked;
+    sayLink();
     if (paused === null) showVerdict(words(true));
     if (error.status === 401 && !wasDeclined()) askToken(token() ? "The given token is not right." : "The service requires a token.");
     return;
+  } finally {
+    polling = false;
   }
-  unreachable = refusal = null;
+  reached();
   showSessions(sessions, session, choose);
   if (recorded !== null) return;
   const present = sessions.find((one) => one.id === session);
-  if (session !== null && present === undefined && leave === null && ended === null) showLink("session ended", "bad", (ended = "this session is not there any more: it ended, or the service was restarted"));
+  if (session !== null && present === undefined && leave === null && ended === null) ended = "this session is not there any more: it ended, or the service was restarted";
   info = present ?? info;
+  // A connection may die without a word, as while a machine sleeps.
+  const silentMs = performance.now() - Math.max(openedAt, last?.at ?? 0);
+  if (leave !== null && openedAt !== null && present?.age_s < 1 && silentMs > DEAD_MS) connect();
   if (session !== null && present !== undefined) events.load().catch(() => {});
   if (session === null || leave === null) {
     const wanted = session ?? askedSession();
@@ -206,7 +243,11 @@ async function poll() {
 
 /** Another session than the one that was asked for is never shown in its place. */
 function noSession(wanted) {
-  showLink("no session", "");
+  if (wanted !== gone.name) {
+    const asked = (gone = { name: wanted, reason: null });
+    if (wanted !== "") json(sessionPath(wanted)).catch(({ message }) => (asked.reason = / has ended: /.test(message) ? message : null));
+  }
+  if (gone.reason !== null) return showVerdict(["ended", "ENDED", `${gone.reason}; its log, if any, is among the recordings`]);
   const others = sessions.length ? "; others are listed above" : "";
   const why = wanted === "" ? "open one: rendezview serve --source …, or rendezview.Client" : `“${wanted}” is not there (yet): waiting for it${others}`;
   showVerdict(["waiting", "NO SESSION", why]);
@@ -219,7 +260,7 @@ function overview() {
   if (performance.now() - (last?.at ?? -Infinity) > POLL_MS) {
     showSensors(info.sensors);
     showRecording(info.recording);
-    showAlerts(shown?.state ?? null, info.recording);
+    showAlerts(shown?.state ?? null, info.recording, info.warnings);
   }
 }
 
@@ -246,12 +287,13 @@ function anew() {
 /** Nothing is shown yet of what comes now. */
 function begin(of, path) {
   leave?.();
-  leave = null;
+  leave = openedAt = null;
   recorded = null;
   goLive();
   info = of;
   past = new Past(path);
   last = ended = approach = null;
+  gone = { name: null, reason: null };
   present(null);
   views.clear();
   live.camera = info?.camera ?? null;
@@ -279,15 +321,16 @@ async function restore() {
 
 /** A log of the service, from its start. */
 async function look(recording) {
-  begin({ ...recording, sensors: [], recording: { state: "off" }, frames: recording.frames ?? 0, found_fraction: null }, `/v1/recordings/${encodeURIComponent(recording.name)}`);
+  const since = recording.opened_unix_s ?? recording.began_unix_s;
+  begin({ ...recording, created_unix_s: since, sensors: [], recording: { state: "off" }, frames: recording.frames ?? 0, found_fraction: null }, `/v1/recordings/${encodeURIComponent(recording.name)}`);
   recorded = recording.name;
   session = null;
   events.clear(null);
   showSessions(sessions, session, choose);
-  showLink(`recording ${recording.name}`, "");
+  sayLink();
   showVerdict(["waiting", "READING", recording.name]);
   try {
-    await past.load(2000, 1e6);
+    for (const event of await past.load()) events.add(event);
   } catch (error) {
     showVerdict(["offline", "NO RECORDING", error.message]);
     return;
@@ -301,14 +344,15 @@ async function look(recording) {
 
 function connect() {
   leave?.();
+  openedAt = null;
   leave = watch(session, {
     silhouette: live.layers.silhouette,
     received,
-    opened: () => showLink("● connected", "good"),
+    opened: () => ((openedAt = performance.now()), sayLink()),
     closed: (reason, isEnd) => {
-      leave = null;
+      leave = openedAt = null;
       if (isEnd) ended = reason || "the session is closed";
-      showLink(isEnd ? "session ended" : "no connection", "bad");
+      sayLink();
       if (paused === null) showVerdict(words());
       if (!isEnd) poll();
     },
