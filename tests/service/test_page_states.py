@@ -24,6 +24,7 @@ from rendezview.io.camera_files import save_camera
 from rendezview.io.sequences import BopSceneWriter
 from rendezview_service.client import Client
 from rendezview_service.messages.model_messages import JobInfo
+from rendezview_service.tracker.tracking import camera_message
 
 pytest.importorskip("playwright", reason="the page's tests want playwright")
 
@@ -227,7 +228,7 @@ def test_a_session_that_ends_and_others_at_a_glance(service, sender, open_page, 
     shoot(page, "ended")
     page.reload()
     word_is(page, "ENDED")
-    text_has(page, "#reason", "session ending has ended: a client closed it")
+    text_has(page, "#reason", "session ending has ended: closed by a request")
     text_has(page, "#link", "session ended")
     page.click("#strip button:has-text('other')")
     until(page, "location.hash === '#other'")
@@ -408,6 +409,26 @@ def test_a_training_has_the_camera_that_is_given_and_says_what_is_odd(
     assert len(JobInfo.model_validate(job).warnings) == 2
 
 
+def test_a_doubtful_camera_is_questioned_unless_it_is_meant(
+    service, client, open_page, shoot
+) -> None:
+    narrow = Camera(640, 480, 60_000.0, 60_000.0, 319.5, 239.5)
+    keys = camera_message(narrow).model_dump(mode="json")
+    meant = {"id": "meant", "camera": keys | {"checked": True}}
+    assert client.request("POST", "/v1/sessions", json.dumps(meant).encode())["warnings"] == []
+    with client.open(narrow, name="doubtful") as session:
+        (said,) = session.info()["warnings"]
+        assert said.startswith("camera: the field of view is 0.6°")
+        assert said.endswith('("checked": true in the camera if it is meant)')
+        page = open_page(f"{service.url}#doubtful")
+        text_has(page, "#alerts", f"Check: {said}")
+        text_has(page, "#events", f"session: {said}")
+        shoot(page, "doubt")
+        page.click("#strip button:has-text('meant')")
+        until(page, "document.getElementById('alerts').hidden")
+    client.session("meant").close()
+
+
 def test_a_source_that_has_ended_says_so_after_a_reload(
     start_service, open_page, shoot, camera, tour, tmp_path
 ) -> None:
@@ -462,9 +483,7 @@ def test_a_service_that_pauses_is_not_called_connected(
     served.stop()
 
 
-def test_a_connection_that_died_without_a_word_is_made_again(
-    service, sender, open_page
-) -> None:
+def test_a_connection_that_died_without_a_word_is_made_again(service, sender, open_page) -> None:
     """Its first socket goes silent; the list of sessions has newer frames."""
     one = sender("silent-socket")
     sockets: list[Any] = []
@@ -527,11 +546,11 @@ def test_light_and_dark_are_readable_and_the_operator_chooses(
     page.reload()  # it is remembered
     word_is(page, "FOUND")
     assert page.evaluate(ground) != dark
-    for dialog in ("?", "m", "r"):
-        page.keyboard.press(dialog)
+    for key, dialog in (("?", "help"), ("m", "models"), ("r", "recordings")):
+        page.keyboard.press(key)
         until(page, "document.querySelector('dialog[open]')")
         assert page.evaluate(_CONTRAST) == []
-        shoot(page, f"light-{ {'?': 'help', 'm': 'models', 'r': 'recordings'}[dialog]}")
+        shoot(page, f"light-{dialog}")
         page.keyboard.press("Escape")
     page.click("#theme")
     until(page, f"{ground} === {dark!r}")

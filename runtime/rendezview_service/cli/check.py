@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import shutil
-import socket
 import ssl
 import tempfile
 import time
@@ -26,7 +26,8 @@ from rendezview_service.logs.log_lock import NO_LOCKS, lock
 from rendezview_service.server import listen, tokens_of
 from rendezview_service.settings import Settings
 
-_LEAST_FREE_BYTES = 1_000_000_000  # one part of a log. Source: chosen
+# Of a part of a log; of copies of models. Source: chosen
+_LEAST_LOG_BYTES, _LEAST_BYTES = 1_000_000_000, 100_000_000
 _AHEAD_S = 86_400.0  # s; a clock this far behind its files is wrong. Source: chosen
 _ANSWER_S = 3.0  # s, for a service that runs. Source: chosen
 
@@ -63,17 +64,18 @@ def checks(settings: Settings, model: Path | None) -> Iterator[Check]:
     }
     for name, folder in folders.items():
         if folder is not None:
-            yield f"{name} {folder}", lambda folder=folder: _folder(folder)  # type: ignore[misc]
+            least = _LEAST_LOG_BYTES if name == "record" else _LEAST_BYTES
+            yield f"{name} {folder}", functools.partial(_folder, folder, least)
     yield "clock", lambda: _clock(settings.record_folder)
     ports = [(settings.host, settings.port)]
     viewers = (settings.foxglove_port, settings.rerun_port)
     ports += [(settings.viewer_host, port) for port in viewers if port is not None]
     for host, port in ports:
-        yield f"port {host}:{port}", lambda at=(host, port): _port(settings, *at)  # type: ignore[misc]
+        yield f"port {host}:{port}", functools.partial(_port, settings, host, port)
     folder = settings.models_folder
     stored = sorted(folder.glob(f"*{SUFFIX}")) if folder is not None and folder.is_dir() else []
     for path in [*([] if model is None else [model]), *stored]:
-        yield f"model {path}", lambda path=path: _model(path)  # type: ignore[misc]
+        yield f"model {path}", functools.partial(_model, path)
     yield "compiled loops", _cache
 
 
@@ -93,7 +95,7 @@ def _files(settings: Settings) -> str:
     return "; check: ".join(["can be read", *doubts])
 
 
-def _folder(folder: Path) -> str:
+def _folder(folder: Path, least_bytes: int) -> str:
     """Whether files can be made, locked and forced to the disk there, and its free space."""
     there = folder
     while not there.exists():
@@ -114,9 +116,10 @@ def _folder(folder: Path) -> str:
                 raise
             notes += "no locks (no other service may use it), "
     free = shutil.disk_usage(there).free
-    if free < _LEAST_FREE_BYTES:
+    if free < least_bytes:
         raise RendezviewError(
-            f"only {free / 1e9:.2f} GB are free: make room, or set logs_bytes to remove old logs"
+            f"only {free / 1e9:.2f} GB are free, of {least_bytes / 1e9:g} GB at least: make room, "
+            "or set logs_bytes to remove old logs"
         )
     return f"{notes}writable, {free / 1e9:.0f} GB free"
 

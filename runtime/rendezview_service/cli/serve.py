@@ -97,7 +97,9 @@ def serve(
     ] = None,
     check: Annotated[
         bool,
-        typer.Option("--check", help="Check files, folders, clock, ports and models; do not serve."),
+        typer.Option(
+            "--check", help="Check files, folders, clock, ports and models; do not serve."
+        ),
     ] = False,
     settings: Annotated[
         Path | None, typer.Option(help="Any of these and more, in a TOML file; see the docs.")

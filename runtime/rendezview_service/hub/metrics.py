@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    ProcessCollector,
+    generate_latest,
+)
 
 from rendezview_service.messages.messages import Recording, RecordingState
 
@@ -15,6 +22,10 @@ class Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
+        ProcessCollector(registry=self.registry)
+        self.faults = Gauge(
+            "rendezview_faults", "Reasons in /healthz; 0: all is well.", registry=self.registry
+        )
         one = ["session"]
         self.frames = Counter(
             "rendezview_frames", "Frames tracked.", ["session", "status"], registry=self.registry

@@ -34,6 +34,7 @@ from rendezview_service.hub.worker_pool import COMPILING, NotReady, Worker, Work
 from rendezview_service.hub.worker_requests import open_request
 from rendezview_service.logs.log_folder import keep_logs
 from rendezview_service.logs.recordings import Recordings
+from rendezview_service.messages.approach_messages import Level
 from rendezview_service.messages.messages import Health, RecordingState, SessionRequest
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import camera_message
@@ -146,8 +147,11 @@ class Service:
                 raise RendezviewError(f"{source.name}: no camera: give --camera")
             assert self.given is not None
             request = SessionRequest(
-                id=name, model=self.given.name, camera=camera_message(source.camera)
+                id=name,
+                model=self.given.name,
+                camera=camera_message(source.camera).model_copy(update={"checked": True}),
             )
+            request.notes.extend(source.notes or source.camera.doubts)
             session = await self._open(request, source)
             feeder = Feeder(source, session, asyncio.get_running_loop(), self._speed)
             self._feeders[session.id] = feeder
@@ -259,6 +263,8 @@ class Service:
             request = await asyncio.to_thread(self.defaults.filled, request, name, stored)
             of = None if source is None else source.name
             session = Session(name, stored, request, self.settings, self.metrics, of)
+            for note in session.request.notes:
+                session.events.add("session", Level.WARNING, note)
             if resumed is not None:
                 session.resume(resumed)
             try:

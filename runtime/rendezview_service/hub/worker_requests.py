@@ -43,7 +43,7 @@ def open_request(session: Session, settings: Settings) -> Header:
 def sight_of(request: SessionRequest, model: Path) -> Header:
     """What a session's recognizer is made for; the file of the model is named by its hash."""
     assert request.camera is not None
-    camera = request.camera.model_dump(mode="json")
+    camera = request.camera.model_dump(mode="json", exclude={"checked"})
     return {"camera": camera, "trees": request.trees, "model_path": str(model)}
 
 

@@ -61,6 +61,9 @@ class CameraMessage(Message):
     bit_depth: int | None = Field(
         default=None, ge=8, le=16, description="of PNG frames with 16-bit levels; null: 16"
     )
+    checked: bool = Field(
+        default=False, description="its numbers are meant: the session's warnings do not doubt them"
+    )
 
 
 class IntegrityRequest(Message):
@@ -122,7 +125,7 @@ class SessionRequest(Message):
 
     @property
     def notes(self) -> list[str]:
-        """What of it is out of date, and ignored."""
+        """What of it is out of date and ignored, or odd."""
         return self._notes
 
 
@@ -215,7 +218,9 @@ class SessionInfo(Message):
     recording: Recording
     finished: bool = Field(description="the source has ended or failed")
     reason: str | None = Field(default=None, description="if the source failed")
-    warnings: list[str] = Field(default=[], description="what of its request is ignored")
+    warnings: list[str] = Field(
+        default=[], description="what of its request is ignored; what is odd about camera or source"
+    )
 
 
 class SessionList(Message):

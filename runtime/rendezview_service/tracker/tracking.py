@@ -54,7 +54,8 @@ def camera_of(message: CameraMessage) -> Camera:
         RendezviewError: the number of distortion coefficients is impossible.
     """
     try:
-        return Camera(**(message.model_dump() | {"distortion": tuple(message.distortion)}))
+        keys = message.model_dump(exclude={"checked"})
+        return Camera(**(keys | {"distortion": tuple(message.distortion)}))
     except ValueError as error:
         raise RendezviewError(f"camera: {error}") from None
 
