@@ -183,7 +183,7 @@ class Client:
             unit: None: as the file says, else metres.
             camera: file of the flight camera.
         """
-        query: dict[str, object] = {"model": name, "file": Path(mesh).name} | options
+        query: dict[str, object] = {"model": name, "file": Path(mesh).name, **options}
         if unit is not None:
             query["unit"] = unit
         if camera is not None:

@@ -86,6 +86,7 @@ def train(
     console = Console(stderr=True)
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)
+    flight_camera = given_camera(camera)
     if as_json():
         say_once(*mesh.doubts)
     notes = "\n".join(mesh.notes)
@@ -121,7 +122,7 @@ def train(
             output,
             unit,
             options=options,
-            camera=given_camera(camera),
+            camera=flight_camera,
             step_rad=float(np.deg2rad(joint_step)),
             executor=executor,
             progress=progress,
