@@ -96,7 +96,7 @@ def test_without_a_folder_for_compiled_loops_it_names_the_variable(monkeypatch) 
     def refuses(**_: object) -> Callable[..., object]:
         raise RuntimeError("cannot cache function: no locator available for file")
 
-    monkeypatch.setattr(check.numba, "njit", refuses)
+    monkeypatch.setattr("numba.njit", refuses)
     with pytest.raises(RendezviewError, match="NUMBA_CACHE_DIR"):
         check._cache()
 

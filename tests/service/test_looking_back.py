@@ -86,6 +86,13 @@ def test_recordings_are_listed_and_looked_through(taped, service, client) -> Non
     history = History.model_validate(client.request("GET", f"{at}/history"))
     assert [s.frame for s in history.states] == [s["frame"] for s in states]
     assert history.states[3].pose.translation_m == states[3]["pose"]["translation_m"]
+    # Phases and the first alarm, as the session had them while it was open.
+    then = EventList.model_validate(taped[1]).events
+    for kind, count in (("phase", None), ("alarm", 1)):
+        both = [[(e.level, e.text) for e in of if e.kind == kind] for of in (then, history.events)]
+        assert both[0][:count] == both[1][:count] != []
+    assert history.events[0].unix_s == states[0]["received_unix_s"]
+    assert 0.0 < states[0]["received_unix_s"] - one.opened_unix_s < MOST_S
     thin = client.request("GET", f"{at}/history?limit=5")
     assert len(thin["states"]) <= 5
     answer = httpx.get(f"{service.url}{at[1:]}/images/4", timeout=MOST_S)

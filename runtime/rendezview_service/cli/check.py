@@ -182,7 +182,7 @@ def _cache() -> str:
         probe = numba.njit(cache=True)(_nothing)
     except RuntimeError as error:
         raise without_cache(error) or error from None
-    place = Path(probe._cache.cache_path)
+    place = Path(probe._cache.cache_path)  # type: ignore[attr-defined]
     if not os.access(place, os.W_OK):
         raise RendezviewError(f"{place} cannot be written: set NUMBA_CACHE_DIR to one that can")
     return f"kept in {place}"
