@@ -22,6 +22,7 @@ from rendezview_service.settings import Settings
 
 _OTHER_FILES = 200  # files that are open beside connections. Source: a chosen limit
 _SHUTDOWN_S = 2  # s, for open requests. Source: chosen
+_LOOK_S = 0.1  # s, between looks whether the service can track. Source: chosen
 
 
 async def _at_once() -> bool:
@@ -78,7 +79,14 @@ def run(
     app = _Watched(make_app(service, tokens_of(settings)))
     server = _Server(_config(app, settings))
     service.on_failure = server.stop
-    server.is_ready, server.on_listening = service.has_begun, on_listening
+    server.on_listening = on_listening
+
+    async def is_ready() -> bool:
+        while (status := service.health().status) == "not ready" and service.failure is None:
+            await asyncio.sleep(_LOOK_S)
+        return status in ("ok", "degraded")
+
+    server.is_ready = is_ready
     _serve(server, settings, on_ready)
     failure = app.failure or service.failure
     if isinstance(failure, RendezviewError):

@@ -177,15 +177,12 @@ class Client:
         camera: Path | str | None = None,
         **options: int,
     ) -> dict[str, Any]:
-        """Upload a mesh and train a model of it, for a camera; the `JobInfo`.
+        """Upload a mesh and train a model of it, for a camera (file); the `JobInfo`.
 
-        Args:
-            unit: None: as the file says, else metres.
-            camera: file of the flight camera.
+        Without a unit it is that of the file, else metres.
         """
         query: dict[str, object] = {"model": name, "file": Path(mesh).name, **options}
-        if unit is not None:
-            query["unit"] = unit
+        query |= {} if unit is None else {"unit": unit}
         if camera is not None:
             query["camera"] = read_text(camera, "a camera file")
         path = f"/v1/jobs?{urlencode(query)}"

@@ -34,7 +34,6 @@ from rendezview_service.hub.worker_pool import COMPILING, NotReady, Worker, Work
 from rendezview_service.hub.worker_requests import open_request
 from rendezview_service.logs.log_folder import keep_logs
 from rendezview_service.logs.recordings import Recordings
-from rendezview_service.messages.approach_messages import Level
 from rendezview_service.messages.messages import Health, RecordingState, SessionRequest
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import camera_message
@@ -43,8 +42,7 @@ log = logging.getLogger("rendezview_service")
 
 _CLOSE_S, _STOP_S = 30.0, 4.0  # s, for a log to be completed; when all end. Source: chosen
 _MOST_ENDED_PROCESSES = 3  # by frames of one session within `ENDED_S`. Source: a chosen limit
-# Openings and trainings, for requests that are repeated; ended sessions. Source: a chosen limit
-_REMEMBERED = 256
+_REMEMBERED = 256  # openings and trainings, for requests that are repeated. Source: a chosen limit
 # s; enough to read compiled loops from the cache; between checks for idle sessions. Source: chosen
 _START_WAIT_S, _IDLE_CHECK_S = 20.0, 5.0
 
@@ -128,8 +126,9 @@ class Service:
             if folder == self.settings.record:
                 make_folder(folder)
             elif not folder.is_dir():
-                reason = "its folder does not exist: create it first"
-                raise RendezviewError(f"{self.settings.record}: {reason}")
+                raise RendezviewError(
+                    f"{self.settings.record}: its folder does not exist: create it"
+                )
             self._spawn(keep_logs(folder, self.settings.logs_bytes, self.settings.logs_s))
         self._begun = asyncio.create_task(self._begin())
         self._begun.add_done_callback(self._begin_done)
@@ -147,9 +146,7 @@ class Service:
                 raise RendezviewError(f"{source.name}: no camera: give --camera")
             assert self.given is not None
             request = SessionRequest(
-                id=name,
-                model=self.given.name,
-                camera=camera_message(source.camera).model_copy(update={"checked": True}),
+                id=name, model=self.given.name, camera=camera_message(source.camera, checked=True)
             )
             request.notes.extend(source.notes or source.camera.doubts)
             session = await self._open(request, source)
@@ -159,18 +156,11 @@ class Service:
         log.info("ready", extra={"after_s": round(time.monotonic() - start_s, 1)})
 
     def _begin_done(self, begun: asyncio.Task[None]) -> None:
-        if begun.cancelled() or begun.exception() is None:
+        if begun.cancelled() or (error := begun.exception()) is None:
             return
-        error = begun.exception()
         log.error("the service does not start", extra={"reason": str(error)})
         self.failure = error
         self.on_failure()
-
-    async def has_begun(self) -> bool:
-        """Wait until workers and sources have started; False: they do not."""
-        assert self._begun is not None
-        await asyncio.wait([self._begun])
-        return not self._begun.cancelled() and self._begun.exception() is None
 
     async def stop(self) -> None:
         """Complete the logs, notify the watchers, end the processes."""
@@ -263,8 +253,6 @@ class Service:
             request = await asyncio.to_thread(self.defaults.filled, request, name, stored)
             of = None if source is None else source.name
             session = Session(name, stored, request, self.settings, self.metrics, of)
-            for note in session.request.notes:
-                session.events.add("session", Level.WARNING, note)
             if resumed is not None:
                 session.resume(resumed)
             try:
@@ -297,12 +285,8 @@ class Service:
         """End a session and complete its log."""
         if self.sessions.pop(session.id, None) is None:
             return
-        self.ended.pop(session.id, None)
-        self.ended[session.id] = reason
-        while len(self.ended) > _REMEMBERED:
-            del self.ended[next(iter(self.ended))]
-        feeder = self._feeders.pop(session.id, None)
-        if feeder is not None:
+        self.ended = dict([*self.ended.items(), (session.id, reason)][-_REMEMBERED:])
+        if (feeder := self._feeders.pop(session.id, None)) is not None:
             feeder.stop()
         worker = session.worker
         session.worker = None
@@ -407,9 +391,9 @@ class Service:
     async def _housekeeping(self) -> None:
         while True:
             await asyncio.sleep(_IDLE_CHECK_S)
-            now_s = time.monotonic()
             for session in list(self.sessions.values()):
-                if now_s - session.used_s > session.idle_s and session.id not in self._feeders:
+                silent_s = time.monotonic() - session.used_s
+                if silent_s > session.idle_s and session.id not in self._feeders:
                     await self.close(session, f"no frame for {session.idle_s:g} s")
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> None:

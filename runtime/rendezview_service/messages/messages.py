@@ -61,9 +61,7 @@ class CameraMessage(Message):
     bit_depth: int | None = Field(
         default=None, ge=8, le=16, description="of PNG frames with 16-bit levels; null: 16"
     )
-    checked: bool = Field(
-        default=False, description="its numbers are meant: the session's warnings do not doubt them"
-    )
+    checked: bool = Field(default=False, description="its numbers are meant: no warnings")
 
 
 class IntegrityRequest(Message):
@@ -218,9 +216,7 @@ class SessionInfo(Message):
     recording: Recording
     finished: bool = Field(description="the source has ended or failed")
     reason: str | None = Field(default=None, description="if the source failed")
-    warnings: list[str] = Field(
-        default=[], description="what of its request is ignored; what is odd about camera or source"
-    )
+    warnings: list[str] = Field(default=[], description="what of its request is ignored, or odd")
 
 
 class SessionList(Message):

@@ -1,6 +1,6 @@
 // The operator's numbers: approach, mission time, alerts.
 
-import { poseShown, rows, say, signed, DEGREES } from "./status.js";
+import { made, poseShown, rows, say, signed, DEGREES } from "./status.js";
 
 const find = (id) => document.getElementById(id);
 const degrees = (radians, digits = 2) => `${signed(DEGREES * radians, digits)}°`;
@@ -61,10 +61,5 @@ export function showAlerts(state, recording, doubts = []) {
   if (list.dataset.shown === text) return;
   list.dataset.shown = text;
   list.hidden = found.length === 0;
-  list.replaceChildren(...found.map(([level, said]) => {
-    const item = document.createElement("li");
-    item.className = level;
-    item.textContent = said;
-    return item;
-  }));
+  list.replaceChildren(...found.map(([level, said]) => made("li", said, level)));
 }

@@ -8,6 +8,7 @@ import { Events, showSessions } from "./events.js";
 import { LiveView } from "./live.js";
 import { showRecordings } from "./library.js";
 import { Past, placeAway } from "./past.js";
+import { Absent, Reach, endOf, linkOf } from "./reach.js";
 import { showReadings } from "./readings.js";
 import { say, showAge, showLink, showNumbers, showRecording, showSensors, showTotals, showVerdict, verdict } from "./status.js";
 import { Views } from "./views.js";
@@ -15,24 +16,22 @@ import { Views } from "./views.js";
 const find = (id) => document.getElementById(id);
 const SLOW_MS = 100; // between drawings of words and numbers
 const POLL_MS = 2000;
-const ANSWER_MS = 3000; // then the service does not answer
 const DEAD_MS = 6000; // a connection that brings none of the frames that the service has
 
 const live = new LiveView(find("frame"));
 const events = new Events(find("events").querySelector("ol"));
+const reach = new Reach((awayS) => events.note("warning", `connection: none for ${awayS.toFixed(0)} s`));
 let session = null; // name
 let info = null; // as the service lists it
 let sessions = [], past = null;
-let leave = null; // closes the watch
-let openedAt = null; // ms, when the watch was opened; null: it is not open
+let leave = null, openedAt = null; // closes the watch; when that was opened (ms), null: not yet
 let last = null; // the newest message, its jpeg, and its arrival (ms)
 let shown = null; // what is drawn: state, contour, silhouette, bitmap, note
 let paused = null; // states at the pause, and the index of the shown one
 let ended = null; // reason
 let recorded = null, approach = null; // name of the recording that is looked at; of the session
-let unreachable = null, refusal = null; // since when the service is (ms), and the last poll's error
-let gone = { name: null, reason: null }; // a session that is not there, and the service's answer
-let polling = false, decoding = false, fetching = false, drawing = false;
+let absent = null; // the session that was asked for, while it is not there
+let decoding = false, fetching = false, drawing = false;
 let banner = ""; // phase and status that the banner shows
 let fresh = false, slowAt = 0, displayed = null; // the state whose words and numbers are shown
 // For tests: what was drawn, and how often.
@@ -43,7 +42,7 @@ const views = new Views(drawn, schedule, again);
 
 function received(message, jpeg) {
   drawn.received += 1;
-  reached();
+  reach.reached();
   past.add(message.state);
   last = { message, jpeg, at: performance.now() };
   ended = null;
@@ -77,6 +76,13 @@ function present(next) {
   schedule();
 }
 
+/** A past state over the picture that is kept of it or of a frame before; without one, why. */
+function presentPast(state, got, why) {
+  const seen = (paused?.states ?? past.states).find((kept) => kept.frame === got?.frame) ?? null;
+  const note = got === null ? why : `frame ${state.frame}${got.frame === state.frame ? "" : ` · picture: ${got.frame}`}`;
+  present({ state, seen, contour: got?.contour ?? null, silhouette: null, marks: got?.marks ?? null, bitmap: got?.bitmap ?? null, note });
+}
+
 // Drawing: at most once per frame of the display
 
 function schedule() {
@@ -106,41 +112,14 @@ function draw(now) {
 /** The verdict on the shown state while paused; else, or with `now`, on the present. */
 function words(now = paused === null) {
   if (!now || recorded !== null) return verdict(shown?.state ?? null, 0);
-  if (refusal?.status === 401) return ["offline", "NO ACCESS", "the service requires a token: press Token"];
-  if (unreachable !== null) {
-    const away = (performance.now() - unreachable) / 1000;
-    const why = refusal.status ? `the service does not serve this page (${refusal.message})` : refusal.message;
-    return ["offline", "NO CONNECTION", `${why} for ${away.toFixed(0)} s; trying again`];
-  }
+  if (reach.words !== null) return reach.words;
   if (ended !== null) return ["ended", "ENDED", ended];
   if (leave === null && session !== null) return ["offline", "NO CONNECTION", "trying again"];
   if (info?.finished) return ["ended", "ENDED", endOf(info)];
   return verdict(last?.message.state ?? null, ageS() ?? 0, info);
 }
 
-/** Why a session ended, and what it was. */
-function endOf({ reason, source, frames, found_fraction: found }) {
-  const share = found === null ? "" : `, ${(100 * found).toFixed(0)} % with a pose`;
-  return `${reason ?? `the source has ended: ${source}`} · ${frames} frames${share}`;
-}
-
-/** The chip: whether what is shown comes from the service now. */
-function sayLink() {
-  if (refusal?.status === 401) showLink("no access", "bad");
-  else if (unreachable !== null) showLink("no connection", "bad");
-  else if (recorded !== null) showLink(`recording ${recorded}`, "");
-  else if (ended !== null || gone.reason !== null) showLink("session ended", "bad");
-  else if (session === null) showLink("no session", "");
-  else if (leave === null) showLink("no connection", "bad");
-  else if (openedAt === null) showLink("connecting", "");
-  else showLink("● connected", "good");
-}
-
-/** The service has answered; a time without it is an event. */
-function reached() {
-  if (unreachable !== null) events.note("warning", `connection: none for ${((performance.now() - unreachable) / 1000).toFixed(0)} s`);
-  unreachable = refusal = null;
-}
+const sayLink = () => showLink(...linkOf(reach, { recorded, end: ended ?? absent?.end ?? null, session, leave, openedAt }));
 
 /** Age of the newest state, s; null: there is none, or a past one is looked at. */
 const ageS = () => (last === null || paused !== null ? null : (performance.now() - last.at) / 1000);
@@ -151,8 +130,7 @@ function tick() {
   if (shown !== null && shown !== displayed) slow(performance.now());
   if (shown !== null) sayWhen(), views.catchUp(shown, paused === null ? past.states : []);
   sayLink();
-  if (session === null && recorded === null && unreachable === null) return;
-  if (paused === null) showVerdict(words());
+  if (paused === null && (session !== null || recorded !== null || reach.words !== null)) showVerdict(words());
 }
 
 /** Words and numbers of the shown state. */
@@ -207,22 +185,14 @@ function again() {
 // Sessions
 
 async function poll() {
-  if (polling) return;
-  polling = true;
-  const asked = performance.now();
-  try {
-    sessions = (await json("/v1/sessions", { signal: AbortSignal.timeout(ANSWER_MS) })).sessions;
-  } catch (error) {
-    refusal = error;
-    if (error.status !== 401) unreachable ??= asked;
-    sayLink();
-    if (paused === null) showVerdict(words(true));
-    if (error.status === 401 && !wasDeclined()) askToken(token() ? "The given token is not right." : "The service requires a token.");
+  const found = await reach.sessions();
+  sayLink();
+  if (found === null) {
+    if (paused === null && reach.words !== null) showVerdict(reach.words);
+    if (reach.wantsToken && !wasDeclined()) askToken(token() ? "The given token is not right." : "The service requires a token.");
     return;
-  } finally {
-    polling = false;
   }
-  reached();
+  sessions = found;
   showSessions(sessions, session, choose);
   if (recorded !== null) return;
   const present = sessions.find((one) => one.id === session);
@@ -236,21 +206,12 @@ async function poll() {
     const wanted = session ?? askedSession();
     const next = wanted === "" ? sessions.at(-1) : sessions.find((one) => one.id === wanted);
     if (next) choose(next.id);
-    else if (session === null) noSession(wanted);
+    else if (session === null) {
+      if (absent?.name !== wanted) absent = new Absent(wanted);
+      showVerdict(absent.words(sessions.length));
+    }
   }
   if (session !== null) overview();
-}
-
-/** Another session than the one that was asked for is never shown in its place. */
-function noSession(wanted) {
-  if (wanted !== gone.name) {
-    const asked = (gone = { name: wanted, reason: null });
-    if (wanted !== "") json(sessionPath(wanted)).catch(({ message }) => (asked.reason = / has ended: /.test(message) ? message : null));
-  }
-  if (gone.reason !== null) return showVerdict(["ended", "ENDED", `${gone.reason}; its log, if any, is among the recordings`]);
-  const others = sessions.length ? "; others are listed above" : "";
-  const why = wanted === "" ? "open one: rendezview serve --source …, or rendezview.Client" : `“${wanted}” is not there (yet): waiting for it${others}`;
-  showVerdict(["waiting", "NO SESSION", why]);
 }
 
 function overview() {
@@ -292,8 +253,7 @@ function begin(of, path) {
   goLive();
   info = of;
   past = new Past(path);
-  last = ended = approach = null;
-  gone = { name: null, reason: null };
+  last = ended = approach = absent = null;
   present(null);
   views.clear();
   live.camera = info?.camera ?? null;
@@ -313,16 +273,14 @@ async function restore() {
     last = { message: { state, contour: null, silhouette_px: null, marks: null, sensors: info.sensors, recording: info.recording }, jpeg: null, at: at - 1000 * ageAtFirst };
     const got = await of.picture(state.frame).catch(() => null);
     if (of !== past || last.message.state !== state || paused !== null) return;
-    const note = got === null ? "no picture is kept" : got.frame === state.frame ? `frame ${state.frame}` : `frame ${state.frame} · picture: ${got.frame}`;
-    present({ state, seen: got?.frame === state.frame ? state : null, contour: got?.contour ?? null, silhouette: null, marks: got?.marks ?? null, bitmap: got?.bitmap ?? null, note });
+    presentPast(state, got, "no picture is kept");
   }
   if (drawn.updates > 0) more();
 }
 
 /** A log of the service, from its start. */
 async function look(recording) {
-  const since = recording.opened_unix_s ?? recording.began_unix_s;
-  begin({ ...recording, created_unix_s: since, sensors: [], recording: { state: "off" }, frames: recording.frames ?? 0, found_fraction: null }, `/v1/recordings/${encodeURIComponent(recording.name)}`);
+  begin({ ...recording, created_unix_s: recording.opened_unix_s ?? recording.began_unix_s, sensors: [], recording: { state: "off" }, frames: recording.frames ?? 0, found_fraction: null }, `/v1/recordings/${encodeURIComponent(recording.name)}`);
   recorded = recording.name;
   session = null;
   events.clear(null);
@@ -403,14 +361,10 @@ async function fetchPicture() {
   const of = past;
   for (let done = null; paused !== null && of === past && done !== paused.states[paused.place].frame; ) {
     done = paused.states[paused.place].frame;
-    const got = await of.picture(done).catch((error) => ({ failure: error.message }));
+    let why = "";
+    const got = await of.picture(done).catch((error) => ((why = `no picture: ${error.message}`), null));
     if (paused === null || of !== past) break;
-    const state = paused.states[paused.place];
-    if (got.failure) present({ state, contour: null, silhouette: null, marks: null, bitmap: null, note: `no picture: ${got.failure}` });
-    else {
-      const away = got.frame === state.frame ? "" : ` · picture: ${got.frame}`;
-      present({ state, seen: paused.states.find((kept) => kept.frame === got.frame) ?? null, contour: got.contour, silhouette: null, marks: got.marks, bitmap: got.bitmap, note: `frame ${state.frame}${away}` });
-    }
+    presentPast(paused.states[paused.place], got, why);
   }
   fetching = false;
 }

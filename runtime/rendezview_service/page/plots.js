@@ -1,5 +1,6 @@
 // Pose, rates, residual and latency over time: uPlot.
 
+import { made } from "./status.js";
 import uPlot from "./vendor/uplot.js";
 
 const DEGREES = 180 / Math.PI;
@@ -58,13 +59,9 @@ export class Plots {
   }
 
   _make(parent, title, curves) {
-    const box = document.createElement("div");
-    box.className = "plot";
-    const head = document.createElement("h2");
-    head.textContent = `${title} `;
+    const box = made("div", "", "plot"), head = made("h2", `${title} `);
     const keys = curves.map(([name, colour], k) => {
-      const key = document.createElement("b");
-      key.textContent = ` ${name}`;
+      const key = made("b", ` ${name}`);
       key.style.color = `var(${colour})`;
       key.style.textDecoration = `underline ${LINES[k]}`;
       head.append(key);
