@@ -126,9 +126,8 @@ class Service:
             if folder == self.settings.record:
                 make_folder(folder)
             elif not folder.is_dir():
-                raise RendezviewError(
-                    f"{self.settings.record}: its folder does not exist: create it"
-                )
+                reason = "its folder does not exist: create it first"
+                raise RendezviewError(f"{self.settings.record}: {reason}")
             self._spawn(keep_logs(folder, self.settings.logs_bytes, self.settings.logs_s))
         self._begun = asyncio.create_task(self._begin())
         self._begun.add_done_callback(self._begin_done)
@@ -145,9 +144,8 @@ class Service:
             if source.camera is None:
                 raise RendezviewError(f"{source.name}: no camera: give --camera")
             assert self.given is not None
-            request = SessionRequest(
-                id=name, model=self.given.name, camera=camera_message(source.camera, checked=True)
-            )
+            camera = camera_message(source.camera, checked=True)
+            request = SessionRequest(id=name, model=self.given.name, camera=camera)
             request.notes.extend(source.notes or source.camera.doubts)
             session = await self._open(request, source)
             feeder = Feeder(source, session, asyncio.get_running_loop(), self._speed)
@@ -391,9 +389,9 @@ class Service:
     async def _housekeeping(self) -> None:
         while True:
             await asyncio.sleep(_IDLE_CHECK_S)
+            now_s = time.monotonic()
             for session in list(self.sessions.values()):
-                silent_s = time.monotonic() - session.used_s
-                if silent_s > session.idle_s and session.id not in self._feeders:
+                if now_s - session.used_s > session.idle_s and session.id not in self._feeders:
                     await self.close(session, f"no frame for {session.idle_s:g} s")
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
