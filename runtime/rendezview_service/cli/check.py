@@ -56,12 +56,8 @@ def checks(settings: Settings, model: Path | None) -> Iterator[Check]:
         yield f"certificate {settings.tls_certificate}", lambda: _certificate(settings)
     if {settings.camera, settings.target, settings.approach, settings.plan} != {None}:
         yield "camera, target, approach, plan", lambda: _files(settings)
-    folders = {
-        "record": settings.record_folder,
-        "models_folder": settings.models_folder,
-        "cluster_folder": settings.cluster_folder,
-        "temporary files": Path(tempfile.gettempdir()),
-    }
+    folders = {name: folder for name, folder in settings if name.endswith("_folder")}
+    folders |= {"record": settings.record_folder, "temporary files": Path(tempfile.gettempdir())}
     for name, folder in folders.items():
         if folder is not None:
             least = _LEAST_LOG_BYTES if name == "record" else _LEAST_BYTES
