@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from prometheus_client import (
     CollectorRegistry,
     Counter,
@@ -26,6 +28,8 @@ class Metrics:
         self.faults = Gauge(
             "rendezview_faults", "Reasons in /healthz; 0: all is well.", registry=self.registry
         )
+        clock = Gauge("rendezview_unix_seconds", "The service's clock.", registry=self.registry)
+        clock.set_function(time.time)
         one = ["session"]
         self.frames = Counter(
             "rendezview_frames", "Frames tracked.", ["session", "status"], registry=self.registry
