@@ -229,6 +229,7 @@ function choose(name) {
   begin(sessions.find((one) => one.id === name) ?? null, sessionPath(name));
   session = name;
   events.clear(name);
+  events.load().catch(() => {});
   history.replaceState(null, "", `#${encodeURIComponent(name)}`);
   showSessions(sessions, session, choose);
   connect();

@@ -83,7 +83,7 @@ export class Plots {
     const right = curves.some((curve) => curve[3] === "right");
     const share = curves.some(([name]) => name === "confidence"); // 0 … 1
     const [text, ...strokes] = [head, ...keys].map((each) => getComputedStyle(each).color);
-    const axis = { stroke: text, grid: { stroke: getComputedStyle(box).borderColor }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
+    const axis = { stroke: text, grid: { stroke: getComputedStyle(box).borderColor, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
     const plot = new uPlot({
       width: box.clientWidth,
       height: box.clientHeight,
