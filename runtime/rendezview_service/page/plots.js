@@ -1,5 +1,6 @@
 // Pose, rates, residual and latency over time: uPlot.
 
+import { utc } from "./approach.js";
 import { made } from "./status.js";
 import uPlot from "./vendor/uplot.js";
 
@@ -88,12 +89,11 @@ export class Plots {
       width: box.clientWidth,
       height: box.clientHeight,
       legend: { show: false },
-      tzDate: (at) => uPlot.tzDate(new Date(1000 * at), "Etc/UTC"),
       cursor: { sync: { key: "time" }, drag: { x: true, y: false, setScale: false } },
       padding: [16, right ? 0 : 12, 0, 0],
       scales: { x: { time: true }, y: {}, ...(right ? { right: share ? { range: [0, 1] } : {} } : {}) },
       axes: [
-        { ...axis, size: 20, space: 70 },
+        { ...axis, size: 20, space: 70, values: (u, places) => places.map((at) => (at == null ? "" : utc(at))) },
         { ...axis, size: 52, space: 22, values: ticks },
         ...(right ? [{ ...axis, values: ticks, scale: "right", side: 1, size: 52, space: 22, grid: { show: false } }] : []),
       ],
