@@ -37,6 +37,15 @@ def test_the_service_says_that_it_lives_and_is_ready(service):
         assert answer.json()["status"] == "ok"
 
 
+def test_it_says_that_it_serves_once_it_can_track(start_service):
+    served = start_service(given=False)  # returns with that line
+    assert httpx.get(served.url + "readyz", timeout=MOST_S).status_code == 200
+    starts = next(k for k, line in enumerate(served.lines) if "its page is at" in line)
+    assert served.url in served.lines[starts]
+    assert starts < next(k for k, line in enumerate(served.lines) if "serves at" in line)
+    served.stop()
+
+
 def test_metrics_count_frames_and_forget_sessions(service, client, camera, tour):
     session = client.open(camera, name="counted")
     for time_s, _, image in tour[:3]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from pathlib import Path
 
-from rendezview.cli.progress import say
+from rendezview.cli.progress import as_json, say
 from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import load_camera
 from rendezview.io.sequences import Sequence, open_sequence
@@ -34,6 +36,9 @@ def given_sequence(path: Path, camera: Path | None = None, obj_id: int | None = 
 
 
 def say_once(*lines: str) -> None:
-    """Lines on the screen, equal ones once."""
+    """Doubts on the screen, equal ones once; for a program that asks, each as a line of JSON."""
     for line in dict.fromkeys(lines):
-        say(line)
+        if as_json():
+            print(json.dumps({"doubt": line}), file=sys.stderr, flush=True)
+        else:
+            say(line)

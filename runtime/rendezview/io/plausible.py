@@ -75,7 +75,7 @@ def camera_doubts(camera: Camera) -> list[Doubt]:
         ]
     found = _field_doubts(camera)
     aspect = camera.fx / camera.fy
-    if max(aspect, 1.0 / aspect) > _ASPECT:
+    if max(camera.fx, camera.fy) / min(camera.fx, camera.fy) > _ASPECT:
         found.append(
             Doubt(
                 f"fx {camera.fx:g} and fy {camera.fy:g} differ: right for pixels that are "

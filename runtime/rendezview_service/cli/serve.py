@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -95,6 +96,12 @@ def serve(
         Path | None,
         typer.Option(help="Folder of open sessions, which go on after a restart; see the docs."),
     ] = None,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check", help="Check files, folders, clock, ports and models; do not serve."
+        ),
+    ] = False,
     settings: Annotated[
         Path | None, typer.Option(help="Any of these and more, in a TOML file; see the docs.")
     ] = None,
@@ -138,10 +145,16 @@ def serve(
         "state_folder": state,
     }
     loaded = load_settings(settings, flags)
+    if check:
+        from rendezview_service.cli.check import check as is_well
+
+        raise typer.Exit(0 if is_well(loaded, model) else 1)
     console = Console(stderr=True)
 
-    def tell(address: str) -> None:
-        console.print(f"rendezview serves at {address}", highlight=False, soft_wrap=True)
+    def say(said: str, address: str) -> None:
+        console.print(f"rendezview {said} {address}", highlight=False, soft_wrap=True)
+
+    tell = functools.partial(say, "serves at")
 
     if loaded.cluster is not None:
         _be_gateway(loaded, bool(model or source), tell)
@@ -149,7 +162,7 @@ def serve(
     service = Service(loaded, model, source, speed)
     compile_ahead("serve")
     set_up_logging(loaded.log_level)
-    run(service, tell)
+    run(service, tell, functools.partial(say, "starts; its page is at"))
 
 
 def _be_gateway(settings: Settings, has_own: bool, tell: Callable[[str], None]) -> None:

@@ -35,7 +35,7 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera, LensModel
 from rendezview.geometry.pose import Pose
-from rendezview.io.files import read_bytes
+from rendezview.io.files import read_bytes, read_text
 from rendezview.io.results import json_line
 from rendezview_service.client.messages import Frame, ServiceError, StateDict, frame_content
 from rendezview_service.client.stream import StreamClient
@@ -174,9 +174,22 @@ class Client:
         info: dict[str, Any] = self.request("PUT", f"/v1/models/{quote(name)}", content, kind)
         return info
 
-    def train(self, name: str, mesh: Path | str, unit: str = "m", **options: int) -> dict[str, Any]:
-        """Upload a mesh and train a model of it; the `JobInfo`."""
-        query = {"model": name, "file": Path(mesh).name, "unit": unit} | options
+    def train(
+        self,
+        name: str,
+        mesh: Path | str,
+        unit: str | None = None,
+        camera: Path | str | None = None,
+        **options: int,
+    ) -> dict[str, Any]:
+        """Upload a mesh and train a model of it, for a camera (file); the `JobInfo`.
+
+        Without a unit it is that of the file, else metres.
+        """
+        query: dict[str, object] = {"model": name, "file": Path(mesh).name, **options}
+        query |= {} if unit is None else {"unit": unit}
+        if camera is not None:
+            query["camera"] = read_text(camera, "a camera file")
         path = f"/v1/jobs?{urlencode(query)}"
         content = read_bytes(mesh, "a mesh file")
         job: dict[str, Any] = self.request("POST", path, content, "application/octet-stream")

@@ -75,6 +75,7 @@ class Gateway:
             await send({"type": "http.response.start", "status": status, "headers": headers})
             await send({"type": "http.response.body", "body": body})
         elif scope["path"] == "/metrics":
+            await self._health(True)
             text = Response(self._metrics.text(), 200, None, "text/plain; version=0.0.4")
             await text(scope, receive, send)
         else:
@@ -141,6 +142,7 @@ class Gateway:
         if not slots and not reasons:
             reasons.append("no slot is ready: the cluster's nodes start")
         reasons += [reason for slot in slots for reason in slot["reasons"]]
+        self._metrics.faults.set(len(reasons))
         status = ("degraded" if reasons else "ok") if slots else "not ready"
         health = {"status": status, "reasons": reasons, "seats": slots}
         return _json(health, bool(slots) or of_itself)

@@ -57,7 +57,10 @@ def session_of(connection: HTTPConnection, name: str) -> Session:
     Raises:
         HTTPException: 404.
     """
-    session = service_of(connection).sessions.get(name)
+    service = service_of(connection)
+    session = service.sessions.get(name)
+    if session is None and name in service.ended:
+        raise HTTPException(404, f"session {name} has ended: {service.ended[name]}")
     if session is None:
         raise HTTPException(
             404, f"session {name[:80]!r}: there is none with this id: see /v1/sessions"

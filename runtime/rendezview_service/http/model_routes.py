@@ -102,7 +102,13 @@ async def add_job(
     file: Annotated[
         str, Query(max_length=200, description="name of the mesh file; its suffix gives the format")
     ],
-    unit: Annotated[Literal["m", "cm", "mm", "in", "ft"], Query()] = "m",
+    unit: Annotated[
+        Literal["m", "cm", "mm", "in", "ft"] | None,
+        Query(description="default: as the file says, else m; a size that is odd is a warning"),
+    ] = None,
+    camera: Annotated[
+        str | None, Query(max_length=16_000, description="content of the flight camera's file")
+    ] = None,
     order: Annotated[int | None, Query(ge=0, le=4)] = None,
     views: Annotated[int | None, Query(ge=100, le=1_000_000)] = None,
     held_out: Annotated[int | None, Query(ge=10, le=100_000)] = None,
@@ -114,11 +120,11 @@ async def add_job(
     mesh = await body_of(request, service.settings.mesh_bytes)
     if not mesh:
         raise HTTPException(422, "the mesh is empty: send the file as the body")
-    numbers = {"order": order, "views": views, "held-out": held_out, "seed": seed}
-    options = {"unit": str(unit)} | {k: str(v) for k, v in numbers.items() if v is not None}
+    given = {"unit": unit, "order": order, "views": views, "held-out": held_out, "seed": seed}
+    options = {name: str(value) for name, value in given.items() if value is not None}
 
     async def added() -> str:
-        return service.jobs.add(model, file, mesh, options).id
+        return service.jobs.add(model, file, mesh, options, camera).id
 
     job_id = await service.once.do(key_of(request), (model, file, len(mesh)), added)
     return _job(request, job_id).info()

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+import time
+
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    ProcessCollector,
+    generate_latest,
+)
 
 from rendezview_service.messages.messages import Recording, RecordingState
 
@@ -15,6 +24,12 @@ class Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
+        ProcessCollector(registry=self.registry)
+        self.faults = Gauge(
+            "rendezview_faults", "Reasons in /healthz; 0: all is well.", registry=self.registry
+        )
+        clock = Gauge("rendezview_unix_seconds", "The service's clock.", registry=self.registry)
+        clock.set_function(time.time)
         one = ["session"]
         self.frames = Counter(
             "rendezview_frames", "Frames tracked.", ["session", "status"], registry=self.registry

@@ -79,6 +79,7 @@ class Service:
         self.settings = settings
         self.metrics = Metrics()
         self.sessions: dict[str, Session] = {}
+        self.ended: dict[str, str] = {}  # why the last ones ended, by id
         self.watchers, self.stopping = 0, False
         self.started_s = time.monotonic()
         self.version = metadata.version("rendezview")
@@ -148,9 +149,9 @@ class Service:
             if source.camera is None:
                 raise RendezviewError(f"{source.name}: no camera: give --camera")
             assert self.given is not None
-            request = SessionRequest(
-                id=name, model=self.given.name, camera=camera_message(source.camera)
-            )
+            camera = camera_message(source.camera, checked=True)
+            request = SessionRequest(id=name, model=self.given.name, camera=camera)
+            request.notes.extend(source.notes or source.camera.doubts)
             session = await self._open(request, source)
             feeder = Feeder(source, session, asyncio.get_running_loop(), self._speed)
             self._feeders[session.id] = feeder
@@ -172,9 +173,8 @@ class Service:
         self.models.prune(used)
 
     def _begin_done(self, begun: asyncio.Task[None]) -> None:
-        if begun.cancelled() or begun.exception() is None:
+        if begun.cancelled() or (error := begun.exception()) is None:
             return
-        error = begun.exception()
         log.error("the service does not start", extra={"reason": str(error)})
         self.failure = error
         self.on_failure()
@@ -287,8 +287,8 @@ class Service:
         """End a session and complete its log; with its checkpoint it may go on elsewhere."""
         if self.sessions.pop(session.id, None) is None:
             return
-        feeder = self._feeders.pop(session.id, None)
-        if feeder is not None:
+        self.ended = dict([*self.ended.items(), (session.id, reason)][-_REMEMBERED:])
+        if (feeder := self._feeders.pop(session.id, None)) is not None:
             feeder.stop()
         worker, keeper = session.worker, session.keeper
         if keeper is not None:

@@ -33,7 +33,7 @@ def info_of(session: Session) -> SessionInfo:
         recording=session.log.recording,
         finished=session.finished,
         reason=session.reason,
-        warnings=session.request.notes,
+        warnings=list(dict.fromkeys(session.request.notes)),
     )
 
 

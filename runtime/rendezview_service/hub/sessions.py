@@ -24,11 +24,7 @@ from rendezview_service.hub.watching import Watchers
 from rendezview_service.hub.worker_handle import WorkerHandle
 from rendezview_service.messages.approach_messages import Level
 from rendezview_service.messages.frames import Bytes, longest_frame
-from rendezview_service.messages.messages import (
-    Recording,
-    SensorHealth,
-    SessionRequest,
-)
+from rendezview_service.messages.messages import Recording, SensorHealth, SessionRequest
 from rendezview_service.messages.wire import Header
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.sensor_health import STALE_S, Arrivals, OtherSensors
@@ -88,6 +84,8 @@ class Session:
         self.frame_base = 0  # number of frames before the present worker
         self.drops = 0
         self.events = SessionEvents(name, lambda: self.clock.unix_s(time.monotonic()))
+        for note in request.notes:
+            self.events.add("session", Level.WARNING, note)
         self._arrivals = Arrivals()
         self._others = OtherSensors()
         self._lines = TokenBucket.full(settings.measurements_per_s, time.monotonic())
@@ -369,7 +367,8 @@ class Session:
     def source_ended(self, reason: str | None) -> None:
         """The source has ended, or failed for a reason."""
         self.finished, self.reason = True, reason
-        self.events.add("source", Level.WARNING if reason else Level.INFO, f"ended: {reason or ''}")
+        said = f"ended: {reason or f'no frames are left in {self.source}'}"
+        self.events.add("source", Level.WARNING if reason else Level.INFO, said)
 
     def end(self, reason: str, status: int = 410) -> None:
         """Answer everything that waits; nothing follows here."""

@@ -45,6 +45,7 @@ class Source:
     live: bool  # True: only the newest frame counts; False: every frame
     frames: Callable[[threading.Event], Iterator[SourceFrame | RendezviewError]]
     close: Callable[[], None] = lambda: None  # another thread may then wait for a frame no longer
+    notes: tuple[str, ...] = ()  # what is odd about its frames, their times and their camera
 
 
 def open_source(text: str, camera: Camera | None) -> Source:
@@ -75,7 +76,7 @@ def open_source(text: str, camera: Camera | None) -> Source:
             yield SourceFrame(float(index) if frame.time_s is None else frame.time_s, content)
 
     first = sequence.frames[0].camera if sequence.frames else camera
-    return Source(text, first, False, frames)
+    return Source(text, first, False, frames, notes=sequence.notes)
 
 
 def _captured(text: str, stop: threading.Event) -> Iterator[SourceFrame | RendezviewError]:

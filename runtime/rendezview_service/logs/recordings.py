@@ -6,12 +6,12 @@ the browser as they are; nothing is decoded here but raw grey levels, which cann
 
 from __future__ import annotations
 
-import json
 import struct
 import threading
 from collections import OrderedDict
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -81,8 +81,8 @@ class Recording:
         """Its `Geometry`."""
         return geometry(self.model.name, self.model).model_dump_json().encode()
 
-    def history(self, most: int) -> bytes:
-        """A `History` of evenly chosen frames, JSON."""
+    def history(self, most: int) -> dict[str, Any]:
+        """A `History` of evenly chosen frames, without events."""
         with self._lock:
             places = places_of(self.log.parts)
             step = max(1, -(-len(places) // most))
@@ -94,14 +94,13 @@ class Recording:
                         self._frames[number] = path, offset
                         states.append(frame.state)
         numbers = [int(state["frame"]) for state in states]
-        head = {
+        return {
             "session": self.log.notes.get("session", self.path.stem),
             "oldest_frame": min(numbers, default=None),
             "newest_frame": max(numbers, default=None),
             "images": numbers if states else [],
             "states": states,
         }
-        return json.dumps(head).encode()
 
     def frame(self, number: int) -> LoggedFrame | None:
         """A frame that `history` listed, or the last one before it."""
@@ -200,6 +199,7 @@ def summary(path: Path) -> Recorded:
         model=notes.get("target", "?"),
         model_sha256=notes.get("model_sha256", ""),
         camera=request.camera.model_dump(),
+        opened_unix_s=float(notes["opened_unix_s"]) if "opened_unix_s" in notes else None,
         began_unix_s=min(times) * 1e-9 if times else None,
         length_s=(max(times) - min(times)) * 1e-9 if times else None,
         frames=sum(counts) or None,

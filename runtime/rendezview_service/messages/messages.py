@@ -61,6 +61,7 @@ class CameraMessage(Message):
     bit_depth: int | None = Field(
         default=None, ge=8, le=16, description="of PNG frames with 16-bit levels; null: 16"
     )
+    checked: bool = Field(default=False, description="its numbers are meant: no warnings")
 
 
 class IntegrityRequest(Message):
@@ -127,7 +128,7 @@ class SessionRequest(Message):
 
     @property
     def notes(self) -> list[str]:
-        """What of it is out of date, and ignored."""
+        """What of it is out of date and ignored, or odd."""
         return self._notes
 
 
@@ -220,7 +221,7 @@ class SessionInfo(Message):
     recording: Recording
     finished: bool = Field(description="the source has ended or failed")
     reason: str | None = Field(default=None, description="if the source failed")
-    warnings: list[str] = Field(default=[], description="what of its request is ignored")
+    warnings: list[str] = Field(default=[], description="what of its request is ignored, or odd")
 
 
 class SessionList(Message):
@@ -359,6 +360,7 @@ class History(Message):
     newest_frame: int | None
     states: list[State]
     images: list[int] = Field(description="frames whose JPEG is kept, in ascending order")
+    events: list[Event] = Field(default=[], description="of a recording: phases, alarms, restarts")
 
 
 class Event(Message):

@@ -64,6 +64,7 @@ class Recorded(Message):
     model: str = Field(description="its target")
     model_sha256: str
     camera: dict[str, Any] = Field(description="as `CameraMessage`")
+    opened_unix_s: float | None = Field(description="of the session; null in older logs")
     began_unix_s: float | None
     length_s: float | None
     frames: int | None = Field(description="chunks: frames, and messages of other sensors")
@@ -100,6 +101,7 @@ class JobInfo(Message):
     stage: str | None = Field(description="present stage")
     progress: float | None = Field(description="of the stage, 0 … 1")
     reason: str | None = Field(description="if it failed")
+    warnings: list[str] = Field(default=[], description="what is odd about mesh and camera")
     created_unix_s: float
     elapsed_s: float | None
 

@@ -10,6 +10,14 @@ export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** An element with a text. */
+export function made(tag, text = "", kind = "") {
+  const element = document.createElement(tag);
+  element.textContent = text;
+  element.className = kind;
+  return element;
+}
+
 /** The banner's verdict: key, word, reason. `info`: the session as the service lists it. */
 export function verdict(state, silentS, info = null) {
   const camera = info?.sensors?.[0] ?? null;
@@ -63,7 +71,7 @@ export function rows(body, entries) {
     let row = body.rows[place];
     if (!row) {
       row = body.insertRow();
-      row.append(document.createElement("th"), document.createElement("td"));
+      row.append(made("th"), made("td"));
       row.cells[0].scope = "row";
     }
     say(row.cells[0], name);

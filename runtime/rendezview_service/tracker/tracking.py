@@ -54,13 +54,14 @@ def camera_of(message: CameraMessage) -> Camera:
         RendezviewError: the number of distortion coefficients is impossible.
     """
     try:
-        return Camera(**(message.model_dump() | {"distortion": tuple(message.distortion)}))
+        keys = message.model_dump(exclude={"checked"})
+        return Camera(**(keys | {"distortion": tuple(message.distortion)}))
     except ValueError as error:
         raise RendezviewError(f"camera: {error}") from None
 
 
-def camera_message(camera: Camera) -> CameraMessage:
-    """A camera as a message."""
+def camera_message(camera: Camera, *, checked: bool = False) -> CameraMessage:
+    """A camera as a message; ``checked``: what is odd about it is known."""
     return CameraMessage(
         width=camera.width,
         height=camera.height,
@@ -71,6 +72,7 @@ def camera_message(camera: Camera) -> CameraMessage:
         distortion=list(camera.distortion),
         lens_model=camera.lens_model,
         bit_depth=camera.bit_depth,
+        checked=checked,
     )
 
 

@@ -173,6 +173,7 @@ class WorkerProcess:
             content = sight.model.read_bytes() if request["log_model"] and options.images else None
             notes = session_notes(request["session"], asked, model.name, sight.model)
             notes["model_file"] = request["model_file"]
+            notes["opened_unix_s"] = repr(request["opened_unix_s"])
             notes |= {"log": request["log"], "first_frame": str(request["first_frame"])}
             notes["handover"] = json.dumps(request["handover"])
             notes["forgotten"] = "yes" if request["forgotten"] else "no"

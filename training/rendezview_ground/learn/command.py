@@ -13,8 +13,8 @@ import typer
 from rich.console import Console
 
 from rendezview.cli.compiling import compile_ahead
-from rendezview.cli.inputs import given_camera
-from rendezview.cli.progress import ProgressBar
+from rendezview.cli.inputs import given_camera, say_once
+from rendezview.cli.progress import ProgressBar, as_json
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
 from rendezview_ground.learn.command_options import Dask, Jobs
@@ -86,6 +86,9 @@ def train(
     console = Console(stderr=True)
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)
+    flight_camera = given_camera(camera)
+    if as_json():
+        say_once(*mesh.doubts)
     notes = "\n".join(mesh.notes)
     if console.is_terminal:  # in a log they come at the end, so that an error is one line
         console.print(notes, highlight=False, style="dim", soft_wrap=True)
@@ -119,7 +122,7 @@ def train(
             output,
             unit,
             options=options,
-            camera=given_camera(camera),
+            camera=flight_camera,
             step_rad=float(np.deg2rad(joint_step)),
             executor=executor,
             progress=progress,
