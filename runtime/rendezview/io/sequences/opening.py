@@ -22,6 +22,7 @@ from rendezview.io.sequences.speed import (
     open_speed,
     speed_camera_file,
 )
+from rendezview.io.sequences.stacks import has_format
 from rendezview.io.sequences.video import VIDEO_SUFFIXES, open_video
 
 
@@ -78,12 +79,13 @@ def _opened(path: StrPath, camera: Camera | None, obj_id: int | None) -> Sequenc
         return open_speed(source, camera)
     if suffix in VIDEO_SUFFIXES:
         return open_video(source, camera)
-    if suffix in IMAGE_SUFFIXES:
-        read_grey(source)
+    if suffix in IMAGE_SUFFIXES or has_format(source):
+        if not has_format(source):
+            read_grey(source)
         return open_images([source], required_camera(camera, source.parent, source, source), source)
     raise RendezviewError(
         f"{path}: no sequence of images that is read: give a BOP scene, a folder of images (PNG, "
-        f"JPEG, TIFF …), a SPEED folder, a ROS bag (.bag .db3), an .mcap file or a video "
+        f"JPEG, TIFF, FITS …), a SPEED folder, a ROS bag (.bag .db3), an .mcap file or a video "
         f"({' '.join(sorted(VIDEO_SUFFIXES))})"
     )
 
