@@ -203,7 +203,7 @@ def _kalibr(data: Keys) -> Keys | None:
     bend = {
         "ds": lambda: double_sphere(*own),
         "eucm": lambda: extended_unified(*own),
-        "omni": lambda: omnidirectional(*own, terms),
+        "omni": lambda: omnidirectional(own[0], terms),
         "pinhole": lambda: field_of_view(*terms),
     }[model]()
     return _bent(model if model != "pinhole" else "fov", bend, [*data["resolution"], *four])
