@@ -148,3 +148,39 @@ def test_a_byte_order_mark_is_no_part_of_other_formats(tmp_path: Path, suffix: s
     path = export(tmp_path, suffix, box(), **options)
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
     np.testing.assert_allclose(load_mesh(path).extent_m, EXTENT_M, atol=1e-6)
+
+
+VERTICES = [(x, y, z) for x in (0, 2) for y in (0, 4) for z in (0, 1)]
+SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+PLACES = "".join("{} {} {}\n".format(*vertex) for vertex in VERTICES)
+QUADS = "".join("4 {} {} {} {}\n".format(*side) for side in SIDES)
+TRIANGLES = "".join(f"3 {a} {b} {c}\n3 {a} {c} {d}\n" for a, b, c, d in SIDES)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"OFF\n8 12 18\n{PLACES}{TRIANGLES}",
+        f"OFF 8 12 0\n{PLACES}{TRIANGLES}",
+        f"OFF8 12 0\n{PLACES}{TRIANGLES}",
+        f"OFF\n8 12\n{PLACES}{TRIANGLES}",
+        f"OFF\n8 6 0\n{PLACES}{QUADS}",
+        f"# by a program\nOFF\n# 2 × 4 × 1\n8 12 0 # counts\n\n{PLACES}# faces\n{TRIANGLES}",
+        f"OFF\n8 12 0\n{PLACES}{TRIANGLES}".replace("\n", "\r\n"),
+        "OFF\n8 6 0\n" + PLACES + QUADS.replace("\n", " 255 0 0\n"),
+        "COFF\n8 12 0\n" + PLACES.replace("\n", " 255 0 0 255\n") + TRIANGLES,
+        "NOFF\n8 12 0\n" + PLACES.replace("\n", " 0 0 1\n") + TRIANGLES,
+    ],
+)
+def test_off_files_are_read_as_programs_write_them(tmp_path: Path, text: str) -> None:
+    mesh = load_mesh(write(tmp_path / "a.off", text))
+    np.testing.assert_allclose(mesh.extent_m, (2.0, 4.0, 1.0))
+    assert len(mesh.faces) == 12
+
+
+def test_an_off_file_that_is_cut_short_is_refused(tmp_path: Path) -> None:
+    whole = f"OFF\n8 12 0\n{PLACES}{TRIANGLES}"
+    with pytest.raises(
+        RendezviewError, match=r"12 faces are announced, 11 are there\. The file is"
+    ):
+        load_mesh(write(tmp_path / "a.off", whole[: whole.rindex("3 ")]))

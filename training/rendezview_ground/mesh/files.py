@@ -36,7 +36,7 @@ from rendezview_ground.mesh.usd import USD_SUFFIXES, read_usd
 STEP_SUFFIXES = (".step", ".stp")
 
 _TEXTURE_TROUBLE = re.compile(r"pillow|image|texture|bumpmap", re.IGNORECASE)
-_PLY_HEADER = 65_536  # bytes in which it ends
+_HEADER = 65_536  # bytes in which that of a PLY or OFF file ends
 _LOGGERS = ("trimesh", "collada")
 
 
@@ -90,12 +90,23 @@ def _read_gltf(path: Path, node: str | None) -> MeshFile:
 def _read_ply(path: Path, node: str | None) -> MeshFile:
     """PLY, whose comments may be in any encoding."""
     with path.open("rb") as stream:
-        start = stream.read(_PLY_HEADER)
+        start = stream.read(_HEADER)
     end = start.find(b"end_header")
     if end < 0 or start[:end].isascii():
         return _read_with_trimesh(path, node)
     plain = start[:end].decode("ascii", errors="replace").encode("ascii", errors="replace")
     return _read_with_trimesh(path, node, (plain + path.read_bytes()[end:], "ply"))
+
+
+def _read_off(path: Path, node: str | None) -> MeshFile:
+    """OFF, whose end trimesh does not miss."""
+    found = _read_with_trimesh(path, node)
+    with path.open("rb") as stream:
+        start = re.sub(rb"#.*", b"", stream.read(_HEADER))
+    counts = re.search(rb"OFF\s*\d+\s+(\d+)", start)
+    if counts and len(found.faces) < int(counts[1]):
+        raise ValueError(f"{counts[1].decode()} faces are announced, {len(found.faces)} are there")
+    return found
 
 
 def _read_with_trimesh(
@@ -247,6 +258,7 @@ READERS: dict[str, Callable[[Path, str | None], MeshFile]] = {
     ".stl": read_stl,
     ".obj": _read_obj,
     ".ply": _read_ply,
+    ".off": _read_off,
     **dict.fromkeys(GLTF_SUFFIXES, _read_gltf),
     ".3mf": _read_with_trimesh,
     ".dae": _read_with_trimesh,
