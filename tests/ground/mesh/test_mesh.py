@@ -249,8 +249,8 @@ def test_missing_file_folder_and_empty_file_are_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "advice"),
     [
-        ("model.iges", "from the CAD program as STEP or STL"),
-        ("model.SLDPRT", "from the CAD program as STEP or STL"),
+        ("model.iges", "export it from the CAD program as STEP"),
+        ("model.SLDPRT", "export it from the CAD program as STEP"),
         ("model.fbx", r"import it in Blender, check its size and axes, .* glTF \(GLB\)"),
         ("model.3ds", "import it in Blender"),
         ("model.wrl", "import it in Blender"),

@@ -180,7 +180,5 @@ def test_off_files_are_read_as_programs_write_them(tmp_path: Path, text: str) ->
 
 def test_an_off_file_that_is_cut_short_is_refused(tmp_path: Path) -> None:
     whole = f"OFF\n8 12 0\n{PLACES}{TRIANGLES}"
-    with pytest.raises(
-        RendezviewError, match=r"12 faces are announced, 11 are there\. The file is"
-    ):
+    with pytest.raises(RendezviewError, match="12 faces are announced, 11 are there"):
         load_mesh(write(tmp_path / "a.off", whole[: whole.rindex("3 ")]))

@@ -81,8 +81,8 @@ def load_mesh(path: Path, unit: str | None = None) -> Mesh:
     """Read a mesh file as one clean mesh in metres, with all its bodies.
 
     Args:
-        path: STL, OBJ, PLY, OFF, GLB, glTF, 3MF, DAE, STEP or USD file; ``FILE#NODE`` for one node of a
-            scene, with what hangs below it.
+        path: STL, OBJ, PLY, OFF, GLB, glTF, 3MF, DAE, STEP or USD file; ``FILE#NODE`` for one
+            node of a scene, with what hangs below it.
         unit: of the file's numbers; overrides the file. Without it, 3MF, DAE, glTF and USD files
             state their unit; the others are read as metres if the size is then plausible.
 
