@@ -10,6 +10,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.io.files import StrPath
 from rendezview.io.plausible import time_doubts
 from rendezview.io.sequences.bop import open_bop_scene
+from rendezview.io.sequences.bop_shards import open_bop_shard
 from rendezview.io.sequences.folder import open_image_folder, open_images
 from rendezview.io.sequences.frame import Sequence
 from rendezview.io.sequences.images import IMAGE_SUFFIXES, read_grey, required_camera
@@ -29,7 +30,7 @@ from rendezview.io.sequences.video import VIDEO_SUFFIXES, open_video
 def open_sequence(
     path: StrPath, camera: Camera | None = None, *, obj_id: int | None = None
 ) -> Sequence:
-    """Open a BOP scene, a SPEED folder, images, a video, a ROS bag or an MCAP file.
+    """Open a BOP scene or shard, a SPEED folder, images, a video, a ROS bag or an MCAP file.
 
     At most five images are read (of a recording, all messages once); frames are read on demand.
 
@@ -75,6 +76,8 @@ def _opened(path: StrPath, camera: Camera | None, obj_id: int | None) -> Sequenc
         )
     if source.name in ("scene_camera.json", "scene_gt.json"):
         return open_bop_scene(source.parent, camera, obj_id)
+    if suffix == ".tar":
+        return open_bop_shard(source, camera, obj_id)
     if suffix == ".json" and is_label_file(source):
         return open_speed(source, camera)
     if suffix in VIDEO_SUFFIXES:
