@@ -277,3 +277,28 @@ def test_a_higher_float_than_the_samples_have_is_an_error(tmp_path: Path) -> Non
     cv2.imwritemulti(str(tmp_path / "a.tif"), list(pages))
     with pytest.raises(RendezviewError, match="page 1: a level of 70000"):
         open_sequence(tmp_path, CAMERA)[1].read()
+
+
+@pytest.mark.parametrize(
+    ("seconds", "order", "word"),
+    [
+        ([0, 1, 2, 3, 4], [0, 1, 2, 3, 4], None),
+        ([0, 2, 1, 3, 4], [0, 2, 1, 3, 4], "1 of 5 pictures come after pictures of a later stamp"),
+        ([4, 3, 2, 1, 0], [4, 3, 2, 1, 0], "4 of 5 pictures come after"),
+        ([0, 1, 1, 3, 4], [0, 1, 3, 4], "1 of 5 pictures have the stamp of another one"),
+        ([1, 2, 3, 4, 0], [4, 0, 1, 2, 3], "1 of 5 pictures come after"),
+        ([7, 7, 7, 7, 7], [0, 1, 2, 3, 4], "all 5 frames have one time"),
+    ],
+)
+def test_frames_come_in_the_order_of_their_times(
+    tmp_path: Path, seconds: list[int], order: list[int], word: str | None
+) -> None:
+    for k, second in enumerate(seconds):
+        date = f"2026-01-01T00:00:0{second}"
+        write_fits(tmp_path / f"{k}.fits", BYTES[k], DATE_OBS=date, ROWORDER="TOP-DOWN")
+    sequence = open_sequence(tmp_path, CAMERA)
+    assert np.array_equal(read_all(sequence), BYTES[order])
+    times_s = [frame.time_s for frame in sequence]
+    assert times_s == ([None] * 5 if len(set(seconds)) == 1 else sorted(times_s))
+    assert (word or "") in " ".join(sequence.notes)
+    assert word or not sequence.notes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from rendezview.io.sequences.folder import open_image_folder, open_images
 from rendezview.io.sequences.frame import Sequence
 from rendezview.io.sequences.images import IMAGE_SUFFIXES, read_grey, required_camera
 from rendezview.io.sequences.mcap_messages import mcap_messages
+from rendezview.io.sequences.order import in_order
 from rendezview.io.sequences.recordings import open_recording, split_topic
 from rendezview.io.sequences.ros_messages import BAG_SUFFIXES, bag_messages, is_ros2_folder
 from rendezview.io.sequences.speed import (
@@ -48,10 +50,24 @@ def open_sequence(
         RendezviewError: missing, none of these kinds, incomplete, no camera, or one from which
             nothing good can follow.
     """
-    opened = _opened(path, camera, obj_id)
+    opened = _risen(_opened(path, camera, obj_id))
     cameras = dict.fromkeys(d for frame in opened.frames[:1] for d in frame.camera.doubts)
     times = (doubt.what for doubt in time_doubts([frame.time_s for frame in opened]))
     return replace(opened, notes=(*opened.notes, *cameras, *times))
+
+
+def _risen(sequence: Sequence) -> Sequence:
+    """A sequence whose times rise, if all its frames have one."""
+    times_s = [frame.time_s for frame in sequence if frame.time_s is not None]
+    if len(times_s) < len(sequence) or all(a < b for a, b in itertools.pairwise(times_s)):
+        return sequence
+    if len(set(times_s)) == 1:
+        frames = tuple(replace(frame, time_s=None) for frame in sequence)
+        said = f"all {len(frames)} frames have one time, {times_s[0]:g} s, which is left out"
+        return replace(sequence, frames=frames, notes=(*sequence.notes, said))
+    order, notes = in_order(times_s)
+    frames = tuple(sequence.frames[k] for k in order)
+    return replace(sequence, frames=frames, notes=(*sequence.notes, *notes))
 
 
 def _opened(path: StrPath, camera: Camera | None, obj_id: int | None) -> Sequence:
