@@ -302,3 +302,20 @@ def test_frames_come_in_the_order_of_their_times(
     assert times_s == ([None] * 5 if len(set(seconds)) == 1 else sorted(times_s))
     assert (word or "") in " ".join(sequence.notes)
     assert word or not sequence.notes
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("place", [0, 10**6, 2**63 - 1, 2**64 - 1])
+def test_a_directory_beyond_the_end_is_named(tmp_path: Path, order: str, place: int) -> None:
+    content = bytearray(big_tiff(BYTES[:1], order))
+    struct.pack_into(order + "Q", content, 8, place)
+    (tmp_path / "a.tif").write_bytes(content)
+    with pytest.raises(RendezviewError, match=r"a\.tif: not a picture that can be read"):
+        open_sequence(tmp_path, CAMERA)
+
+
+def test_directories_in_a_circle_end(tmp_path: Path) -> None:
+    content = bytearray(big_tiff(BYTES[:1]))
+    struct.pack_into("<Q", content, len(content) - 8, struct.unpack_from("<Q", content, 8)[0])
+    (tmp_path / "a.tif").write_bytes(content)
+    assert len(open_sequence(tmp_path, CAMERA)) == 1

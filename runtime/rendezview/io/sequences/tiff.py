@@ -45,11 +45,11 @@ class Tiff:
     def pages(self) -> Iterator[int]:
         """Places of the directories, each once."""
         seen: set[int] = set()
-        (place,) = struct.unpack_from(self._offset, self._content, self._start)
+        (place,) = self._unpack(self._offset, self._start)
         while place and place not in seen and len(seen) < _MOST_PAGES:
             seen.add(place)
             yield place
-            (place,) = struct.unpack_from(self._offset, self._content, self._next(place))
+            (place,) = self._unpack(self._offset, self._next(place))
 
     def whole_pages(self) -> list[int]:
         """Pages that are no smaller copies of others, as thumbnails are; else all."""
@@ -61,7 +61,7 @@ class Tiff:
         found = self.place(page, tag)
         if found is None or found[1] not in _FIELDS:
             return None
-        return int(struct.unpack_from(self._order + _FIELDS[found[1]], self._content, found[0])[0])
+        return int(self._unpack(self._order + _FIELDS[found[1]], found[0])[0])
 
     def text(self, page: int, tag: int) -> str:
         """The value of a text; empty without one."""
@@ -70,16 +70,16 @@ class Tiff:
             return ""
         place, _, count = found
         if count > struct.calcsize(self._offset):
-            (place,) = struct.unpack_from(self._offset, self._content, place)
+            (place,) = self._unpack(self._offset, place)
         return bytes(self._content[place : place + count]).rstrip(b"\0").decode("utf-8", "replace")
 
     def place(self, page: int, tag: int) -> tuple[int, int, int] | None:
         """Place of a tag's value, its type and its count."""
-        (count,) = struct.unpack_from(self._count, self._content, page)
+        (count,) = self._unpack(self._count, page)
         step = struct.calcsize(self._entry) + struct.calcsize(self._offset)
         first = page + struct.calcsize(self._count)
         for place in range(first, first + step * min(count, _MOST_TAGS), step):
-            name, kind, length = struct.unpack_from(self._entry, self._content, place)
+            name, kind, length = self._unpack(self._entry, place)
             if name == tag:
                 return place + struct.calcsize(self._entry), kind, length
         return None
@@ -91,8 +91,13 @@ class Tiff:
         if turned is not None:
             struct.pack_into(self._order + "H", self._content, turned[0], 1)
 
+    def _unpack(self, form: str, place: int) -> tuple[int, ...]:
+        if place > len(self._content):
+            raise struct.error("a directory is beyond its end")
+        return struct.unpack_from(form, self._content, place)
+
     def _next(self, page: int) -> int:
-        (count,) = struct.unpack_from(self._count, self._content, page)
+        (count,) = self._unpack(self._count, page)
         step = struct.calcsize(self._entry) + struct.calcsize(self._offset)
         return int(page + struct.calcsize(self._count) + step * count)
 
