@@ -66,7 +66,7 @@ class RosViewer:
 
     def close(self) -> None:
         """End the connection."""
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
     def _send(self, topic: str, kind: str, content: Json) -> None:
         mangled = kind.replace("/msg/", "::msg::dds_::") + "_"
@@ -80,7 +80,7 @@ class RosViewer:
         """The message of a type with the content of a dictionary."""
         made = self._types.types[kind]
         parts: Json = {}
-        for field in dataclasses.fields(made):
+        for field in dataclasses.fields(made):  # type: ignore[arg-type]
             if field.name.startswith("__"):
                 continue
             value = content[field.name]

@@ -139,7 +139,10 @@ def _levels(picture: Picture) -> npt.NDArray[Any]:
     except (OSError, ValueError, struct.error) as error:
         raise RendezviewError(f"{picture.path}: {_WRONG} ({error}): replace the file") from error
     if levels is None or levels.ndim != 2:
-        raise RendezviewError(f"{picture.path}: {picture.name}: {_WRONG}: replace the file")
+        raise RendezviewError(
+            f"{picture.path}: {picture.name} cannot be read: it is damaged, or of a packing or "
+            "depth that is not read: store it as PNG or TIFF of 8 or 16 bits"
+        )
     return levels
 
 
