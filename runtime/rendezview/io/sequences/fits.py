@@ -21,7 +21,7 @@ FITS_ENDINGS = (
 )  # fmt: skip
 _PLANES = 1_000_000  # the place of a picture is its unit × this + its plane. Source: chosen
 _EXPOSURES = ("XPOSURE", "EXPTIME", "EXPOSURE")  # s. Source: FITS 4.0, section 9; others' use
-_UNIX = datetime(1970, 1, 1, tzinfo=UTC)
+_UNIX = datetime(1970, 1, 1, tzinfo=UTC)  # Source: POSIX
 _KEYS = (
     "ROWORDER", "BAYERPAT", "CTYPE3", "CDELT3", "CUNIT3", "TIMESYS", "DATE-AVG", "DATE-BEG",
     "DATE-END", "DATE-OBS", "TIME-OBS", "UT", *_EXPOSURES,

@@ -26,7 +26,7 @@ from rendezview.io.sequences.picture_marks import Marks
 from rendezview.io.sequences.tiff import read_tiff, tiff_pictures
 
 TIFF_ENDINGS = (".tif", ".tiff")
-_DAMAGED = -1  # place of a picture that is not found in its file
+_DAMAGED = -1  # place of a picture that is not found in its file. Source: by construction
 _WRONG = "not a picture that can be read, damaged, cut short or of another kind"
 
 
