@@ -15,6 +15,8 @@ from astropy.io import fits
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences import Sequence, open_sequence
+from rendezview.io.sequences.picture import Picture
+from rendezview.io.sequences.stacks import FORMATS, Format
 from rendezview.io.sequences.tiff import Tiff
 
 CAMERA = Camera(64, 48, 80.0, 81.0, 31.0, 24.0)
@@ -319,3 +321,19 @@ def test_directories_in_a_circle_end(tmp_path: Path) -> None:
     struct.pack_into("<Q", content, len(content) - 8, struct.unpack_from("<Q", content, 8)[0])
     (tmp_path / "a.tif").write_bytes(content)
     assert len(open_sequence(tmp_path, CAMERA)) == 1
+
+
+def test_a_new_format_is_one_line_of_the_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arrays = Format(
+        lambda path: ([Picture(path, path.name, k, 0.5 * k) for k in range(5)], ["of NumPy"]),
+        lambda path, place: np.load(path)[place],
+    )
+    monkeypatch.setitem(FORMATS, ".npy", arrays)
+    np.save(tmp_path / "a.npy", WORDS)
+    for path in (tmp_path, tmp_path / "a.npy"):
+        sequence = open_sequence(path, CAMERA)
+        assert np.array_equal(read_all(sequence), WORDS >> 4)
+        assert sequence[4].time_s == 2.0
+        assert "of NumPy" in sequence.notes

@@ -11,7 +11,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.fitting import fitted
 from rendezview.io.sequences.frame import Frame, Sequence
 from rendezview.io.sequences.images import list_images, read_grey, required_camera
-from rendezview.io.sequences.stacks import has_format, is_fits, open_stacks
+from rendezview.io.sequences.stacks import has_format, open_stacks
 
 # Pictures of other formats, so that they are named.
 _OTHERS = (
@@ -34,7 +34,7 @@ def open_image_folder(folder: Path, camera: Camera | None = None) -> Sequence:
     if not images and (folder / "rgb").is_dir():  # with cam_K.txt beside it: FoundationPose
         images = list_images(folder / "rgb")
     if not images:
-        images = list_images(folder, is_fits)
+        images = list_images(folder, has_format)
     if not images:
         others = Counter(p.suffix.lower() for p in folder.iterdir() if p.suffix.lower() in _OTHERS)
         if others:

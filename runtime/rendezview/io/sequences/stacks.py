@@ -49,11 +49,6 @@ def has_format(path: Path) -> bool:
     return path.name.lower().endswith(tuple(FORMATS))
 
 
-def is_fits(path: Path) -> bool:
-    """Whether a file is FITS, by its name."""
-    return path.name.lower().endswith(FITS_ENDINGS)
-
-
 def open_stacks(paths: list[Path], camera: Camera, source: Path) -> Sequence:
     """The pictures of files as one sequence, numbered from 0 in the order of the files.
 
