@@ -176,3 +176,12 @@ def test_pictures_without_a_comb_are_not_doubted() -> None:
     for picture in (scene(0.0), noise, checks, lines, np.zeros((2, 2), np.uint8)):
         assert comb_doubts([picture]) == []
     assert comb_doubts([]) == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_single_stars_and_hot_pixels_are_no_interlaced_rows(seed: int) -> None:
+    rng = np.random.default_rng([74, seed])
+    stars = rng.normal(100.0, 3.0, (300, 300))
+    for row, column in rng.integers(2, 298, (10, 2)):
+        stars[row, column : column + 2] += 120.0  # wider than high: none of them in a column
+    assert comb_doubts([stars.astype(np.uint8)]) == []
