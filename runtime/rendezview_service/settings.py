@@ -52,6 +52,7 @@ class Settings(BaseSettings):
 
     foxglove_port: int | None = Field(default=None, ge=0, le=65535)  # live stream; none by default
     rerun_port: int | None = Field(default=None, ge=1, le=65535)  # the same
+    ros_endpoint: str | None = None  # of a Zenoh router that takes poses for ROS 2
     viewer_host: str = "127.0.0.1"  # where these streams listen; they have no tokens
 
     cluster: str | None = None  # address of a Ray cluster that tracks; this is then a gateway

@@ -182,10 +182,114 @@ def test_a_matrix_alone_takes_its_size_from_the_images_beside_it(tmp_path, place
         load_camera(tmp_path / "cam_K.txt")
 
 
+KALIBR = """cam0:
+  camera_model: {}
+  distortion_coeffs: {}
+  distortion_model: {}
+  intrinsics: [{}, 420.0, 419.0, 403.5, 302.5]
+  resolution: [808, 606]
+"""
+OMNI_BENT = KALIBR.format("omni", [-0.2, 0.05, 0.001, 0.002], "radtan", 0.91)
+BASALT = """{"value0": {"resolution": [[808, 606]], "intrinsics": [{"camera_type": "ds",
+"intrinsics": {"fx": 420.0, "fy": 419.0, "cx": 403.5, "cy": 302.5, "xi": -0.2, "alpha": 0.58}}]}}"""
+MEI = CAMODOCAL.format("MEI") + (
+    "mirror_parameters:\n  xi: 0.9\n"
+    "distortion_parameters:\n  k1: -0.1\n  k2: 0.02\n  p1: 0\n  p2: 0\n"
+    "projection_parameters:\n  gamma1: 900.0\n  gamma2: 898.0\n  u0: 403.5\n  v0: 302.5\n"
+)
+
+
+def ds(point, xi, alpha):
+    """Usenko 2018, by the norms of a point (x, y, z)."""
+    x, y, z = point
+    d1 = math.hypot(x, y, z)
+    d2 = math.hypot(x, y, xi * d1 + z)
+    return np.array([x, y]) / (alpha * d2 + (1 - alpha) * (xi * d1 + z))
+
+
+def eucm(point, alpha, beta):
+    """Khomutenko 2016."""
+    x, y, z = point
+    return np.array([x, y]) / (alpha * math.sqrt(beta * (x * x + y * y) + z * z) + (1 - alpha) * z)
+
+
+def mei(point, xi, k1=0.0, k2=0.0):
+    """Mei 2007: the unit sphere, seen from (0, 0, -xi)."""
+    x, y, z = np.asarray(point) / np.linalg.norm(point)
+    m = np.array([x, y]) / (z + xi)
+    return m * (1 + k1 * (m @ m) + k2 * (m @ m) ** 2)
+
+
+def fov(point, omega):
+    """Devernay 2001."""
+    x, y, z = point
+    r = math.hypot(x, y) / z
+    return np.array([x, y]) / z * math.atan(2 * r * math.tan(omega / 2)) / (omega * r)
+
+
+def divided(point, k):
+    """Fitzgibbon 2001: the distorted point p has p / (1 + k p²) undistorted."""
+    straight = np.array(point[:2]) / point[2]
+    r = np.linalg.norm(straight)
+    roots = np.roots([k * r, -1.0, r])
+    return straight / r * min(root.real for root in roots if root.real > 0)
+
+
+def focal(four):
+    return lambda m: np.array([four[0] * m[0] + four[2], four[1] * m[1] + four[3]])
+
+
+MID, COLMAP_MID = (420.0, 419.0, 403.5, 302.5), "420.0 419.0 404.0 303.0"
+
+
+@pytest.mark.parametrize(
+    ("text", "lens", "four"),
+    [
+        (KALIBR.format("ds", [], "none", "-0.2, 0.58"), lambda q: ds(q, -0.2, 0.58), MID),
+        (KALIBR.format("ds", [], "none", "-0.0089, 0.9138"), lambda q: ds(q, -0.0089, 0.9138), MID),
+        (KALIBR.format("ds", [], "none", "0.3, 0.5"), lambda q: ds(q, 0.3, 0.5), MID),
+        (KALIBR.format("eucm", [], "none", "0.63, 1.05"), lambda q: eucm(q, 0.63, 1.05), MID),
+        (KALIBR.format("eucm", [], "none", "0.4, 0.8"), lambda q: eucm(q, 0.4, 0.8), MID),
+        (KALIBR.format("omni", [], "none", "0.3"), lambda q: mei(q, 0.3), MID),
+        (KALIBR.format("pinhole", "[0.93]", "fov", "").replace("[, ", "["),
+         lambda q: fov(q, 0.93), MID),
+        (BASALT, lambda q: ds(q, -0.2, 0.58), MID),
+        (BASALT.replace("ds", "eucm").replace('"xi": -0.2, ', '"beta": 1.05, '),
+         lambda q: eucm(q, 0.58, 1.05), MID),
+        (MEI, lambda q: mei(q, 0.9, -0.1, 0.02), (900.0, 898.0, 403.5, 302.5)),
+        (f"1 FOV 808 606 {COLMAP_MID} 0.93\n", lambda q: fov(q, 0.93), MID),
+        (f"1 EUCM 808 606 {COLMAP_MID} 0.63 1.05\n", lambda q: eucm(q, 0.63, 1.05), MID),
+        (f"1 DIVISION 808 606 {COLMAP_MID} -0.2\n", lambda q: divided(q, -0.2), MID),
+        (f"1 FISHEYE 808 606 {COLMAP_MID}\n",
+         lambda q: np.array(q[:2]) * math.atan2(math.hypot(*q[:2]), q[2]) / math.hypot(*q[:2]),
+         MID),
+    ],
+    ids=["ds", "ds-flat", "ds-round", "eucm", "eucm-flat", "omni", "kalibr-fov", "basalt-ds",
+         "basalt-eucm", "mei", "fov", "colmap-eucm", "division", "equidistant"],
+)  # fmt: skip
+def test_lenses_of_others_project_as_their_authors_say(tmp_path, text, lens, four):
+    path = tmp_path / "c.txt"
+    path.write_text(text)
+    camera = load_camera(path)
+    rng = np.random.default_rng(5)
+    points = rng.normal(size=(4000, 3)) * (1.0, 1.0, 0.6)
+    points = points[points[:, 2] > 0.1]
+    expected = np.array([focal(four)(lens(tuple(point))) for point in points])
+    seen = (expected > -0.5).all(axis=1) & (expected < (807.5, 605.5)).all(axis=1)
+    assert seen.sum() > 200
+    apart = np.abs(camera.project(points[seen]) - expected[seen])
+    assert apart.max() < 0.1
+    back = camera.rays(expected[seen])  # the way back, within what a pixel of 0.1 px allows
+    ahead = points[seen] / points[seen][:, 2:]
+    near = np.linalg.norm(ahead[:, :2], axis=1) < 2.0
+    turned = np.cross(back, ahead) / np.linalg.norm(ahead, axis=1)[:, None] ** 2
+    assert np.abs(turned[near]).max() < 0.5 / camera.fx
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("1 FOV 808 606 702.5 698.25 400 300 0.9\n", "FOV is not read: use one of SIMPLE_PINHOLE"),
+        ("1 1D_RADIAL 8 6 4 3\n", "1D_RADIAL is not read: use one of SIMPLE_PINHOLE"),
         ("1 PINHOLE 808 606 702.5\n", "PINHOLE: has 1 parameters"),
         ("1 PINHOLE 8 6 7 7 4 3\n2 PINHOLE 8 6 7 7 4 3\n", "2 cameras: keep the line"),
         (
@@ -196,11 +300,15 @@ def test_a_matrix_alone_takes_its_size_from_the_images_beside_it(tmp_path, place
         (json.dumps(NERF | {"camera_model": "EQUIRECTANGULAR"}), "'EQUIRECTANGULAR' is not read"),
         (json.dumps({"frames": [{"fl_x": 1.0}]}), "each frame has a camera of its own"),
         (json.dumps({"K": K_ROWS, "resolution": 5}), "not that of a file of megapose"),
-        ("cam0:\n  camera_model: ds\n  intrinsics: [1, 2, 3, 4, 5, 6]\n", "'ds' .double sphere"),
-        ("cam0:\n  camera_model: eucm\n  intrinsics: [1, 2, 3, 4, 5, 6]\n", "'eucm' .extended"),
-        ("cam0:\n  camera_model: omni\n  intrinsics: [1, 2, 3, 4, 5]\n", "'omni' .omnidirect"),
-        ('{"value0": {"intrinsics": [{"camera_type": "kb4"}]}}', "Basalt .kb4. is not read"),
-        (CAMODOCAL.format("MEI") + "projection_parameters:\n  u0: 1\n", "'MEI' is not read"),
+        ("cam0:\n  camera_model: ds\n  intrinsics: [1, 2, 3, 4, 5]\n", "5 numbers, ds has 6"),
+        ("cam0:\n  camera_model: vcm\n  intrinsics: [1, 2, 3, 4, 5, 6]\n", "'vcm' .* is not read"),
+        (OMNI_BENT, r"omni: this lens is \d\.\d+ px from the nearest fisheye"),
+        (BASALT.replace("ds", "fov4"), "'fov4' is not read: calibrate kb4, ds or pinhole"),
+        (BASALT.replace('[{"camera_type', '[{}, {"camera_type'), "2 cameras in value0"),
+        (
+            CAMODOCAL.format("SCARAMUZZA") + "projection_parameters:\n  u0: 1\n",
+            "'SCARAMUZZA' is no",
+        ),
         (ORB.format("Camera").replace("PinHole", "Rolling"), "'rolling' is not read"),
         (ORB.format("Camera1") + ORB.format("Camera2").split("\n", 2)[2], "several cameras"),
         (ORB.format("Camera"), "the image size is missing"),

@@ -111,6 +111,7 @@ class Guide:
     chaser: Slerp | None = None
     times_s: list[float] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
+    covariances: list[Array] = field(default_factory=list)
     attitude_times_s: list[float] = field(default_factory=list)
     attitudes: list[Array] = field(default_factory=list)
     last: Report | None = None
@@ -169,6 +170,7 @@ class Guide:
             self.times_s.append(time_s)
             place = report.segment.places(time_s)[0]
             self.states.append(np.concatenate([place, report.segment.velocity(time_s)]))
+            self.covariances.append(report.segment.state_covariance(time_s))
         if isinstance(report.spin, Spin):
             self.attitude_times_s.append(time_s)
             self.attitudes.append(report.spin.at(time_s)[0][0])
@@ -207,7 +209,13 @@ class Guide:
                 )
             states = np.array(self.states)
             text = orbit_message(
-                epoch, self.times_s, states[:, :3], states[:, 3:], frame=path_frame, names=names
+                epoch,
+                self.times_s,
+                states[:, :3],
+                states[:, 3:],
+                frame=path_frame,
+                covariances=np.array(self.covariances),
+                names=names,
             )
             atomic_write_text(oem, text)
         if aem is not None:

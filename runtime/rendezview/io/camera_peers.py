@@ -12,6 +12,17 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from rendezview.io.lenses import (
+    Bend,
+    as_fisheye,
+    division,
+    double_sphere,
+    extended_unified,
+    field_of_view,
+    omnidirectional,
+    thin_prism_fisheye,
+)
+
 Keys = dict[Any, Any]
 
 # COLMAP's models: their parameters after the focal lengths and the principal point. Source: COLMAP,
@@ -26,12 +37,27 @@ _COLMAP = {
     "SIMPLE_RADIAL_FISHEYE": ("f", "k1"),
     "RADIAL_FISHEYE": ("f", "k1 k2"),
     "OPENCV_FISHEYE": ("fx fy", "k1 k2 k3 k4"),
+    "SIMPLE_FISHEYE": ("f", ""),
+    "FISHEYE": ("fx fy", ""),
+    "FOV": ("fx fy", "omega"),
+    "SIMPLE_DIVISION": ("f", "k"),
+    "DIVISION": ("fx fy", "k"),
+    "EUCM": ("fx fy", "alpha beta"),
+    "THIN_PRISM_FISHEYE": ("fx fy", "k1 k2 p1 p2 k3 k4 sx1 sy1"),
+}
+# Those that are no lens of ours.
+_COLMAP_BENT: dict[str, Callable[..., Bend]] = {
+    "FOV": field_of_view,
+    "SIMPLE_DIVISION": division,
+    "DIVISION": division,
+    "EUCM": extended_unified,
+    "THIN_PRISM_FISHEYE": lambda *terms: thin_prism_fisheye(terms),
 }
 _POLYNOMIAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _ANGLES = ("k1", "k2", "k3", "k4")  # of a fisheye
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _MATRIX_TEXT = re.compile(rf"\s*(?:{_NUMBER}[\s,;]+){{8}}{_NUMBER}\s*")
-_COLMAP_LINE = re.compile(r"\d+\s+([A-Z_]+)\s+(\d+)\s+(\d+)((?:\s+\S+)*)\s*")
+_COLMAP_LINE = re.compile(r"\d+\s+([A-Z0-9_]+)\s+(\d+)\s+(\d+)((?:\s+\S+)*)\s*")
 _OURS = ("roi", "binning", "binning_x", "binning_y", "bit_depth")  # in all kinds
 _HALF = 0.5  # px: COLMAP counts from the picture's corner. Source: COLMAP, "Camera models"
 
@@ -50,7 +76,7 @@ def _nerf(data: Keys) -> Keys | None:
         fx = 0.5 * width / math.tan(0.5 * _number(data, "camera_angle_x"))
     model = str(data.get("camera_model", "OPENCV"))
     fisheye = bool(data.get("is_fisheye")) or "FISHEYE" in model
-    if not fisheye and model not in _COLMAP:
+    if model in _COLMAP_BENT or (not fisheye and model not in _COLMAP):
         raise ValueError(f"camera_model: {model!r} is not read: undistort the images first")
     cx, cy = data.get("cx", 0.5 * width) - _HALF, data.get("cy", 0.5 * height) - _HALF
     terms = {name: data[name] for name in _POLYNOMIAL if name in data}
@@ -149,32 +175,61 @@ def _camodocal(data: Keys) -> Keys | None:
     if model == "KANNALA_BRANDT":
         angles = dict(zip(_ANGLES, _numbers(inner, "k2 k3 k4 k5"), strict=True))
         return _keys(size + _numbers(inner, "mu mv u0 v0"), angles, True)
+    if model == "MEI":
+        terms = tuple(_numbers(data.get("distortion_parameters") or {}, "k1 k2 p1 p2"))
+        (xi,) = _numbers(data["mirror_parameters"], "xi")
+        return _bent(
+            model, omnidirectional(xi, terms), size + _numbers(inner, "gamma1 gamma2 u0 v0")
+        )
     raise ValueError(f"model_type: {model!r} is not read: calibrate PINHOLE or KANNALA_BRANDT")
 
 
 def _kalibr(data: Keys) -> Keys | None:
-    """Kalibr and EuRoC: their other camera models are refused by name, before their numbers."""
-    model = data.get("camera_model", "pinhole")
-    if "intrinsics" in data and model != "pinhole":
-        names = {"ds": "double sphere", "eucm": "extended unified", "omni": "omnidirectional"}
-        said = f" ({names[model]})" if model in names else ""
+    """Kalibr's and EuRoC's lenses beside the pinhole with OpenCV's."""
+    model, lens = data.get("camera_model", "pinhole"), data.get("distortion_model", "none")
+    if "intrinsics" not in data or (model == "pinhole" and lens != "fov"):
+        return None
+    counts = {"ds": 2, "eucm": 2, "omni": 1, "pinhole": 0}
+    if model not in counts or (model == "omni" and lens not in ("none", "radtan")):
         raise ValueError(
-            f"camera_model: {model!r}{said} is not supported: calibrate with pinhole, and "
-            "equidistant for a fisheye"
+            f"camera_model: {model!r} with distortion_model: {lens!r} is not read: calibrate with "
+            "pinhole, and equidistant for a fisheye"
         )
-    return None
+    values = [float(value) for value in data["intrinsics"]]
+    own, four = values[: counts[model]], values[counts[model] :]
+    if len(four) != 4:
+        raise ValueError(f"intrinsics: has {len(values)} numbers, {model} has {counts[model] + 4}")
+    terms = tuple(float(term) for term in data.get("distortion_coeffs") or ())
+    bend = {
+        "ds": lambda: double_sphere(*own),
+        "eucm": lambda: extended_unified(*own),
+        "omni": lambda: omnidirectional(own[0], terms),
+        "pinhole": lambda: field_of_view(*terms),
+    }[model]()
+    return _bent(model if model != "pinhole" else "fov", bend, [*data["resolution"], *four])
 
 
 def _basalt(data: Keys) -> Keys | None:
-    """Basalt's ``calib.json``, whose lens models are others."""
+    """Basalt's ``calib.json`` of one camera."""
     value = data.get("value0")
-    if isinstance(value, dict) and "intrinsics" in value:
-        kinds = {str(c.get("camera_type")) for c in value["intrinsics"] if isinstance(c, dict)}
+    if not isinstance(value, dict) or "intrinsics" not in value:
+        return None
+    if len(value["intrinsics"]) != 1:
         raise ValueError(
-            f"a file of Basalt ({', '.join(sorted(kinds))}) is not read: calibrate with OpenCV or "
-            "Kalibr"
+            f"{len(value['intrinsics'])} cameras in value0: keep the one that took the images, in "
+            "intrinsics and resolution"
         )
-    return None
+    inner, kind = value["intrinsics"][0]["intrinsics"], value["intrinsics"][0]["camera_type"]
+    six = [*value["resolution"][0], *_numbers(inner, "fx fy cx cy")]
+    if kind == "pinhole":
+        return _keys(six)
+    if kind == "kb4":
+        return _keys(six, {name: inner[name] for name in _ANGLES}, True)
+    if kind == "ds":
+        return _bent(kind, double_sphere(*_numbers(inner, "xi alpha")), six)
+    if kind == "eucm":
+        return _bent(kind, extended_unified(*_numbers(inner, "alpha beta")), six)
+    raise ValueError(f"camera_type: {kind!r} is not read: calibrate kb4, ds or pinhole")
 
 
 def _colmap(text: str) -> Keys | None:
@@ -195,8 +250,11 @@ def _colmap(text: str) -> Keys | None:
         raise ValueError(f"{model}: has {len(numbers)} parameters")
     fx, fy = numbers[0], numbers[len(focal) - 1]
     cx, cy = (number - _HALF for number in numbers[len(focal) : len(focal) + 2])
+    six = [int(width), int(height), fx, fy, cx, cy]
     bends = dict(zip(terms, numbers[len(focal) + 2 :], strict=True))
-    return _keys([int(width), int(height), fx, fy, cx, cy], bends, "FISHEYE" in model)
+    if model in _COLMAP_BENT:
+        return _bent(model, _COLMAP_BENT[model](*bends.values()), six)
+    return _keys(six, bends, "FISHEYE" in model)
 
 
 def _bare_matrix(text: str) -> Keys | None:
@@ -275,6 +333,11 @@ def _number(data: Keys, key: str) -> float:
 
 def _numbers(data: Keys, keys: str) -> list[float]:
     return [_number(data, key) for key in keys.split()]
+
+
+def _bent(name: str, bend: Bend, six: list[Any]) -> Keys:
+    """Our keys of a lens of `lenses`, as the fisheye that is nearest to it."""
+    return _keys(*as_fisheye(name, bend, [float(value) for value in six]), fisheye=True)
 
 
 def _keys(six: list[Any], terms: Mapping[str, Any] | None = None, fisheye: bool = False) -> Keys:

@@ -2,7 +2,8 @@
 
 Orbit Ephemeris Message 2.0 (CCSDS 502.0-B-2) and Attitude Ephemeris Message 1.0 (504.0-B-1). The
 orbit message describes the chaser about the target: ``CENTER_NAME`` is the target. Lengths
-in the file are kilometres, as the standard requires.
+in the file are kilometres, as the standard requires. Covariances follow in the form that version
+3.0 (502.0-B-3) shares with 2.0.
 """
 
 from __future__ import annotations
@@ -82,6 +83,7 @@ def orbit_message(
     velocities_m_s: Array,
     *,
     frame: str,
+    covariances: Array | None = None,
     names: Names | None = None,
     created: datetime | None = None,
 ) -> str:
@@ -89,6 +91,7 @@ def orbit_message(
 
     Args:
         frame: ``REF_FRAME``: ``RSW_ROTATING`` for Hill's frame, else a name the reader knows.
+        covariances: (N, 6, 6) of place, m, and velocity, m/s, in that frame.
 
     Raises:
         ValueError: no states, times that do not rise, or values that are not finite.
@@ -113,6 +116,14 @@ def orbit_message(
     for time_s, state in zip(times, states, strict=True):
         numbers = " ".join(f"{value / 1000.0:.12e}" for value in state)
         lines.append(f"{_stamp(epoch, time_s)} {numbers}")
+    if covariances is not None:
+        lines += ["", "COVARIANCE_START"]
+        _, spreads = _checked(times, np.asarray(covariances).reshape(len(times), 36))
+        for time_s, spread in zip(times, spreads.reshape(-1, 6, 6), strict=True):
+            lines.append(f"EPOCH = {_stamp(epoch, time_s)}")
+            for row in range(6):  # km², km²/s, km²/s²; the lower triangle
+                lines.append(" ".join(f"{1e-6 * n:.9e}" for n in spread[row, : row + 1]))
+        lines.append("COVARIANCE_STOP")
     return "\n".join(lines) + "\n"
 
 

@@ -31,7 +31,7 @@ _MILLISECONDS = 1e11  # s since 1970 are the year 5138. Source: by construction
 # A row that differs from both beside it by so much, which differ less, is of another field.
 _COMB_GREY, _LIKE_GREY = 30.0, 10.0  # of 255. Source: five times the noise of cameras
 _COMB_TIMES = 15.0  # more often among rows than among columns. Source: 113 real pictures have 6
-_COMB_LEAST = 1e-4  # of the pixels. Source: chosen
+_COMB_LEAST, _COMB_LEAST_PX = 1e-4, 50  # of the pixels; pixels. Source: stars are a tenth of it
 _COMB_PX = 1024  # px; the middle of the picture that is looked at. Source: chosen
 CHECKED = "checked"  # key of a camera file
 
@@ -170,7 +170,11 @@ def comb_doubts(pictures: Sequence[npt.NDArray[np.generic]]) -> list[Doubt]:
     if not len(shares):
         return []
     rows, columns = np.median(shares, axis=0)
-    if rows < _COMB_LEAST or rows < _COMB_TIMES * columns:
+    looked_at = min(
+        min(height, _COMB_PX) * min(width, _COMB_PX)
+        for height, width in (picture.shape for picture in pictures)
+    )
+    if rows < max(_COMB_LEAST, _COMB_LEAST_PX / max(looked_at, 1)) or rows < _COMB_TIMES * columns:
         return []
     return [
         Doubt(

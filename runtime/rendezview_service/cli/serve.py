@@ -76,6 +76,10 @@ def serve(
     rerun: Annotated[
         int | None, typer.Option(help="Port of a live stream for Rerun; no tokens.")
     ] = None,
+    ros: Annotated[
+        str | None,
+        typer.Option(help="Zenoh router that takes poses for ROS 2, such as tcp/127.0.0.1:7447."),
+    ] = None,
     tokens: Annotated[
         Path | None, typer.Option(help="Tokens (TOML): who may read, track, admin.")
     ] = None,
@@ -135,6 +139,7 @@ def serve(
         "port": port,
         "foxglove_port": foxglove,
         "rerun_port": rerun,
+        "ros_endpoint": ros,
         "tokens_file": tokens,
         "open_to_all": open_to_all,
         "tls_certificate": tls_certificate,

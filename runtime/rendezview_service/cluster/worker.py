@@ -27,7 +27,10 @@ from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.settings import Settings
 
 # Of a slot, whatever the cluster's settings say.
-_OWN = {"workers": 1, "spare_worker": False, "foxglove_port": None, "rerun_port": None}
+_OWN = {
+    "workers": 1, "spare_worker": False, "foxglove_port": None, "rerun_port": None,
+    "ros_endpoint": None,
+}  # fmt: skip
 
 
 class Gone(LookupError):

@@ -20,8 +20,8 @@ import cv2
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences import open_sequence
-from rendezview.io.sequences.decoding import quiet_opencv
 from rendezview.io.sequences.live import why_unreachable, without_password
+from rendezview.io.sequences.quiet import quiet_opencv
 
 _LIVE = re.compile(r"(rtsps?|rtmp|udp|tcp|https?)://", re.IGNORECASE)
 _DEVICE = re.compile(r"/dev/video\d+|v4l2:(\d+)")

@@ -246,9 +246,22 @@ def test_missing_file_folder_and_empty_file_are_named(tmp_path: Path) -> None:
         load_mesh(write(tmp_path / "empty.stl", ""))
 
 
-@pytest.mark.parametrize("name", ["model.iges", "model.xyz", "model"])
-def test_unsupported_format_lists_the_supported_ones(tmp_path: Path, name: str) -> None:
-    with pytest.raises(RendezviewError, match=r"\.stl, \.obj, \.ply, \.glb, \.gltf, \.3mf, \.dae"):
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [
+        ("model.iges", "export it from the CAD program as STEP"),
+        ("model.SLDPRT", "export it from the CAD program as STEP"),
+        ("model.fbx", r"import it in Blender, check its size and axes, .* glTF \(GLB\)"),
+        ("model.3ds", "import it in Blender"),
+        ("model.wrl", "import it in Blender"),
+        ("model.xyz", "export the model as one of them"),
+        ("model", "export the model as one of them"),
+    ],
+)
+def test_unsupported_format_lists_the_supported_ones_and_the_way_there(
+    tmp_path: Path, name: str, advice: str
+) -> None:
+    with pytest.raises(RendezviewError, match=rf"\.stl, \.obj, \.ply, \.off, .*: {advice}"):
         load_mesh(write(tmp_path / name, "x"))
 
 

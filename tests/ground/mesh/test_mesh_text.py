@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -148,3 +150,69 @@ def test_a_byte_order_mark_is_no_part_of_other_formats(tmp_path: Path, suffix: s
     path = export(tmp_path, suffix, box(), **options)
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
     np.testing.assert_allclose(load_mesh(path).extent_m, EXTENT_M, atol=1e-6)
+
+
+VERTICES = [(x, y, z) for x in (0, 2) for y in (0, 4) for z in (0, 1)]
+SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+PLACES = "".join("{} {} {}\n".format(*vertex) for vertex in VERTICES)
+QUADS = "".join("4 {} {} {} {}\n".format(*side) for side in SIDES)
+TRIANGLES = "".join(f"3 {a} {b} {c}\n3 {a} {c} {d}\n" for a, b, c, d in SIDES)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"OFF\n8 12 18\n{PLACES}{TRIANGLES}",
+        f"OFF 8 12 0\n{PLACES}{TRIANGLES}",
+        f"OFF8 12 0\n{PLACES}{TRIANGLES}",
+        f"OFF\n8 12\n{PLACES}{TRIANGLES}",
+        f"OFF\n8 6 0\n{PLACES}{QUADS}",
+        f"# by a program\nOFF\n# 2 × 4 × 1\n8 12 0 # counts\n\n{PLACES}# faces\n{TRIANGLES}",
+        f"OFF\n8 12 0\n{PLACES}{TRIANGLES}".replace("\n", "\r\n"),
+        "OFF\n8 6 0\n" + PLACES + QUADS.replace("\n", " 255 0 0\n"),
+        "COFF\n8 12 0\n" + PLACES.replace("\n", " 255 0 0 255\n") + TRIANGLES,
+        "NOFF\n8 12 0\n" + PLACES.replace("\n", " 0 0 1\n") + TRIANGLES,
+    ],
+)
+def test_off_files_are_read_as_programs_write_them(tmp_path: Path, text: str) -> None:
+    mesh = load_mesh(write(tmp_path / "a.off", text))
+    np.testing.assert_allclose(mesh.extent_m, (2.0, 4.0, 1.0))
+    assert len(mesh.faces) == 12
+
+
+def test_an_off_file_that_is_cut_short_is_refused(tmp_path: Path) -> None:
+    whole = f"OFF\n8 12 0\n{PLACES}{TRIANGLES}"
+    with pytest.raises(RendezviewError, match="12 faces are announced, 11 are there"):
+        load_mesh(write(tmp_path / "a.off", whole[: whole.rindex("3 ")]))
+
+
+@pytest.mark.parametrize("metre", ["1", "1.000000", "0.01"])
+def test_decimal_commas_of_a_collada_file_are_points(tmp_path: Path, metre: str) -> None:
+    plain = export(tmp_path, "dae", box(1.0 / float(metre))).read_text()
+    unit = f'<asset><unit meter="{float(metre):f}"/>'
+    pointed = plain.replace("<asset>", unit) if "<unit" not in plain else plain
+    pointed = re.sub(r"<unit [^>]*/?>", f'<unit name="u" meter="{float(metre):f}"/>', pointed)
+    commas = re.sub(r"(?<=\d)\.(?=\d)", ",", pointed).replace("1,0 encod", "1.0 encod")
+    commas = re.sub(r'(version=["\']\d),', r"\1.", commas).replace("1,4,1", "1.4.1")
+    assert "0," in commas
+    mesh = load_mesh(write(tmp_path / "b.dae", commas))
+    np.testing.assert_allclose(mesh.extent_m, EXTENT_M, rtol=1e-5)
+    assert note_with(mesh, "Decimal commas")
+
+
+def test_a_3mf_file_with_its_bodies_in_other_parts_is_named(tmp_path: Path) -> None:
+    made = export(tmp_path, "3mf", box(1000.0))
+    with zipfile.ZipFile(made) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(tmp_path / "b.3mf", "w") as archive:
+        for name, content in parts.items():
+            if name.lower().endswith("3dmodel.model"):
+                content = re.sub(
+                    rb"<item ", b'<item xmlns:q="http://schemas.microsoft.com/3dmanufacturing/'
+                    b'production/2015/06" q:path="/3D/Objects/a.model" ', content
+                )  # fmt: skip
+            archive.writestr(name, content)
+    with pytest.raises(
+        RendezviewError, match=r"b\.3mf: its bodies are in other parts .* as one 3MF"
+    ):
+        load_mesh(tmp_path / "b.3mf")

@@ -17,7 +17,7 @@ from rendezview.cli.inputs import given_camera, say_once
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
-from rendezview.io.files import check_place
+from rendezview.io.files import atomic_write, check_place
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT
 from rendezview_ground.evaluate.assessment import (
@@ -28,6 +28,7 @@ from rendezview_ground.evaluate.assessment import (
 )
 from rendezview_ground.evaluate.assessment import assess as run_assessment
 from rendezview_ground.evaluate.pictures.assessment_picture import assessment_picture
+from rendezview_ground.evaluate.pictures.palette import png
 from rendezview_ground.learn.command_options import Dask, Jobs
 from rendezview_ground.learn.jobs.open_executor import open_executor
 from rendezview_ground.mesh.mesh import Mesh, load_mesh
@@ -118,7 +119,8 @@ def assess(
     printed = Console(width=118)
     printed.print(_by_knowledge(f"{views.name}: {frames} random frames, seed {seed}", answers))
     printed.print(_by_condition(seen, answers["first"]))
-    assessment_picture(seen, answers["first"]).savefig(path.with_suffix(".png"))
+    with atomic_write(path.with_suffix(".png")) as file:
+        file.write(png(assessment_picture(seen, answers["first"])))
     seconds = time.perf_counter() - start
     console.print(
         f"wrong: more than {math.degrees(WRONG_RAD):g}° off. {path} and "

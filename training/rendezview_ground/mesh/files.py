@@ -20,9 +20,10 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.colours import Rgb, grey, visual_face_rgb
 from rendezview_ground.mesh.containers import (
-    check_3mf_size,
+    check_3mf,
     colours_of_3mf,
     file_unit,
+    has_decimal_commas,
     refers_to_texture,
 )
 from rendezview_ground.mesh.gltf import GLTF_SUFFIXES, plain_gltf
@@ -31,12 +32,13 @@ from rendezview_ground.mesh.notes import counted
 from rendezview_ground.mesh.obj import read_obj
 from rendezview_ground.mesh.scenes import nodes_below, step_note, triangulate_step
 from rendezview_ground.mesh.stl import read_stl
+from rendezview_ground.mesh.text import COMMA_NOTE
 from rendezview_ground.mesh.usd import USD_SUFFIXES, read_usd
 
 STEP_SUFFIXES = (".step", ".stp")
 
 _TEXTURE_TROUBLE = re.compile(r"pillow|image|texture|bumpmap", re.IGNORECASE)
-_PLY_HEADER = 65_536  # bytes in which it ends
+_HEADER = 65_536  # bytes in which that of a PLY or OFF file ends
 _LOGGERS = ("trimesh", "collada")
 
 
@@ -90,12 +92,33 @@ def _read_gltf(path: Path, node: str | None) -> MeshFile:
 def _read_ply(path: Path, node: str | None) -> MeshFile:
     """PLY, whose comments may be in any encoding."""
     with path.open("rb") as stream:
-        start = stream.read(_PLY_HEADER)
+        start = stream.read(_HEADER)
     end = start.find(b"end_header")
     if end < 0 or start[:end].isascii():
         return _read_with_trimesh(path, node)
     plain = start[:end].decode("ascii", errors="replace").encode("ascii", errors="replace")
     return _read_with_trimesh(path, node, (plain + path.read_bytes()[end:], "ply"))
+
+
+def _read_dae(path: Path, node: str | None) -> MeshFile:
+    """Collada, whose numbers may have decimal commas throughout."""
+    content = path.read_bytes()
+    if not has_decimal_commas(content):
+        return _read_with_trimesh(path, node)
+    points = re.sub(rb"(?<=\d),(?=\d)", b".", content)
+    found = _read_with_trimesh(path, node, (points, "dae"))
+    return replace(found, notes=(COMMA_NOTE, *found.notes))
+
+
+def _read_off(path: Path, node: str | None) -> MeshFile:
+    """OFF, whose end trimesh does not miss."""
+    found = _read_with_trimesh(path, node)
+    with path.open("rb") as stream:
+        start = re.sub(rb"#.*", b"", stream.read(_HEADER))
+    counts = re.search(rb"OFF\s*\d+\s+(\d+)", start)
+    if counts and len(found.faces) < int(counts[1]):
+        raise ValueError(f"{counts[1].decode()} faces are announced, {len(found.faces)} are there")
+    return found
 
 
 def _read_with_trimesh(
@@ -114,7 +137,7 @@ def _read_with_trimesh(
             notes=(step_note(count, found.faces), *found.notes),
         )
     if suffix == ".3mf":
-        check_3mf_size(path)
+        check_3mf(path)
     unit = file_unit(path)
     with _quiet() as messages:
         import trimesh
@@ -247,9 +270,10 @@ READERS: dict[str, Callable[[Path, str | None], MeshFile]] = {
     ".stl": read_stl,
     ".obj": _read_obj,
     ".ply": _read_ply,
+    ".off": _read_off,
     **dict.fromkeys(GLTF_SUFFIXES, _read_gltf),
     ".3mf": _read_with_trimesh,
-    ".dae": _read_with_trimesh,
+    ".dae": _read_dae,
     **dict.fromkeys(STEP_SUFFIXES, _read_with_trimesh),
     **dict.fromkeys(USD_SUFFIXES, _read_usd),
 }

@@ -24,7 +24,22 @@ MAX_FILE_BYTES = 2 * 2**30  # bytes of a mesh file
 
 _GREY_FROM_RGB = np.array([0.2126, 0.7152, 0.0722])  # luminance weights. Source: ITU-R BT.709
 _LARGEST_COORDINATE = 1e15  # in the unit of the file; its powers still fit a double
-_CAD_SUFFIXES = frozenset({".iges", ".igs", ".sldprt", ".sldasm", ".blend"})
+# What turns other formats into one that is read. Units and axes of FBX, 3DS and VRML are not in
+# their numbers: a program that shows the model applies them.
+_CAD = "export it from the CAD program as STEP or STL"
+_SCENE = "import it in Blender, check its size and axes, and export it as glTF (GLB)"
+_ADVICE = {
+    **dict.fromkeys(
+        (".iges", ".igs", ".sldprt", ".sldasm", ".ipt", ".iam", ".catpart", ".catproduct", ".prt",
+         ".asm", ".x_t", ".x_b", ".sat", ".3dm", ".fcstd", ".f3d", ".jt", ".dwg", ".dxf"),
+        _CAD,
+    ),
+    **dict.fromkeys(
+        (".blend", ".fbx", ".3ds", ".wrl", ".vrml", ".x3d", ".x3dv", ".max", ".ma", ".mb", ".c4d",
+         ".lwo", ".lws", ".ase", ".x", ".md2", ".md3", ".abc", ".skp", ".b3d", ".ac"),
+        _SCENE,
+    ),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,8 +81,8 @@ def load_mesh(path: Path, unit: str | None = None) -> Mesh:
     """Read a mesh file as one clean mesh in metres, with all its bodies.
 
     Args:
-        path: STL, OBJ, PLY, GLB, glTF, 3MF, DAE, STEP or USD file; ``FILE#NODE`` for one node of a
-            scene, with what hangs below it.
+        path: STL, OBJ, PLY, OFF, GLB, glTF, 3MF, DAE, STEP or USD file; ``FILE#NODE`` for one
+            node of a scene, with what hangs below it.
         unit: of the file's numbers; overrides the file. Without it, 3MF, DAE, glTF and USD files
             state their unit; the others are read as metres if the size is then plausible.
 
@@ -106,12 +121,10 @@ def _check_file(path: Path) -> None:
     suffix = path.suffix.lower()
     if suffix not in READERS:
         known = ", ".join(READERS)
-        advice = (
-            " Export it from the CAD program as one of them." if suffix in _CAD_SUFFIXES else ""
-        )
+        advice = _ADVICE.get(suffix, "export the model as one of them")
         raise RendezviewError(
-            f"{path}: mesh format {suffix or 'without a suffix'} is not supported; "
-            f"use {known}.{advice}"
+            f"{path}: mesh format {suffix or 'without a suffix'} is not supported ({known} are): "
+            f"{advice}"
         )
     size = path.stat().st_size
     if size == 0:

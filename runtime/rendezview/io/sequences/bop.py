@@ -29,14 +29,18 @@ _Nine = Annotated[list[FiniteFloat], Field(min_length=9, max_length=9)]
 _Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 
 
-class _SceneCamera(BaseModel):
+class SceneCamera(BaseModel):
+    """A frame's camera."""
+
     model_config = ConfigDict(strict=True)
 
     cam_K: _Nine  # row-wise, px
     timestamp_s: FiniteFloat | None = None
 
 
-class _SceneTruth(BaseModel):
+class SceneTruth(BaseModel):
+    """An object in a frame."""
+
     model_config = ConfigDict(strict=True)
 
     cam_R_m2c: _Nine  # row-wise
@@ -44,8 +48,8 @@ class _SceneTruth(BaseModel):
     obj_id: int
 
 
-_SCENE_CAMERA = TypeAdapter(dict[str, _SceneCamera])
-_SCENE_TRUTH = TypeAdapter(dict[str, list[_SceneTruth]])
+_SCENE_CAMERA = TypeAdapter(dict[str, SceneCamera])
+_SCENE_TRUTH = TypeAdapter(dict[str, list[SceneTruth]])
 _CAMERA_EXTRA = TypeAdapter(dict[str, object])
 
 
@@ -76,7 +80,7 @@ def open_bop_scene(
     )
     if not cameras:
         raise RendezviewError(f"{cameras_path}: lists no frames: write the scene again")
-    truth: dict[int, list[_SceneTruth]] = {}
+    truth: dict[int, list[SceneTruth]] = {}
     if truth_path.is_file():
         truth = _by_number(
             checked(_SCENE_TRUTH, read_json(truth_path, "BOP truth"), str(truth_path)), truth_path
@@ -89,8 +93,8 @@ def open_bop_scene(
     for im_id, entry in sorted(cameras.items()):
         own = camera
         if own is None:
-            own = _with_matrix(base, entry.cam_K, f"{cameras_path}: {im_id}.cam_K")
-        shown = _chosen(truth.get(im_id, []), obj_id, f"{truth_path}: {im_id}")
+            own = with_matrix(base, entry.cam_K, f"{cameras_path}: {im_id}.cam_K")
+        shown = chosen(truth.get(im_id, []), obj_id, f"{truth_path}: {im_id}")
         target = shown[0] if len(shown) == 1 else None
         several += len(shown) > 1
         path = images.get(im_id, images_folder / f"{im_id:06d}.png")
@@ -102,22 +106,24 @@ def open_bop_scene(
                 camera=own,
                 camera_from_target=None
                 if target is None
-                else _pose(target, f"{truth_path}: {im_id}"),
+                else pose_of(target, f"{truth_path}: {im_id}"),
                 obj_id=shown[0].obj_id if shown else (obj_id or 1),
                 fetch=partial(read_grey, path, bits),
             )
         )
-    if several:
-        notes = (
-            *notes,
-            f"{several} of {len(frames)} frames show the target several times: they have no truth",
-        )
+    notes = (*notes, *instances_note(several, len(frames)))
     return Sequence(
         scene_id=_scene_id(folder),
         frames=tuple(frames),
         source=folder,
         notes=notes,
     )
+
+
+def instances_note(several: int, frames: int) -> tuple[str, ...]:
+    """What is said of frames that show the target several times."""
+    said = f"{several} of {frames} frames show the target several times: they have no truth"
+    return (said,) if several else ()
 
 
 def _by_number(entries: dict[str, Entry], path: Path) -> dict[int, Entry]:
@@ -152,7 +158,12 @@ def _scene_camera(folder: Path, first_image: Path) -> Camera:
     return Camera(width, height, 1.0, 1.0, 0.0, 0.0)  # its matrix is replaced for every frame
 
 
-def _with_matrix(camera: Camera, values: list[float], where: str) -> Camera:
+def with_matrix(camera: Camera, values: list[float], where: str) -> Camera:
+    """The camera with the matrix of a frame.
+
+    Raises:
+        RendezviewError: none, or one from which nothing good can follow.
+    """
     try:
         fx, fy, cx, cy = intrinsics_of(values)
         if (fx, fy, cx, cy) == (camera.fx, camera.fy, camera.cx, camera.cy):
@@ -162,8 +173,12 @@ def _with_matrix(camera: Camera, values: list[float], where: str) -> Camera:
         raise RendezviewError(f"{where}: {error}: correct the scene") from error
 
 
-def _chosen(entries: list[_SceneTruth], obj_id: int | None, where: str) -> list[_SceneTruth]:
-    """The instances of the target."""
+def chosen(entries: list[SceneTruth], obj_id: int | None, where: str) -> list[SceneTruth]:
+    """The instances of the target.
+
+    Raises:
+        RendezviewError: several objects without ``obj_id``.
+    """
     if obj_id is not None:
         entries = [entry for entry in entries if entry.obj_id == obj_id]
     if len({entry.obj_id for entry in entries}) > 1:
@@ -175,7 +190,12 @@ def _chosen(entries: list[_SceneTruth], obj_id: int | None, where: str) -> list[
     return entries
 
 
-def _pose(entry: _SceneTruth, where: str) -> Pose:
+def pose_of(entry: SceneTruth, where: str) -> Pose:
+    """camera_from_target of an object.
+
+    Raises:
+        RendezviewError: not a rotation.
+    """
     try:
         rotation = nearest_rotation(np.reshape(entry.cam_R_m2c, (3, 3)))
     except ValueError as error:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import struct
-import threading
 import zlib
-from collections.abc import Iterator
 from typing import Any
 
 import cv2
@@ -15,7 +12,9 @@ import numpy.typing as npt
 
 from rendezview.io.grey_frame import eight_bits
 from rendezview.io.sequences.frame import GreyImage
+from rendezview.io.sequences.picture import AS_STORED
 from rendezview.io.sequences.picture_marks import marks_of, tiff_as_stored
+from rendezview.io.sequences.quiet import quiet_opencv
 
 PNG = b"\x89PNG\r\n\x1a\n"  # first bytes of a file
 JPEG = b"\xff\xd8\xff"
@@ -33,50 +32,12 @@ _MOST_CHUNKS = 1000
 _AT_ONCE = 1 << 20  # bytes that are unpacked at once. Source: chosen
 _INTERLACED_ROWS = 8  # filter bytes a row and pass, at most. Source: PNG, section 8.2
 
-# A picture rotated by its EXIF tag does not fit its calibration.
-# IMREAD_GRAYSCALE alone drops the low eight of 16 bits.
-_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 _TIFF = (b"II*\0", b"MM\0*")
 _WITH_ALPHA = (b"\x89PNG", b"RIFF")
 _ANIMATED = (b"acTL", b"fcTL", b"fdAT")
 
 Levels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]  # grey, (height, width), as stored
 Bytes = bytes | bytearray | memoryview | npt.NDArray[np.uint8]
-
-
-@contextlib.contextmanager
-def quiet_opencv() -> Iterator[None]:
-    """Silence OpenCV's own messages: our error describes the fault. Threads may overlap."""
-    _silence.enter()
-    try:
-        yield
-    finally:
-        _silence.leave()
-
-
-class _Silence:
-    """OpenCV's log level, which is global: the first thread silences it, the last restores it."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._threads = 0
-        self._level = 0
-
-    def enter(self) -> None:
-        with self._lock:
-            if self._threads == 0:
-                self._level = cv2.utils.logging.getLogLevel()
-                cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-            self._threads += 1
-
-    def leave(self) -> None:
-        with self._lock:
-            self._threads -= 1
-            if self._threads == 0:
-                cv2.utils.logging.setLogLevel(self._level)
-
-
-_silence = _Silence()
 
 
 def decode_grey(content: Bytes, bits: int = 16) -> GreyImage | None:
@@ -121,7 +82,7 @@ def decode_levels(content: Bytes) -> Levels | None:
         return None
     try:
         with quiet_opencv():
-            image = cv2.imdecode(data, _AS_STORED)
+            image = cv2.imdecode(data, AS_STORED)
             if image is None or image.dtype not in (np.uint8, np.uint16):
                 return None
             if start[:4] in _WITH_ALPHA and marks_of(data.tobytes()).transparent:

@@ -17,7 +17,7 @@ from rendezview.io.sequences.decoding import Levels, decode_levels
 from rendezview.io.sequences.misfit import misfit
 from rendezview.io.sequences.picture_marks import Marks, mark_notes, marks_of
 
-_SAMPLES = 5  # pictures of a sequence that are looked at before it runs. Source: a chosen limit
+SAMPLES = 5  # pictures of a sequence that are looked at before it runs. Source: a chosen limit
 _MOST_CAMERA_FILES = 30  # that are read to name one that fits. Source: a chosen limit
 _CAMERA_SUFFIXES = (".yaml", ".yml", ".json", ".xml")
 
@@ -34,7 +34,7 @@ def fitted(
     Raises:
         RendezviewError: the camera fits none of the pictures.
     """
-    places = np.unique(np.linspace(0, len(paths) - 1, _SAMPLES).round().astype(int))
+    places = np.unique(np.linspace(0, len(paths) - 1, SAMPLES).round().astype(int))
     pictures: list[Levels] = []
     marks: list[Marks] = []
     for place in places:
@@ -46,13 +46,20 @@ def fitted(
         if picture is not None:
             pictures.append(picture)
             marks.append(marks_of(content))
+    return fitted_levels(pictures, marks, camera, folder)
+
+
+def fitted_levels(
+    pictures: Sequence[Levels], marks: Sequence[Marks], camera: Camera, folder: Path
+) -> tuple[int | None, tuple[str, ...]]:
+    """As `fitted`, of pictures that were read, and their marks."""
     check_sizes(pictures, camera, folder)
     bits, notes = _bits_of(pictures, camera)
     combed = (doubt.what for doubt in comb_doubts(pictures))
     return bits, (*notes, *mark_notes(marks), *combed)
 
 
-def _bits_of(pictures: list[Levels], camera: Camera) -> tuple[int | None, tuple[str, ...]]:
+def _bits_of(pictures: Sequence[Levels], camera: Camera) -> tuple[int | None, tuple[str, ...]]:
     """Bits in use, and what a command says of a number that no file gives."""
     peaks = [int(picture.max()) for picture in pictures if picture.dtype == np.uint16]
     if not peaks or camera.bit_depth is not None:

@@ -11,16 +11,17 @@ from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.fitting import fitted
 from rendezview.io.sequences.frame import Frame, Sequence
 from rendezview.io.sequences.images import list_images, read_grey, required_camera
+from rendezview.io.sequences.stacks import has_format, open_stacks
 
 # Pictures of other formats, so that they are named.
 _OTHERS = (
-    ".fits", ".fit", ".fts", ".jp2", ".j2k", ".jxl", ".gif", ".heic", ".heif", ".avif", ".exr",
-    ".hdr", ".raw", ".dng", ".nef", ".cr2", ".arw", ".npy", ".svg", ".psd", ".pdf",
+    ".jp2", ".j2k", ".jxl", ".gif", ".heic", ".heif", ".avif", ".exr", ".hdr", ".raw", ".dng",
+    ".nef", ".cr2", ".arw", ".npy", ".svg", ".psd", ".pdf",
 )  # fmt: skip
 
 
 def open_image_folder(folder: Path, camera: Camera | None = None) -> Sequence:
-    """The images of a folder: numbered from 0, without times and truth.
+    """The images of a folder: numbered from 0, without truth; times of FITS and TIFF stacks.
 
     Args:
         folder: the images, and the camera file if ``camera`` is None.
@@ -32,6 +33,8 @@ def open_image_folder(folder: Path, camera: Camera | None = None) -> Sequence:
     images = list_images(folder)
     if not images and (folder / "rgb").is_dir():  # with cam_K.txt beside it: FoundationPose
         images = list_images(folder / "rgb")
+    if not images:
+        images = list_images(folder, has_format)
     if not images:
         others = Counter(p.suffix.lower() for p in folder.iterdir() if p.suffix.lower() in _OTHERS)
         if others:
@@ -48,11 +51,13 @@ def open_image_folder(folder: Path, camera: Camera | None = None) -> Sequence:
 
 
 def open_images(images: list[Path], camera: Camera, source: Path) -> Sequence:
-    """Image files of one camera as a sequence, numbered from 0, without times and truth.
+    """Image files of one camera as a sequence, numbered from 0, without truth.
 
     Raises:
         RendezviewError: they are not of the camera's size.
     """
+    if all(map(has_format, images)):
+        return open_stacks(images, camera, source)
     bits, notes = fitted(images, camera, images[0].parent)
     frames = tuple(
         Frame(

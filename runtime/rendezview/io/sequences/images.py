@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write, read_bytes
 from rendezview.io.sequences.decoding import decode_grey, is_animated
 from rendezview.io.sequences.frame import GreyImage
+from rendezview.io.sequences.stacks import first_levels, has_format
 
 IMAGE_SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".jfif", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp"}
@@ -56,15 +58,16 @@ def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
         file.write(content.tobytes())
 
 
-def list_images(folder: Path) -> list[Path]:
+def list_images(
+    folder: Path,
+    wanted: Callable[[Path], bool] = lambda path: path.suffix.lower() in IMAGE_SUFFIXES,
+) -> list[Path]:
     """The image files of a folder in natural order (2.png before 10.png), without hidden files."""
     try:
         found = [
             path
             for path in folder.iterdir()
-            if path.suffix.lower() in IMAGE_SUFFIXES
-            and not path.name.startswith(".")
-            and path.is_file()
+            if wanted(path) and not path.name.startswith(".") and path.is_file()
         ]
     except OSError as error:
         raise RendezviewError(
@@ -84,8 +87,8 @@ def camera_beside(folder: Path, image: Path | None = None) -> Camera | None:
 
     def size() -> tuple[int, int]:
         assert image is not None
-        height, width = read_grey(image).shape
-        return width, height
+        levels = first_levels(image) if has_format(image) else read_grey(image)
+        return levels.shape[1], levels.shape[0]
 
     for name in CAMERA_NAMES:
         if (folder / name).is_file():

@@ -13,7 +13,7 @@ import cv2
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.io.sequences.decoding import quiet_opencv
+from rendezview.io.sequences.quiet import quiet_opencv
 
 _START = re.compile(rb"\x00\x00\x01(.)", re.DOTALL)  # of a unit. Source: H.264, annex B
 # Pictures that need none before them. Source: H.264, table 7-1, IDR; H.265, table 7-1, IRAP

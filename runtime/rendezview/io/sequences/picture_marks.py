@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-_ORIENTATION = 0x0112  # Source: EXIF and TIFF 6.0, tag Orientation
-_MOST_ENTRIES = 4096  # directories and tags that are read. Source: a chosen limit
+from rendezview.io.sequences.tiff import ORIENTATION, Tiff
+
 _TURNS = {
     2: "mirrored", 3: "by 180°", 4: "mirrored", 5: "mirrored, by 90°", 6: "by 90°",
     7: "mirrored, by 90°", 8: "by 270°",
@@ -37,8 +37,7 @@ def marks_of(content: bytes) -> Marks:
         if content.startswith(b"\xff\xd8"):
             return _jpeg(content)
         if content[:2] in _TIFF:
-            orientation, pages, _ = _directories(content)
-            return Marks(orientation, pages)
+            return Marks(_orientation(content), max(len(Tiff(content).whole_pages()), 1))
         if content.startswith(b"RIFF") and content[8:12] == b"WEBP":
             return _webp(content)
     except (struct.error, IndexError):
@@ -48,14 +47,15 @@ def marks_of(content: bytes) -> Marks:
 
 def tiff_as_stored(content: bytes) -> bytes:
     """A TIFF that does not ask to be turned: its decoder would do it."""
+    changed = bytearray(content)
     try:
-        orientation, _, place = _directories(content)
+        if _orientation(content) == 1:
+            return content
+        tiff = Tiff(changed)
+        tiff.show(next(tiff.pages()))
     except struct.error:
         return content
-    if orientation == 1:
-        return content
-    order = "<H" if content[:2] == b"II" else ">H"
-    return content[:place] + struct.pack(order, 1) + content[place + 2 :]
+    return bytes(changed)
 
 
 def mark_notes(marks: Iterable[Marks]) -> tuple[str, ...]:
@@ -78,7 +78,7 @@ def _png(content: bytes) -> Marks:
     kinds = [kind for kind, _ in chunks]
     exif = next((data for kind, data in chunks if kind == b"eXIf"), b"")
     transparent = content[25] in _ALPHA_TYPES or b"tRNS" in kinds
-    return Marks(_directories(exif)[0] if exif else 1, 1, transparent)
+    return Marks(_orientation(exif) if exif else 1, 1, transparent)
 
 
 def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
@@ -94,7 +94,7 @@ def _jpeg(content: bytes) -> Marks:
     while content[place] == 0xFF and content[place + 1] in _SEGMENTS:
         (length,) = struct.unpack_from(">H", content, place + 2)
         if content[place + 4 : place + 10] == b"Exif\0\0":
-            return Marks(_directories(content[place + 10 : place + 2 + length])[0])
+            return Marks(_orientation(content[place + 10 : place + 2 + length]))
         place += 2 + length
     return Marks()
 
@@ -111,22 +111,13 @@ def _webp(content: bytes) -> Marks:
             transparent |= bool(content[place + 12] & _WEBP_ALPHA)
         elif kind == b"EXIF":
             data = content[place + 8 : place + 8 + length]
-            orientation = _directories(data.removeprefix(b"Exif\0\0"))[0]
+            orientation = _orientation(data.removeprefix(b"Exif\0\0"))
         place += 8 + length + length % 2
     return Marks(orientation, max(pages, 1), transparent)
 
 
-def _directories(content: bytes) -> tuple[int, int, int]:
-    """Orientation of the first directory of a TIFF, number of directories, and where it is."""
-    order = "<" if content[:2] == b"II" else ">"
-    (place,) = struct.unpack_from(f"{order}I", content, 4)
-    orientation, pages, read, where = 1, 0, 0, 0
-    while place and read < _MOST_ENTRIES:
-        (count,) = struct.unpack_from(f"{order}H", content, place)
-        for k in range(count if pages == 0 else 0):
-            tag, _, _, value = struct.unpack_from(f"{order}HHIH", content, place + 2 + 12 * k)
-            if tag == _ORIENTATION:
-                orientation, where = value, place + 2 + 12 * k + 8
-        pages, read = pages + 1, read + count
-        (place,) = struct.unpack_from(f"{order}I", content, place + 2 + 12 * count)
-    return orientation, max(pages, 1), where
+def _orientation(content: bytes) -> int:
+    """Of the first directory of a TIFF, or of EXIF; 1 without."""
+    tiff = Tiff(content)
+    first = next(tiff.pages(), None)
+    return 1 if first is None else tiff.number(first, ORIENTATION) or 1

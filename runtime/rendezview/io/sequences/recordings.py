@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import math
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,11 +17,11 @@ from pathlib import Path
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
-from rendezview.io.ccsds import DATED_S
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 from rendezview.io.sequences.images import camera_beside
 from rendezview.io.sequences.message_images import Calibration, PackedPicture, RawPicture, grey
 from rendezview.io.sequences.message_video import VideoPart, VideoTopic
+from rendezview.io.sequences.order import in_order
 from rendezview.io.sequences.video import VideoReader
 
 Content = RawPicture | PackedPicture | VideoPart | Calibration
@@ -92,7 +91,7 @@ def open_recording(
         reader = VideoReader(VideoTopic(path, partial(_parts, path, messages, chosen, lead)))
     else:
         lead, reader = 0, RecordingReader(path, messages, chosen, own.bit_depth)
-    order, notes = _in_order(times_s, lead)
+    order, notes = in_order(times_s, lead)
     if found.cut_off is not None:
         notes.append(f"{found.cut_off}: {len(times_s)} pictures of {chosen} before it")
     if not order:
@@ -110,33 +109,6 @@ def open_recording(
         for number, index in enumerate(order)
     )
     return Sequence(scene_id=1, frames=frames, source=path, notes=tuple(notes))
-
-
-def _in_order(times_s: list[float], lead: int) -> tuple[list[int], list[str]]:
-    """Numbers of the pictures that are used, by their times, and notes on the others."""
-    # 0 is where durations begin. Among dates, and later, it is no stamp.
-    others = [time_s for time_s in times_s if time_s != 0.0]
-    begins = bool(others) and min(others) < DATED_S
-    stamped = [
-        k
-        for k in range(lead, len(times_s))
-        if times_s[k] != 0.0 or not others or (begins and k == lead)
-    ]
-    order: list[int] = []
-    latest, late = -math.inf, 0
-    for k in stamped:
-        late += times_s[k] < latest
-        latest = max(latest, times_s[k])
-    for k in sorted(stamped, key=lambda k: times_s[k]):
-        if not order or times_s[k] > times_s[order[-1]]:
-            order.append(k)
-    counts = (
-        (late, "come after pictures of a later stamp: sorted by their stamps"),
-        (len(stamped) - len(order), "have the stamp of another one: left out"),
-        (len(times_s) - lead - len(stamped), "have no stamp: left out"),
-        (lead, "come before the first key picture of the video: left out"),
-    )
-    return order, [f"{n} of {len(times_s)} pictures {words}" for n, words in counts if n]
 
 
 class RecordingReader:

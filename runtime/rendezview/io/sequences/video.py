@@ -13,11 +13,11 @@ import numpy as np
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
-from rendezview.io.sequences.decoding import quiet_opencv
 from rendezview.io.sequences.fitting import check_sizes
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 from rendezview.io.sequences.images import required_camera
 from rendezview.io.sequences.message_video import VideoTopic
+from rendezview.io.sequences.quiet import quiet_opencv
 
 VIDEO_SUFFIXES = frozenset(
     {
