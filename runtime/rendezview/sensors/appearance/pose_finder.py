@@ -179,6 +179,7 @@ class PoseFinder:
         """
         if self.sketch is None:
             return seen
+        clock = StageClock()
         looks, looked_at = [], np.zeros(4)
         if seen.found is not None:
             looked_at = target_box(self.model, self.camera, seen.found.best.pose)
@@ -189,11 +190,15 @@ class PoseFinder:
             region = Region.around(body.box_px, self.camera)
             part = request._replace(frame=region.cut(request.frame), thorough=False)
             looks.append(region.in_frame(self.looking_at(region).find(part)))
+        clock.lap("windows")  # with all looks
         given = [look for look in looks if look.pose is not None]
         if not given:
+            seen.stage_ms.update(clock.stage_ms)
             return seen
         symmetries, best = self.model.symmetries, max(given, key=lambda look: look.score)
         assert best.pose is not None
+        best.stage_ms.clear()
+        best.stage_ms.update(seen.stage_ms | clock.stage_ms)
         for look in given:
             assert look.pose is not None
             if angle_between(look.pose, best.pose, symmetries) > NEAR_RAD:
