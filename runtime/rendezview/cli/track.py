@@ -23,7 +23,7 @@ from rendezview.cli.guide import (
 )
 from rendezview.cli.inputs import given_sequence
 from rendezview.cli.progress import ProgressBar, say, say_summary
-from rendezview.cli.where import At, Box, Boxes, Mask, told
+from rendezview.cli.where import At, Box, Boxes, Mask, given_regions
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import check_place, read_json
@@ -125,7 +125,7 @@ def track(
     first = _prior(prior, sequence, loaded) if others is None else None
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)
-    where, first_where = told(sequence, obj_id, box, boxes, mask, at)
+    where, first_where = given_regions(sequence, obj_id, box, boxes, mask, at)
     integrity = _integrity(integrity_risk, alarm_attitude_deg, alarm_position_m)
     levels = Levels()
     compile_ahead("track")

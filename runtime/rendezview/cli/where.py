@@ -30,7 +30,7 @@ At = Annotated[
 ]
 
 
-def told(
+def given_regions(
     sequence: Sequence, obj_id: int | None, box: str | None, boxes: Path | None,
     mask: Path | None, at: str | None,
 ) -> tuple[Where | None, npt.ArrayLike | None]:  # fmt: skip
