@@ -62,6 +62,7 @@ class OrbitDynamics:
         self._rng = np.random.default_rng([_STREAM, seed])
         self._n, self._dt = plan.target.mean_motion_rad_s, plan.guidance.step_s
         self._free = transition(self._n, self._dt)
+        self._turning_frame = so3.hat(np.array([0.0, 0.0, self._n]))  # Hill's, ω×
         self._place, self._pushed = _pushes(self._n, self._dt)
         chaser, rng = plan.chaser, self._rng
         self._scale = 1.0 + chaser.thrust_scale * rng.standard_normal()
@@ -99,8 +100,8 @@ class OrbitDynamics:
         far = port.centre_m + (chaser.start_m + port.behind_m) * port.axis
         place = target @ far + offset
         drift = chaser.velocity_sigma_m_s * rng.standard_normal(3)
-        inertial = np.cross(target @ spin, place) + drift
-        hill = inertial - np.cross([0.0, 0.0, self._n], place)
+        inertial = so3.hat(target @ spin) @ place + drift
+        hill = inertial - self._turning_frame @ place
         rate = port.facing @ spin
         return self._truth(0, np.r_[place, hill], aligned, rate, rate, np.zeros(3), 0.0)
 
@@ -153,10 +154,10 @@ class OrbitDynamics:
 
     def _with_turning(self, truth: Truth, turning: Array) -> Truth:
         """With the rates that belong to a turning camera."""
-        camera, n = truth.inertial_from_camera, np.array([0.0, 0.0, self._n])
-        hill = truth.state[3:] + np.cross(n, truth.state[:3])
+        camera = truth.inertial_from_camera
+        hill = truth.state[3:] + self._turning_frame @ truth.state[:3]
         moving = camera.T @ so3.about_z(self._n * truth.time_s) @ hill
-        moving = moving + np.cross(turning, [0.0, 0.0, self.port.behind_m])
+        moving = moving + self.port.behind_m * so3.hat(turning)[:, 2]
         rates = np.r_[truth.pose.rotation @ truth.spin, -moving]
         return replace(truth, turning=turning, rates=rates)
 

@@ -51,7 +51,7 @@ class Fault:
         return self.kind == kind and self.begin_s <= time_s < self.end_s
 
 
-def faults_of_runs(kinds: tuple[str, ...], every: int, seed: int) -> str | None:
+def fault_of_run(kinds: tuple[str, ...], every: int, seed: int) -> str | None:
     """The fault of a run: each kind in turn, in one run of ``every``; None: none."""
     if not kinds or seed % every:
         return None

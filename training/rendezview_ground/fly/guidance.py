@@ -8,7 +8,7 @@ lasts, or one in the last metre, makes it retreat to a hold point; too many retr
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 
@@ -17,6 +17,7 @@ from scipy.linalg import solve_discrete_are
 from scipy.special import chdtri
 
 from rendezview.fusion import Estimate
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.sensors.observation import Status
 from rendezview.sensors.protection import Protection
@@ -113,8 +114,10 @@ class Guidance:
         if float(np.linalg.norm(at.aside_m)) > half_m:
             return "outside the corridor"
         if at.range_m < guidance.commit_m and self.mode is Mode.APPROACH:
-            margin = self._margin(estimate, levels)
-            bad = Contact.of(self.port, at).outside(self.plan.envelope, margin)
+            now = Contact.of(self.port, at)
+            slower = guidance.slope_per_s * at.range_m  # by the glide slope until contact
+            then = replace(now, closing_m_s=now.closing_m_s - slower)
+            bad = then.outside(self.plan.envelope, self._margin(estimate, levels))
             return None if bad is None else f"contact not certain: {bad}"
         return None
 
@@ -205,8 +208,8 @@ class Guidance:
         push = -stiff * aside - damped * slide
         push = push - axis * (change + rate_regulator(speed, effort, dt) * (closing - along))
         # Against inertial space, in axes that turn with the target.
-        push = push + 2.0 * np.cross(spin, at.mass_speed_m_s)
-        push = push + np.cross(spin, np.cross(spin, at.mass_m))
+        turns = so3.hat(spin)
+        push = push + 2.0 * turns @ at.mass_speed_m_s + turns @ turns @ at.mass_m
         gain = rate_regulator(_TURN_RAD, _RATE_RAD_S, dt)
         # The chaser turns as the target does, and back to the aligned attitude: the rotation
         # vector is of pose.rotation = exp(turn) facing, and a turn of the camera takes it off.

@@ -90,6 +90,7 @@ class Flight:
 
     moments: list[Moment] = field(default_factory=list)
     contact: Contact | None = None
+    touch_m: Array | None = None  # (2,) where the port's plane was met, right and down
     outside: str | None = None  # which condition of contact was outside the envelope
     end: str = ""  # contact, outside, held or aborted
 
@@ -134,7 +135,9 @@ class Loop:
             truth = dynamics.step(truth, command)
             now = Relative.of(dynamics.port, truth.pose, truth.rates, truth.turning)
             if now.range_m <= 0.0:
-                flight.contact = Contact.of(dynamics.port, _crossing(before, now))
+                touch = _crossing(before, now)
+                flight.contact = Contact.of(dynamics.port, touch)
+                flight.touch_m = dynamics.port.facing[:2] @ touch.aside_m
                 flight.outside = flight.contact.outside(plan.envelope)
                 flight.end = "contact" if flight.outside is None else "outside"
                 return flight

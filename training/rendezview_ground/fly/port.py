@@ -84,8 +84,8 @@ class Relative:
         def at(arm_m: float) -> tuple[Array, Array]:
             """Place and velocity of a point on the boresight."""
             place = target @ (arm_m * _AHEAD - pose.translation_m)
-            inertial = target @ (np.cross(turning, arm_m * _AHEAD) - rates[3:])
-            return place, inertial - np.cross(spin, place)
+            inertial = target @ (so3.hat(turning) @ (arm_m * _AHEAD) - rates[3:])
+            return place, inertial - so3.hat(spin) @ place
 
         nose, speed = at(port.ahead_m)
         mass, mass_speed = at(-port.behind_m)
