@@ -57,7 +57,8 @@ def test_thrusts_move_it_as_hills_equations_integrated_numerically():
     def slope(time_s, state):
         a = pushes[min(int(time_s / 0.5), 39)]
         x, _, z, vx, vy, vz = state
-        return [vx, vy, vz, 3 * n * n * x + 2 * n * vy + a[0], -2 * n * vx + a[1], -n * n * z + a[2]]
+        gravity = [3 * n * n * x + 2 * n * vy, -2 * n * vx, -n * n * z]
+        return [vx, vy, vz, *(a + gravity)]
 
     state = start.state
     for k in range(40):
@@ -91,9 +92,7 @@ def test_the_target_turns_free_of_torque():
     start = motion.start()
     inertia = np.array(PERFECT.target.inertia)
     end = drift(start, 300, motion)
-    before, after = (
-        truth.inertial_from_target @ (inertia * truth.spin) for truth in (start, end)
-    )
+    before, after = (truth.inertial_from_target @ (inertia * truth.spin) for truth in (start, end))
     np.testing.assert_allclose(after, before, rtol=1e-8)
 
 

@@ -32,7 +32,9 @@ def test_a_dead_camera_leads_to_a_hold_and_no_contact(setup):
     flight = fly_once(setup, 0, Fault("camera", 12.0, 1e9, 0.0))
     assert flight.contact is None
     assert flight.end in ("held", "aborted")
-    assert any(moment.mode in ("hold", "retreat") for moment in flight.moments if moment.time_s > 12)
+    assert any(
+        moment.mode in ("hold", "retreat") for moment in flight.moments if moment.time_s > 12
+    )
     assert min(moment.true.range_m for moment in flight.moments) > 0.2
 
 

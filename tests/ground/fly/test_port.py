@@ -54,7 +54,7 @@ def test_a_chaser_on_the_axis_is_aligned():
 
 
 def test_a_target_without_a_ring_needs_a_port():
-    with pytest.raises(RendezviewError, match="port.centre_m"):
+    with pytest.raises(RendezviewError, match=r"port\.centre_m"):
         Port.of(find_target("hubble"), FlyPlan())
     plan = FlyPlan(port=PortOptions(centre_m=(-6.8, 0.0, 0.0), axis=(-2.0, 0.0, 0.0)))
     port = Port.of(find_target("hubble"), plan)

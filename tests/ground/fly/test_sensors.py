@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.ground.fly.conftest import short_plan
 
 from rendezview.fusion import PoseMeasurement, RangeMeasurement, RingMeasurement
 from rendezview.geometry import so3
 from rendezview_ground.fly.dynamics import OrbitDynamics
 from rendezview_ground.fly.faults import Fault
 from rendezview_ground.fly.sensors import ModelledSensors, measured
-from tests.ground.fly.conftest import short_plan
 
 
 def readings(setup, start_m: float, count: int, fault: Fault | None = None):

@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -45,9 +46,7 @@ class Setup:
     model: ViewModel | None = None  # None: modelled sensors, no frames
 
     @classmethod
-    def of(
-        cls, target: Target, mesh: Mesh, plan: FlyPlan, model: ViewModel | None = None
-    ) -> Setup:
+    def of(cls, target: Target, mesh: Mesh, plan: FlyPlan, model: ViewModel | None = None) -> Setup:
         """Of a target with a port, see `Port.of`."""
         beam = BeamMesh(mesh.vertices_m.astype(np.float64), mesh.faces)
         patterns = tuple(patterns_of(target)) if target.reflectors else ()
@@ -63,9 +62,7 @@ def fly_once(
     patterns = list(setup.patterns)
     sensors: ModelledSensors | RenderedSensors
     if setup.model is None:
-        sensors = ModelledSensors(
-            plan, setup.beam, port.ring, port.centre_m, patterns, seed, fault
-        )
+        sensors = ModelledSensors(plan, setup.beam, port.ring, port.centre_m, patterns, seed, fault)
     else:
         sensors = RenderedSensors(
             plan, setup.model, setup.mesh, setup.beam, port.ring, patterns, seed, fault
@@ -87,7 +84,7 @@ def record(flight: Flight, seed: int, fault: Fault | None) -> dict[str, Any]:
         "reason": last.reason,
         "time_s": last.time_s,
         "spent_m_s": round(last.spent_m_s, 6),
-        "retreats": sum(a != b == "retreat" for a, b in zip(modes, modes[1:], strict=False)),
+        "retreats": sum(a != b == "retreat" for a, b in pairwise(modes)),
         "nearest_m": round(min(m.true.range_m for m in flight.moments), 6),
         "steps": flight.known,
         "beyond": flight.beyond,

@@ -1,7 +1,7 @@
 """True motion: both craft in orbit, thrusters with their errors, attitude control with jitter.
 
-The chaser's centre of mass flies by the exact transition of Clohessy and Wiltshire's equations, with
-a constant push in each step (`rendezview.trajectory.relative_orbit`). The target turns free of
+The chaser's centre of mass flies by the exact transition of Clohessy and Wiltshire's equations,
+with a constant push in each step (`rendezview.trajectory.relative_orbit`). The target turns free of
 torque. Hill's frame coincides with the inertial axes at time 0.
 """
 

@@ -1,7 +1,7 @@
 """Guidance by hold points, glide slope and corridor; control by discrete linear regulators.
 
-The chaser approaches while nothing is in doubt. A doubt (no state, an alarm, a protection level or a
-place outside the corridor, contact conditions that are not certain) makes it hold; a doubt that
+The chaser approaches while nothing is in doubt. A doubt (no state, an alarm, a protection level or
+a place outside the corridor, contact conditions that are not certain) makes it hold; a doubt that
 lasts, or one in the last metre, makes it retreat to a hold point; too many retreats make it abort.
 """
 
@@ -194,7 +194,8 @@ class Guidance:
 
     def _steer(self, known: Known, at: Relative) -> Command:
         plan, port, pose, rates = self.plan, self.port, known.estimate.pose, known.estimate.rates
-        assert pose is not None and rates is not None
+        assert pose is not None
+        assert rates is not None
         dt, effort = plan.guidance.step_s, plan.chaser.thrust_m_s2
         far = _STEPS ** round(math.log(max(at.range_m, 1.0), _STEPS))
         speed = _SPEED_M_S + _SPEED_SHARE * far

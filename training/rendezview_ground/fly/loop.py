@@ -179,5 +179,3 @@ def _moment(port: Port, truth: Truth, known: Known, command: Command, true: Rela
         truth.time_s, command.mode, command.reason, str(estimate.status), true, place, seen,
         error_m, error_rad, level_m, level_rad, alarm, known.used, truth.spent_m_s,
     )  # fmt: skip
-
-

@@ -63,9 +63,7 @@ def write_flight_page(
     return path
 
 
-def write_campaign_page(
-    folder: Path, name: str, setup: Setup, lines: list[dict[str, Any]]
-) -> Path:
+def write_campaign_page(folder: Path, name: str, setup: Setup, lines: list[dict[str, Any]]) -> Path:
     """Many flights; the path of their page."""
     ends = [line["end"] for line in lines]
     plain = [line["end"] for line in lines if line["fault"] is None]
@@ -73,7 +71,8 @@ def write_campaign_page(
     tiles = [(str(len(lines)), "flights", False),
              (f"{ends.count('contact')}", "in contact, inside the envelope", False),
              (f"{ends.count('outside')}", "in contact, outside", "outside" in ends),
-             (f"{ends.count('held') + ends.count('aborted')}", "held or aborted", False)]  # fmt: skip
+             (f"{len(ends) - ends.count('contact') - ends.count('outside')}", "held or aborted",
+              False)]  # fmt: skip
     if plain:
         share = 100.0 * plain.count("contact") / len(plain)
         tiles.append((f"{share:.1f} %", "of the faultless in contact", share < 99.0))

@@ -127,7 +127,9 @@ class OwnSensors:
             range_m += self.fault.size
         if range_m <= 0.0:
             return []
-        return [RangeMeasurement(truth.time_s, "laser", range_m, sensors.laser_m, self.mesh, origin)]
+        return [
+            RangeMeasurement(truth.time_s, "laser", range_m, sensors.laser_m, self.mesh, origin)
+        ]
 
 
 class ModelledSensors:
