@@ -50,7 +50,7 @@ def test_thrusts_move_it_as_hills_equations_integrated_numerically():
     push = np.array([2e-3, -3e-3, 4e-3])
     truth, pushes = start, []
     for _ in range(40):
-        hill = Rotation.from_rotvec([0.0, 0.0, -n * truth.time_s]).as_matrix()
+        hill = Rotation.from_rotvec([0.0, 0.0, -n * (truth.time_s + 0.25)]).as_matrix()
         pushes.append(hill @ truth.inertial_from_camera @ push / 0.5)
         truth = drift(truth, 1, motion, push)
 

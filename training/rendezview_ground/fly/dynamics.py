@@ -109,7 +109,8 @@ class OrbitDynamics:
         """One control step later."""
         told, real = self._thrust(command.push_m_s, truth)
         dt, camera = self._dt, truth.inertial_from_camera
-        hill_from_inertial = so3.about_z(-self._n * truth.time_s)
+        # Hill's frame turns by n dt in a step: that of its middle.
+        hill_from_inertial = so3.about_z(-self._n * (truth.time_s + 0.5 * dt))
         push = hill_from_inertial @ camera @ real / dt
         push = push - [0.0, self.plan.target.drag_m_s2, 0.0]
         state = self._free @ truth.state
