@@ -72,7 +72,7 @@ def test_every_picture_of_the_tutorial_is_there_and_has_words():
 
 
 @pytest.mark.parametrize("page", [
-    "tutorial.md", "own_target.md", "files-plan.md", "evaluation.md", "reflectors-options.md",
+    "tutorial.md", "own_target.md", "files-plan.md", "evaluation.md", "fly.md", "reflectors-options.md",
     "stereo-laboratory.md", "service.md", "service-sensors.md", "service-page.md",
     "service-cluster.md", "scale-out.md",
 ])  # fmt: skip

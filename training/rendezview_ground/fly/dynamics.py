@@ -87,7 +87,7 @@ class OrbitDynamics:
         if fault is not None and fault.kind == "spin":
             extra += math.radians(fault.size) * way / np.linalg.norm(way)
         spin = first.T @ [0.0, 0.0, self._n] + extra
-        times = self._dt * np.arange(self.plan.steps + 2)
+        times = self._dt * np.arange(self.plan.steps + 2, dtype=np.float64)
         turned, self._spins = torque_free(target.inertia, spin, times)
         self._targets = first @ turned
 

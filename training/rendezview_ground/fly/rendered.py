@@ -85,6 +85,7 @@ class RenderedSensors:
     def _draw(self, truth: Truth) -> npt.NDArray[np.uint8]:
         glare = _GLARE_GREY if self._own.struck("glare", truth.time_s) else 0.0
         options = SceneOptions(shading=ShadingOptions(samples=_SAMPLES), sky_level_grey=glare)
+        assert self._sun is not None
         sun = truth.inertial_from_camera.T @ self._sun
         return render_frame(self.mesh, CAMERA, truth.pose, sun, options, self._rng)
 

@@ -133,7 +133,7 @@ def _statistics(envelope: EnvelopeOptions, lines: list[dict[str, Any]]) -> list[
     touches = [line["contact"] for line in lines if line["contact"]]
     if not touches:
         return []
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for words, key, unit, form, low, high in _limits(envelope):
         values = np.array([touch[key] for touch in touches]) / unit
         rows.append((words, form.format(float(np.median(values))),
@@ -142,7 +142,8 @@ def _statistics(envelope: EnvelopeOptions, lines: list[dict[str, Any]]) -> list[
 
 
 def _decisions(flight: Flight) -> list[tuple[str, ...]]:
-    rows, last = [], None
+    rows: list[tuple[str, ...]] = []
+    last = None
     for moment in flight.moments:
         told = (moment.mode, moment.reason if moment.mode != "approach" else "")
         if last is None or told[0] != last:

@@ -173,7 +173,8 @@ class ModelledSensors:
             kept = math.exp(-(time_s - last_s) / lasting_s)
             fresh = kept * last + math.sqrt(1.0 - kept**2) * fresh
         self._lasting[sensor] = time_s, fresh
-        return math.sqrt(share) * fresh + math.sqrt(1.0 - share) * white
+        error: Array = math.sqrt(share) * fresh + math.sqrt(1.0 - share) * white
+        return error
 
     def _camera(self, truth: Truth, centre: Array) -> list[Measurement]:
         tables, outliers = measured()
@@ -263,4 +264,4 @@ def _across_and_along(direction: Array, sigma: Array) -> Array:
     first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
     first /= np.linalg.norm(first)
     axes = np.column_stack([first, np.cross(direction, first), direction])
-    return axes * [sigma[0], sigma[0], sigma[1]]
+    return np.asarray(axes * sigma[[0, 0, 1]])
