@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -17,11 +16,12 @@ import numpy as np
 from rendezview.fusion import BeamMesh
 from rendezview.io.files import atomic_write_text, check_place
 from rendezview.io.target import Target
+from rendezview.io.video_file import VideoWriter
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.beacons import ReflectorPattern, patterns_of
-from rendezview_ground.fly.dynamics import OrbitDynamics, Truth
+from rendezview_ground.fly.dynamics import OrbitDynamics
 from rendezview_ground.fly.faults import Fault, fault_of_run
-from rendezview_ground.fly.guidance import Guidance, Known
+from rendezview_ground.fly.guidance import Guidance
 from rendezview_ground.fly.loop import Flight, FusedEstimator, Loop
 from rendezview_ground.fly.options import FlyPlan
 from rendezview_ground.fly.port import Port
@@ -55,9 +55,9 @@ class Setup:
 
 def fly_once(
     setup: Setup, seed: int, fault: Fault | None = None,
-    watch: Callable[[Truth, Known], None] | None = None,
+    film: VideoWriter | None = None,
 ) -> Flight:  # fmt: skip
-    """The flight of a seed with the project's own parts."""
+    """The flight of a seed with the project's own parts; ``film`` receives rendered frames."""
     plan, port = setup.plan, setup.port
     patterns = list(setup.patterns)
     sensors: ModelledSensors | RenderedSensors
@@ -65,10 +65,10 @@ def fly_once(
         sensors = ModelledSensors(plan, setup.beam, port.ring, port.centre_m, patterns, seed, fault)
     else:
         sensors = RenderedSensors(
-            plan, setup.model, setup.mesh, setup.beam, port.ring, patterns, seed, fault
+            plan, setup.model, setup.mesh, setup.beam, port.ring, patterns, seed, fault, film
         )
     dynamics = OrbitDynamics(plan, port, seed, fault)
-    return Loop(sensors, FusedEstimator(), Guidance(plan, port), dynamics).run(watch)
+    return Loop(sensors, FusedEstimator(), Guidance(plan, port), dynamics).run()
 
 
 def record(flight: Flight, seed: int, fault: Fault | None) -> dict[str, Any]:

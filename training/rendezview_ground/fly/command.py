@@ -15,15 +15,18 @@ from rendezview.cli.compiling import tell_of_compiling
 from rendezview.cli.progress import ProgressBar
 from rendezview.io.bundled import find_target
 from rendezview.io.files import make_folder
+from rendezview.io.video_file import VideoWriter
 from rendezview.sensors.appearance import ViewModel
 from rendezview_ground.fly.campaign import Setup, campaign, fly_once, record
 from rendezview_ground.fly.faults import FAULTS, Fault
 from rendezview_ground.fly.options import load_fly_plan
-from rendezview_ground.fly.report import write_campaign_page, write_flight_page
+from rendezview_ground.fly.report import FILM, write_campaign_page, write_flight_page
 from rendezview_ground.learn.command_options import Dask, Jobs
 from rendezview_ground.learn.job import train
 from rendezview_ground.learn.jobs.open_executor import open_executor
 from rendezview_ground.mesh.mesh import load_mesh
+
+_FILM_HZ = 10.0  # twenty times as fast as the flight. Source: chosen to be watchable
 
 
 class Frames(StrEnum):
@@ -82,7 +85,8 @@ def fly(
         setup = Setup.of(found, mesh, options, views)
         if runs == 1:
             fault = drawn[0] if drawn else None
-            flight = fly_once(setup, seed, fault)
+            with VideoWriter(output / FILM, _FILM_HZ) as film:  # without frames: no file
+                flight = fly_once(setup, seed, fault, film)
             page = write_flight_page(output, found.name, setup, flight, seed, fault)
             Console(highlight=False).print(_words(record(flight, seed, fault)))
         else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -120,7 +120,7 @@ class Loop:
         self.sensor, self.estimator = sensor, estimator
         self.controller, self.dynamics = controller, dynamics
 
-    def run(self, watch: Callable[[Truth, Known], None] | None = None) -> Flight:
+    def run(self) -> Flight:
         """Fly until contact, a safe hold, or the longest time."""
         dynamics, plan, flight = self.dynamics, self.dynamics.plan, Flight()
         truth, known = dynamics.start(), None
@@ -129,8 +129,6 @@ class Loop:
         for _ in range(plan.steps):
             known = self.estimator.update(truth.time_s, self.sensor.read(truth, known))
             command = self.controller.command(known)
-            if watch is not None:
-                watch(truth, known)
             flight.moments.append(_moment(dynamics.port, truth, known, command, before))
             truth = dynamics.step(truth, command)
             now = Relative.of(dynamics.port, truth.pose, truth.rates, truth.turning)

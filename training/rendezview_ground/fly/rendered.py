@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -11,7 +12,9 @@ from rendezview.fusion import BeamMesh, Measurement
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import DockingRing
+from rendezview.io.video_file import VideoWriter
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
+from rendezview.sensors.appearance.overlay import draw_observation
 from rendezview.sensors.beacons import LitDark, ReflectorPattern, ReflectorSensor
 from rendezview.sensors.beacons.match.acquisition import merged
 from rendezview.sensors.ring import RingSensor
@@ -40,8 +43,9 @@ class RenderedSensors:
     def __init__(
         self, plan: FlyPlan, model: ViewModel, mesh: Mesh, beam: BeamMesh,
         ring: DockingRing | None, patterns: list[ReflectorPattern], seed: int,
-        fault: Fault | None = None,
+        fault: Fault | None = None, film: VideoWriter | None = None,
     ) -> None:  # fmt: skip
+        self.film = film  # receives every frame with the recognizer's pose
         self.plan, self.mesh, self.ring, self.fault = plan, mesh, ring, fault
         self._own = OwnSensors(plan, beam, seed, fault)
         self._rng = np.random.default_rng([_STREAM, seed])
@@ -54,7 +58,6 @@ class RenderedSensors:
         self._reflectors = ReflectorSensor(CAMERA, patterns) if patterns else None
         self._pattern = merged(patterns) if patterns else None
         self._sun: Array | None = None  # (3,) towards it, inertial
-        self.picture: npt.NDArray[np.uint8] | None = None  # the last
 
     def read(self, truth: Truth, known: Known | None) -> list[Measurement]:
         """All readings of a step."""
@@ -66,7 +69,7 @@ class RenderedSensors:
             return found
         if self._own.struck("camera", time_s):
             return found
-        image = self.picture = self._draw(truth)
+        image = self._draw(truth)
         found += self._look(image, time_s, known)
         found += self._pair(image, truth)
         return found
@@ -100,6 +103,11 @@ class RenderedSensors:
             assert estimate.covariance is not None
             self._tracker.expect(pose, estimate.covariance[:6, :6])
         seen = self._tracker.update(time_s, image)
+        if self.film is not None:
+            model = self._recognizer.model
+            drawn = draw_observation(image, seen, CAMERA, model, title=f"{time_s:.0f} s")
+            small = cv2.resize(drawn, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+            self.film.add(np.asarray(small, dtype=np.uint8))
         found = [seen.measurement("camera")]
         if self._rings is not None and self.ring is not None:
             prior = None

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rendezview.io.files import atomic_write_text
-from rendezview_ground.evaluate.page import Card, document, figure, table_of, tiles_of
+from rendezview_ground.evaluate.page import WEBM, Card, document, figure, table_of, tiles_of
 from rendezview_ground.evaluate.pictures.palette import png
 from rendezview_ground.fly.campaign import Setup, worst
 from rendezview_ground.fly.faults import Fault
@@ -23,6 +23,8 @@ from rendezview_ground.fly.pictures import (
     footprint_picture,
 )
 
+FILM = "approach.webm"  # of rendered frames, in the folder of the page
+_TALL = 1.115  # height over width of a drawn frame, with its bar of text
 _WORST = 12  # flights in the table of worst cases
 
 
@@ -42,12 +44,16 @@ def write_flight_page(
         contact = "<h2>Contact conditions</h2>" + table_of(("", "at contact", "limit", ""), rows)
     else:
         contact = f"<h2>No contact</h2><p>{escape(last.reason or 'held')}</p>"
-    cards = (
+    cards: tuple[Card, ...] = (
         Card("corridor", "In the corridor", "The chaser's port before the target's. Grey: the "
              "corridor; dotted: hold points.", png(corridor_picture(flight, setup))),
         Card("errors", "The fused state", "Errors with protection levels, sensors in use, thrust.",
              png(error_picture(flight))),
     )  # fmt: skip
+    film = folder / FILM
+    if setup.model is not None and film.exists():
+        cards = (Card("film", "What the camera sees", "With the recognizer's pose.",
+                      film.read_bytes(), WEBM, _TALL), *cards)  # fmt: skip
     frames = "modelled readings" if setup.model is None else "rendered frames"
     body = f"""<h1>{escape(name)}: flight to the port</h1>
 <p class="quiet">Closed loop with {frames}, seed {seed}, {_fault(fault)}</p>
