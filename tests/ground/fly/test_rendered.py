@@ -14,15 +14,13 @@ from rendezview_ground.fly.options import ChaserOptions, FlyPlan, GuidanceOption
 from rendezview_ground.fly.rendered import RenderedSensors
 
 PLAN = FlyPlan(
-    port=PortOptions(centre_m=(1.5, 0.0, 0.0), axis=(1.0, 0.0, 0.0)),
+    port=PortOptions(centre_m=(1.5, 0.0, 0.0), axis=(1.0, 0.6, 0.4)),  # three sides are seen
     chaser=ChaserOptions(start_m=8.0, place_sigma_m=0.02),
     guidance=GuidanceOptions(longest_s=4.0),
 )
 
 
-def test_the_recognizer_reads_rendered_frames_and_a_dead_camera_gives_none(
-    refining_model, bumpy_mesh
-):
+def test_the_recognizer_reads_frames_and_a_dead_camera_gives_none(refining_model, bumpy_mesh):
     target = Target("bumpy", "", None, "m")
     setup = Setup.of(target, bumpy_mesh, PLAN, refining_model)
     truth = OrbitDynamics(PLAN, setup.port, 0).start()
@@ -33,5 +31,5 @@ def test_the_recognizer_reads_rendered_frames_and_a_dead_camera_gives_none(
 
     plan = replace(PLAN, target=replace(PLAN.target, sun_phase_deg=(10.0, 20.0)))
     (seen,) = read(plan)
-    assert seen.pose.angle_to(truth.pose) < np.deg2rad(3.0)
+    assert seen.pose.angle_to(truth.pose) < np.deg2rad(2.0)  # the prior is 8° off
     assert read(plan, Fault("camera", 0.0, 30.0, 0.0)) == []
