@@ -41,6 +41,7 @@ _SUMMARIES = {
     "rrd": "Convert a run into a recording for the Rerun viewer.",
     "evaluate": "Compare results with the truth of their scene.",
     "assess": "Say how accurate a model is on its craft, on simulated frames.",
+    "fly": "Fly to a target's port in a closed loop, and report the contact.",
     "campaign": "The former name of assess.",
     "show": "Draw any file that rendezview writes.",
     "export": "Print a model's decision trees, or write flight code: C99, ONNX.",
