@@ -148,8 +148,7 @@ def test_a_file_that_somebody_takes_away_is_told_and_the_next_has_all(writer_of,
 
 def test_what_was_safe_in_a_file_that_is_removed_is_told_as_lost(writer_of, logs, disk):
     writer = writer_of(sync="always")
-    for k in range(5):
-        assert _write(writer, k) == RECORDED
+    assert [_write(writer, k) for k in range(5)] == [RECORDED] * 5
     writer.path.unlink()
     assert _write(writer, 5) == RECORDED
     assert writer.status.lost == 5
@@ -211,8 +210,7 @@ def test_a_disk_that_confirms_nothing_keeps_states_pending(writer_of, logs, disk
 
 def test_a_disk_that_hangs_delays_one_answer_and_is_told(writer_of, logs, disk, monkeypatch):
     monkeypatch.setattr(recording, "_LATE_S", 0.1)
-    size = len(PICTURE)
-    writer = writer_of(wait_s=0.05, memory_bytes=30 * size)
+    writer = writer_of(wait_s=0.05, memory_bytes=30 * len(PICTURE))
     wait_until(lambda: writer.status.parts == 1)
     disk.answers.clear()
     told = [_write(writer, k) for k in range(40)]  # more than memory takes
