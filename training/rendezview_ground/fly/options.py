@@ -103,7 +103,7 @@ class SensorOptions:
 
 @dataclass(frozen=True, kw_only=True, config=_FORBID)
 class EnvelopeOptions:
-    """Contact conditions: International Docking System Standard, IDSS IDD revision F, table 3.1."""
+    """Contact conditions: International Docking System Standard, initial contact conditions."""
 
     lateral_m: _Positive = 0.10
     angle_deg: _Positive = 4.0  # of the axes, and of roll
