@@ -172,11 +172,15 @@ def test_downloads_that_nobody_reads_end_and_give_back_what_they_hold(served, ca
         start_s = time.monotonic()
         wait_until(lambda: _sockets(served) <= before)
         assert time.monotonic() - start_s < 30.0  # ten times what an answer may wait
-    with contextlib.ExitStack() as stack:  # more than there may be at once
-        for _ in range(CONNECTIONS - 20):
-            stack.enter_context(connected(served.url)).sendall(asked)
-        _neighbour(served, camera, tour)
-        assert _resident_mb(served) - before_mb < 60.0
-    wait_until(lambda: _resident_mb(served) - before_mb < 20.0)
+    kept_mb = []
+    for _ in range(2):  # the second time finds the memory that the first one gave back
+        with contextlib.ExitStack() as stack:  # more than there may be at once
+            for _ in range(CONNECTIONS - 20):
+                stack.enter_context(connected(served.url)).sendall(asked)
+            _neighbour(served, camera, tour)
+            assert _resident_mb(served) - before_mb < 60.0
+        wait_until(lambda: _sockets(served) <= before)
+        kept_mb.append(_resident_mb(served))
+    assert kept_mb[1] - kept_mb[0] < 10.0, (before_mb, kept_mb)
     url = f"{served.url}v1/recordings/{LOG}/log"
     assert len(httpx.get(url, timeout=MOST_S).content) >= length

@@ -82,7 +82,7 @@ def test_a_session_whose_frames_end_three_processes_is_ended_and_no_other(
                 attacker.track(b"\xff\xd8\xfffatal")
             assert lost.value.status == 503
         wait_until(lambda: [one["id"] for one in client.sessions()] == ["mine"])
-        with pytest.raises(ServiceError, match="there is none with this id"):
+        with pytest.raises(ServiceError, match="its frames ended the tracker's process"):
             attacker.track(tour[0][2])
         assert session.track(tour[3][2], 3.0)["frame"] == 3
         assert b"worker_restarts_total 3.0" in client.fetch("GET", "/metrics")

@@ -140,19 +140,20 @@ class Client:
         if idle_s is not None:
             request["idle_s"] = idle_s
         if camera is not None:
-            names = ("width", "height", "fx", "fy", "cx", "cy")
-            request["camera"] = {n: getattr(camera, n) for n in names}
+            numbered = ("width", "height", "fx", "fy", "cx", "cy")
+            request["camera"] = {n: getattr(camera, n) for n in numbered}
             request["camera"]["distortion"] = list(camera.distortion)
-            if camera.lens_model is not LensModel.OPENCV:
-                request["camera"]["lens_model"] = camera.lens_model
-            if camera.bit_depth is not None:
-                request["camera"]["bit_depth"] = camera.bit_depth
+            for key in (
+                "lens_model",
+                "bit_depth",
+            ):  # what the service takes for granted is left out
+                if getattr(camera, key) not in (None, LensModel.OPENCV):
+                    request["camera"][key] = getattr(camera, key)
         if prior is not None:
             request["prior"] = prior.as_dict()
-        if sun_camera is not None:
-            request["sun_camera"] = np.asarray(sun_camera, dtype=np.float64).tolist()
-        if roi is not None:
-            request["roi"] = np.asarray(roi, dtype=np.float64).tolist()
+        for key, numbers in (("sun_camera", sun_camera), ("roi", roi)):
+            if numbers is not None:
+                request[key] = np.asarray(numbers, dtype=np.float64).tolist()
         given = {"fusion": fusion, "sensors": sensors, "approach": approach}
         request |= {key: json.loads(json_line(value)) for key, value in given.items() if value}
         info = self.request("POST", "/v1/sessions", json.dumps(request).encode())

@@ -91,9 +91,7 @@ class SessionRequest(Message):
     )
     sun_camera: Direction | None = Field(default=None, description="towards the Sun, camera frame")
     roi: Annotated[list[FiniteFloat], Field(min_length=2, max_length=4)] | None = Field(
-        default=None,
-        description="box x, y, width, height, px, of the target in the first frames, a place on it "
-        "x, y, or x, y, range",
+        default=None, description="target at first: x, y, width, height, px; x, y; or x, y, range"
     )
     trees: bool = Field(default=True, description="find active nodes on every frame")
     record: bool | None = Field(default=None, description="default: the service's setting")

@@ -160,8 +160,8 @@ def test_what_is_odd_about_frames_is_marked(tmp_path: Path) -> None:
     (tmp_path / "camera.json").write_text(
         '{"width": 64, "height": 48, "fx": 60, "fy": 90, "cx": 31, "cy": 23}'
     )
-    images = [Image.new("L", (64, 48), 9)] * 2
-    images[0].save(tmp_path / "a.tiff", save_all=True, append_images=images[1:])
+    images = [Image.new("L", (64, 48), grey) for grey in (9, 90)]
+    images[0].save(tmp_path / "a.webp", save_all=True, append_images=images[1:])
     camera, page = of_frames(open_sequence(tmp_path))
     assert (camera.mark, page.mark) == (Mark.ACT, Mark.NOTE)
     assert "fx 60 and fy 90 differ" in camera.what

@@ -95,6 +95,11 @@ class Recognizer:
         return self._finder.outline
 
     @property
+    def trees(self) -> bool:
+        """Whether active nodes are found beside a confident pose, too."""
+        return self._finder.trees
+
+    @property
     def least_confidence(self) -> float:
         """Of a pose that is given."""
         return self._finder.least_confidence
