@@ -33,29 +33,22 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera, LensModel
+from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import read_bytes, read_text
 from rendezview.io.results import json_line
-from rendezview_service.client.messages import Frame, ServiceError, StateDict, frame_content
+from rendezview_service.client.messages import (
+    Frame,
+    ServiceError,
+    StateDict,
+    camera_message,
+    frame_content,
+)
 from rendezview_service.client.stream import StreamClient
 
 _PAUSE_S = 0.2  # s, between attempts to connect. Source: chosen
 _FITS_HEADER = re.compile(r"[\x21-\x7e]+")
 _IDLE_S = 30.0  # s; the service may have closed an idle connection. Source: chosen
-
-
-def pose_of_state(state: StateDict) -> Pose | None:
-    """camera_from_target of a state; None without a pose."""
-    pose = state["pose"]
-    return None if pose is None else Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
-
-
-def fused_pose_of_state(state: StateDict) -> Pose | None:
-    """camera_from_target by all sensors, from a state or the answer to sensor lines."""
-    fused = state.get("fused")
-    pose = None if fused is None else fused["pose"]
-    return None if pose is None else Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
 
 
 class Client:
@@ -140,15 +133,7 @@ class Client:
         if idle_s is not None:
             request["idle_s"] = idle_s
         if camera is not None:
-            numbered = ("width", "height", "fx", "fy", "cx", "cy")
-            request["camera"] = {n: getattr(camera, n) for n in numbered}
-            request["camera"]["distortion"] = list(camera.distortion)
-            for key in (
-                "lens_model",
-                "bit_depth",
-            ):  # what the service takes for granted is left out
-                if getattr(camera, key) not in (None, LensModel.OPENCV):
-                    request["camera"][key] = getattr(camera, key)
+            request["camera"] = camera_message(camera)
         if prior is not None:
             request["prior"] = prior.as_dict()
         for key, numbers in (("sun_camera", sun_camera), ("roi", roi)):
