@@ -10,8 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.cli.export import export
 from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import JsonLinesWriter
+from rendezview.io.sequences.frame import Frame, Sequence
+from rendezview.io.trajectories import results_of_tum, tum_text
 
 
 def log_of(path: Path, times_s) -> list[Pose]:
@@ -59,3 +62,23 @@ def test_what_cannot_be_written_is_said(tmp_path):
             export(tmp_path / f"{name}.jsonl", kitti=tmp_path / "path.txt")
     with pytest.raises(RendezviewError, match="choose what to export"):
         export(tmp_path / "log.jsonl", tum=tmp_path / "a", kitti=tmp_path / "b")
+
+
+def test_a_tum_file_of_a_peer_gives_the_poses_of_the_frames_of_its_times(tmp_path):
+    times_s = [5.0, 5.5, 6.0]
+    poses = log_of(tmp_path / "log.jsonl", times_s)
+    text = "# time x y z qx qy qz qw\n\n" + tum_text(zip(times_s, poses, strict=True))
+    (tmp_path / "peer.tum").write_text(text)
+    camera = Camera.from_fov(64, 48, 0.5)
+    frames = [Frame(k, str(k), time_s, camera, None, 1, np.zeros) for k, time_s in
+              enumerate([4.0, 5.004, 5.5, 7.0, None])]  # fmt: skip
+    sequence = Sequence(2, tuple(frames), Path("scene"))
+    rows = results_of_tum(tmp_path / "peer.tum", sequence)
+    assert [(row.scene_id, row.im_id) for row in rows] == [(2, 1), (2, 2)]
+    for row, pose in zip(rows, poses, strict=False):
+        np.testing.assert_allclose(row.camera_from_target.as_matrix(), pose.as_matrix(), atol=1e-9)
+    with pytest.raises(RendezviewError, match="none of its 3 poses has the time"):
+        results_of_tum(tmp_path / "peer.tum", Sequence(2, (frames[0],), Path("scene")))
+    (tmp_path / "bad.tum").write_text("1 2 3\n")
+    with pytest.raises(RendezviewError, match="line 1: not `time x y z"):
+        results_of_tum(tmp_path / "bad.tum", sequence)

@@ -85,8 +85,11 @@ def read_results(path: StrPath) -> list[ResultRow]:
     reader = csv.reader(read_text(path, "BOP results (CSV)").splitlines())
     rows: list[ResultRow] = []
     try:
-        header = tuple(cell.strip() for cell in next(reader, []))
-        if header != HEADER:
+        first = next(reader, [])
+        header = tuple(cell.strip() for cell in first)
+        if len(first) == len(HEADER) and all(cell.isdigit() for cell in header[:3]):
+            rows.append(_row(first))  # BOP's files have a header, some peers' have none
+        elif header != HEADER:
             raise RendezviewError(
                 f"{path}: line 1: the header must be {','.join(HEADER)}, not "
                 f"{','.join(header)[:80]!r}: these are not BOP results"

@@ -18,6 +18,7 @@ from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.bundled import find_target
 from rendezview.io.files import atomic_write, make_folder
 from rendezview.io.results import read_results
+from rendezview.io.trajectories import results_of_tum
 from rendezview_ground.evaluate.bop_models import bop_model
 from rendezview_ground.evaluate.comparison import (
     comparison_dict,
@@ -38,11 +39,16 @@ from rendezview_ground.evaluate.surface import ModelPoints, alike_of
 from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.mesh.symmetries import described, find_symmetries
 
+_TUM = (".tum", ".txt")  # of trajectories
+
 
 def evaluate(
     scene: Annotated[Path, typer.Argument(help="BOP scene or SPEED folder with true poses.")],
     results: Annotated[
-        list[Path], typer.Argument(help="Results, BOP CSV; several are compared side by side.")
+        list[Path],
+        typer.Argument(
+            help="Results, BOP CSV or TUM (.tum, .txt); several are compared side by side."
+        ),
     ],
     target: Annotated[
         str | None,
@@ -91,7 +97,7 @@ def evaluate(
             raise RendezviewError(f"{path}: is given twice: name each results file once")
         evaluations[name] = evaluate_rows(
             sequence,
-            read_results(path),
+            results_of_tum(path, sequence) if path.suffix in _TUM else read_results(path),
             reference.symmetries,
             reference.centre_m,
             wrong_rad=float(np.deg2rad(wrong)),
