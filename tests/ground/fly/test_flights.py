@@ -13,6 +13,7 @@ from rendezview_ground.fly.campaign import campaign, fly_once, record
 from rendezview_ground.fly.dynamics import OrbitDynamics
 from rendezview_ground.fly.faults import Fault, fault_of_run
 from rendezview_ground.fly.loop import FusedEstimator, Loop
+from rendezview_ground.fly.options import FlyPlan
 from rendezview_ground.fly.report import write_campaign_page, write_flight_page
 from rendezview_ground.fly.sensors import ModelledSensors
 from rendezview_ground.learn.jobs.cores import Cores
@@ -26,6 +27,12 @@ def test_a_faultless_flight_ends_in_contact_inside_the_envelope(setup, tmp_path)
     assert "inside" in page
     assert "<script" not in page
     assert "http" not in page.replace("http-equiv", "")
+
+
+def test_no_retreat_begins_where_the_chaser_can_no_longer_stop(setup):
+    """By the whole plan, with the seed in which a late retreat touched at 7 mm/s."""
+    flight = fly_once(replace(setup, plan=FlyPlan()), 1062)
+    assert (flight.end, flight.outside) == ("contact", None)
 
 
 def test_a_dead_camera_leads_to_a_hold_and_no_contact(setup):
