@@ -93,19 +93,8 @@ class Guidance:
         self._pushed = False
         at = Relative.of(self.port, estimate.pose, estimate.rates, known.turning)
         self._last = at
-        self._decide(None if self._touches(at) else self._doubt(known, at), at)
+        self._decide(self._doubt(known, at), at)
         return self._steer(known, at)
-
-    def _touches(self, at: Relative) -> bool:
-        """Whether the approach ends in contact whatever it does: too near to stop before it.
-
-        A retreat begun here would only touch more slowly than the latches need.
-        """
-        chaser, step_s = self.plan.chaser, self.plan.guidance.step_s
-        braking_m_s2 = chaser.plume_share * chaser.thrust_m_s2
-        stopping_m = at.closing_m_s * (at.closing_m_s / (2.0 * braking_m_s2) + step_s)
-        near = self.mode is Mode.APPROACH and at.range_m < stopping_m
-        return near and at.closing_m_s > 0.0
 
     def _doubt(self, known: Known, at: Relative) -> str | None:
         """Why the chaser may not go on; None: it may."""
@@ -152,7 +141,9 @@ class Guidance:
         if self.mode is Mode.ABORT:
             return
         if self.mode is Mode.APPROACH:
-            if doubt is not None and self._stop_m(at) < at.range_m:
+            # A retreat begun too near to stop would only touch more slowly than the latches need.
+            coasts_m = max(at.closing_m_s, 0.0) * dt  # until the next step
+            if doubt is not None and self._stop_m(at) + coasts_m <= at.range_m:
                 if at.range_m < guidance.commit_m:
                     self._retreat(at, doubt)
                 else:
