@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from pydantic import TypeAdapter
 
 from rendezview.errors import RendezviewError
@@ -26,10 +25,9 @@ from rendezview.io.sequences.bop import (
     pose_of,
     with_matrix,
 )
-from rendezview.io.sequences.decoding import Levels, decode_grey, decode_levels
-from rendezview.io.sequences.fitting import SAMPLES, fitted_levels
+from rendezview.io.sequences.decoding import decode_grey
+from rendezview.io.sequences.fitting import decoded, fitted_levels, sampled
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
-from rendezview.io.sequences.picture_marks import Marks, marks_of
 
 _IMAGES = ("gray.png", "gray.tif", "gray.jpg", "rgb.png", "rgb.jpg", "rgb.jpeg")  # as preferred
 _CAMERA, _TRUTH = TypeAdapter(SceneCamera), TypeAdapter(list[SceneTruth])
@@ -83,7 +81,7 @@ def open_bop_shard(path: Path, camera: Camera | None = None, obj_id: int | None 
             "give one, or unpack the archive and give its folder"
         )
     keys = sorted(images)
-    pictures, marks = _looked_at([images[key] for key in keys])
+    pictures, marks = decoded(images[keys[k]].read() for k in sampled(len(keys)))
     if not pictures:
         raise RendezviewError(f"{path}: none of its pictures can be read: replace the shard")
     height, width = pictures[0].shape
@@ -138,18 +136,6 @@ def _samples(path: Path) -> dict[str, dict[str, _Part]]:
             f"{path}: not a tar file that can be read ({error}): it is damaged, packed or cut short"
         ) from error
     return found
-
-
-def _looked_at(parts: list[_Part]) -> tuple[list[Levels], list[Marks]]:
-    pictures: list[Levels] = []
-    marks: list[Marks] = []
-    for place in np.unique(np.linspace(0, len(parts) - 1, SAMPLES).round().astype(int)):
-        content = parts[place].read()
-        picture = decode_levels(content)
-        if picture is not None:
-            pictures.append(picture)
-            marks.append(marks_of(content))
-    return pictures, marks
 
 
 def _number(key: str) -> int | None:

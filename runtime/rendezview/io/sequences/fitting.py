@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import BIT_DEPTHS, Camera
@@ -17,9 +19,26 @@ from rendezview.io.sequences.decoding import Levels, decode_levels
 from rendezview.io.sequences.misfit import misfit
 from rendezview.io.sequences.picture_marks import Marks, mark_notes, marks_of
 
-SAMPLES = 5  # pictures of a sequence that are looked at before it runs. Source: a chosen limit
+_SAMPLES = 5  # pictures of a sequence that are looked at before it runs. Source: a chosen limit
 _MOST_CAMERA_FILES = 30  # that are read to name one that fits. Source: a chosen limit
 _CAMERA_SUFFIXES = (".yaml", ".yml", ".json", ".xml")
+
+
+def sampled(count: int) -> npt.NDArray[np.intp]:
+    """Places, evenly spread, of the few of so many pictures that are looked at before a run."""
+    return np.unique(np.linspace(0, count - 1, _SAMPLES).round().astype(np.intp))
+
+
+def decoded(contents: Iterable[bytes]) -> tuple[list[Levels], list[Marks]]:
+    """Levels and marks of the files that are pictures."""
+    pictures: list[Levels] = []
+    marks: list[Marks] = []
+    for content in contents:
+        picture = decode_levels(content)
+        if picture is not None:
+            pictures.append(picture)
+            marks.append(marks_of(content))
+    return pictures, marks
 
 
 def fitted(
@@ -34,18 +53,13 @@ def fitted(
     Raises:
         RendezviewError: the camera fits none of the pictures.
     """
-    places = np.unique(np.linspace(0, len(paths) - 1, SAMPLES).round().astype(int))
-    pictures: list[Levels] = []
-    marks: list[Marks] = []
-    for place in places:
-        try:
-            content = read_bytes(paths[place], "an image")
-        except RendezviewError:
-            continue
-        picture = decode_levels(content)
-        if picture is not None:
-            pictures.append(picture)
-            marks.append(marks_of(content))
+
+    def readable() -> Iterator[bytes]:
+        for place in sampled(len(paths)):
+            with contextlib.suppress(RendezviewError):
+                yield read_bytes(paths[place], "an image")
+
+    pictures, marks = decoded(readable())
     return fitted_levels(pictures, marks, camera, folder)
 
 

@@ -12,14 +12,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.grey_frame import eight_bits
 from rendezview.io.sequences.fits import FITS_ENDINGS, fits_pictures, read_fits
-from rendezview.io.sequences.fitting import SAMPLES, fitted_levels
+from rendezview.io.sequences.fitting import fitted_levels, sampled
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 from rendezview.io.sequences.picture import Picture, counts, unit_of
 from rendezview.io.sequences.picture_marks import Marks
@@ -73,7 +72,7 @@ def open_stacks(paths: list[Path], camera: Camera, source: Path) -> Sequence:
         notes.update(dict.fromkeys(said))
     samples: list[npt.NDArray[Any]] = []
     marks: list[Marks] = []
-    for place in np.unique(np.linspace(0, len(pictures) - 1, SAMPLES).round().astype(int)):
+    for place in sampled(len(pictures)):
         try:
             samples.append(_levels(pictures[place]))
         except RendezviewError:
