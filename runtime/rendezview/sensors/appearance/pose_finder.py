@@ -17,7 +17,7 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
 from rendezview.sensors.appearance.judge.confidence import Found
-from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.judge.sketch_found import NEAR_RAD, SketchFound
 from rendezview.sensors.appearance.model.joint_angles import JointAngles
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import (
@@ -35,7 +35,6 @@ from rendezview.sensors.appearance.search.windows import SAME_BODY, overlap
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.appearance.verdict import (
     LEAST_POSTERIOR,
-    NEAR_RAD,
     Near,
     is_known,
     refused,
@@ -49,8 +48,6 @@ _LEAST_CONFIDENT = 0.1
 # merit; chance decides between two poses nearer to each other, where no look-alike was drawn.
 # Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
-
-
 # Bodies of a frame that are looked at closely: the target is the likeliest in 11 of 16 frames, and
 # the second in 2. Source: photographs of everyday objects
 _BODIES = 3
@@ -191,14 +188,14 @@ class PoseFinder:
             part = request._replace(frame=region.cut(request.frame), thorough=False)
             looks.append(region.in_frame(self.looking_at(region).find(part)))
         clock.lap("windows")  # with all looks
+        seen.stage_ms.update(clock.stage_ms)
         given = [look for look in looks if look.pose is not None]
         if not given:
-            seen.stage_ms.update(clock.stage_ms)
             return seen
         symmetries, best = self.model.symmetries, max(given, key=lambda look: look.score)
         assert best.pose is not None
         best.stage_ms.clear()
-        best.stage_ms.update(seen.stage_ms | clock.stage_ms)
+        best.stage_ms.update(seen.stage_ms)
         for look in given:
             assert look.pose is not None
             if angle_between(look.pose, best.pose, symmetries) > NEAR_RAD:

@@ -18,6 +18,7 @@ from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
 from rendezview.sensors.appearance.integrity.evidence import Second
 from rendezview.sensors.appearance.joint_configurations import around, best_of
+from rendezview.sensors.appearance.judge.sketch_found import NEAR_RAD
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation, StageClock
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
@@ -27,7 +28,6 @@ from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search.levels import LevelSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
-from rendezview.sensors.appearance.verdict import NEAR_RAD
 from rendezview.sensors.arguments import check_prior, check_types
 from rendezview.sensors.observation import Status
 

@@ -19,8 +19,6 @@ F = TypeVar("F", bound=Found)
 
 # Of the outline: it was whole, and refinement says why there is no pose.
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
-# Rad; error of a pose whose joint is at a wrong angle. Source: experiment pose-joints (0.1)
-NEAR_RAD = np.deg2rad(8.0)
 # Of a pose among its look-alikes. Source: docs/notes/rivals.md
 LEAST_POSTERIOR = 0.9
 _SIGMAS = 3.0  # of a pose beyond the error of its prior. Source: normal distribution, 99.7 %

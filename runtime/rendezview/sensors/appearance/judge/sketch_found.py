@@ -15,8 +15,9 @@ from rendezview.sensors.appearance.judge.confidence import Found
 from rendezview.sensors.appearance.judge.rivals import Weighed
 from rendezview.sensors.appearance.judge.sketch_choice import Aligned, SketchChoice, SketchPose
 
-# Rad; error of a pose that grey edges have moved. Source: experiment pose-joints (0.1)
-SAME_RAD = np.deg2rad(8.0)
+# Rad; error of a pose that grey edges have moved, or whose joint is at a wrong angle. Source:
+# experiment pose-joints (0.1)
+NEAR_RAD = np.deg2rad(8.0)
 # Of the drawn look-alikes; a surer pose is no surer. Of .9, .95 and .99 it gives most right poses
 # and none wrong. Source: docs/notes/rivals.md
 _SUREST_SHARE = 0.95
@@ -49,7 +50,7 @@ class SketchFound(Found):
         pose = self.best.pose
 
         def same(one: Pose | None) -> bool:
-            return one is not None and angle_between(one, pose, symmetries) < SAME_RAD
+            return one is not None and angle_between(one, pose, symmetries) < NEAR_RAD
 
         share = sum(w.probability for w in weighed if same(w.pose) or same(w.on_sketch))
         if share == 1.0 == len(weighed):
