@@ -17,6 +17,7 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
 from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.rivals import Rivals
 from rendezview.sensors.appearance.judge.sketch_found import NEAR_RAD, SketchFound
 from rendezview.sensors.appearance.model.joint_angles import JointAngles
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -36,6 +37,7 @@ from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.appearance.verdict import (
     LEAST_POSTERIOR,
     Near,
+    beside_look_alikes,
     is_known,
     refused,
 )
@@ -79,6 +81,10 @@ class PoseFinder:
         self.region: Region | None = None
         self.least_confidence = least_confidence
         self.search = LevelSearch(model, camera) if refine and model.contours is not None else None
+        # Refinement has its own.
+        self._rivals = None
+        if self.search is None and model.shape is not None:
+            self._rivals = Rivals(model, camera)
         self.close = None
         if self.search is not None and model.near:
             self.close = CloseSearch(model, camera)
@@ -101,6 +107,8 @@ class PoseFinder:
         other.outline = self.outline.with_camera(camera, region)
         if self.search is not None:
             other.search = self.search.with_camera(camera, may_be)
+        if self._rivals is not None:
+            other._rivals = Rivals(self.model, camera)
         if self.close is not None:
             other.close = CloseSearch(self.model, camera)
         if self.sketch is not None and other.search is not None:
@@ -120,10 +128,15 @@ class PoseFinder:
         """What is observed in one frame."""
         frame, prior, prior_error_rad, sun_camera, enough_inliers, thorough = request
         clock, search = StageClock(), self.search
+        sky = Sky.of(frame, sun_camera)
         if search is None:
             traced = self.outline.trace(frame, prior, clock, bright_sky=False)
-            return self.outline.recognize(traced, prior, prior_error_rad, clock, alone=True)
-        sky = Sky.of(frame, sun_camera)
+            seen = self.outline.recognize(traced, prior, prior_error_rad, clock, alone=True)
+            if prior is None and seen.pose is not None and self._rivals is not None:
+                weighed = self._rivals.weigh_coarse(frame, sky, seen.pose)
+                seen = beside_look_alikes(seen, weighed, self.model.symmetries)
+                clock.lap("look-alikes")
+            return seen
         if prior is None:
             seen = self._anywhere(search, frame, sky, clock)
             cluttered = not sky.dark or self.region is not None  # several things, anyway

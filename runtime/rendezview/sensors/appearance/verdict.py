@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.edges.refinement import Refined
 from rendezview.sensors.appearance.judge.confidence import Found
-from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.judge.rivals import Weighed
+from rendezview.sensors.appearance.judge.sketch_found import NEAR_RAD, SketchFound
 from rendezview.sensors.appearance.observation import CLOSE_MARGIN, AppearanceObservation
 from rendezview.sensors.observation import Status
 
@@ -50,6 +53,37 @@ def is_known(refined: Refined) -> bool:
     along_m2 = float(place_m @ covariance[3:, 3:] @ place_m) / max(range_m, 1e-9) ** 2
     turn_rad2 = float(np.trace(covariance[:3, :3]))
     return turn_rad2 < _MOST_SIGMA**2 and along_m2 < (_MOST_SIGMA * range_m) ** 2
+
+
+def beside_look_alikes(
+    seen: AppearanceObservation, weighed: Sequence[Weighed], symmetries: Sequence[Symmetry]
+) -> AppearanceObservation:
+    """An observation of the trees alone with its probability; without its pose if others have more.
+
+    Args:
+        seen: with a pose.
+        weighed: the pose and its look-alikes; see `Rivals.weigh_coarse`. (): nothing was drawn.
+    """
+    pose = seen.pose
+    if pose is None or not weighed:
+        return seen
+    shares = (w.probability for w in weighed if angle_between(w.pose, pose, symmetries) < NEAR_RAD)
+    own = float(sum(shares))
+    if own >= 0.5:
+        return replace(seen, confidence=own)
+    others = (w for w in weighed if angle_between(w.pose, pose, symmetries) >= NEAR_RAD)
+    rival = next(others)
+    apart = np.rad2deg(angle_between(rival.pose, pose, symmetries))
+    return replace(
+        seen,
+        status=Status.AMBIGUOUS,
+        reason=f"the trees' pose has a probability of {own:.2f} beside its look-alikes, one "
+        f"{apart:.0f}° away {rival.probability:.2f}: refine poses, or give a prior",
+        pose=None,
+        covariance=None,
+        confidence=own,
+        outline=replace(seen.reading, points_m=np.zeros((0, 3))),
+    )
 
 
 def refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObservation:

@@ -21,7 +21,10 @@ from rendezview.sensors.appearance.judge.sketch_choice import (
 )
 from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.sky import Sky
+from rendezview.sensors.appearance.verdict import beside_look_alikes
+from rendezview.sensors.observation import Status
 from rendezview_ground.learn.options import TrainingOptions, view_geometry
 from rendezview_ground.learn.views.carried_shape import carried_shape
 from rendezview_ground.mesh.mesh import Mesh
@@ -248,3 +251,42 @@ def test_a_sketch_tells_look_alikes_apart_where_the_picture_does_not(
     assert weighed[0].pose is poses[1]
     assert weighed[0].on_sketch is poses[1]
     assert weighed[0].probability > 0.95
+
+
+def of_trees(pose: Pose) -> AppearanceObservation:
+    return AppearanceObservation(Status.OK, pose=pose, covariance=1e-4 * np.eye(6))
+
+
+@pytest.mark.parametrize("off_deg", [0.0, 2.0])
+def test_a_pose_of_the_trees_is_given_with_its_probability_beside_look_alikes(
+    model: ViewModel, drum: Mesh, off_deg: float
+) -> None:
+    frame, pose = picture(drum, SIDE), aside(SIDE, off_deg)
+    weighed = Rivals(model, CAMERA).weigh_coarse(frame, Sky.of(frame, SUN), pose)
+    given = beside_look_alikes(of_trees(pose), weighed, [])
+    assert given.pose is pose
+    assert given.confidence is not None
+    assert 0.5 < given.confidence <= 1.0
+
+
+@pytest.mark.parametrize("off_deg", [60.0, 180.0, 240.0])
+def test_a_pose_of_the_trees_that_a_look_alike_contradicts_is_not_given(
+    model: ViewModel, drum: Mesh, off_deg: float
+) -> None:
+    frame, wrong = picture(drum, SIDE), aside(SIDE, off_deg)
+    weighed = Rivals(model, CAMERA).weigh_coarse(frame, Sky.of(frame, SUN), wrong)
+    seen = beside_look_alikes(of_trees(wrong), weighed, [])
+    assert seen.status is Status.AMBIGUOUS
+    assert seen.pose is None
+    assert seen.covariance is None
+    assert seen.confidence is not None
+    assert seen.confidence < 0.1
+    assert "look-alikes" in (seen.reason or "")
+
+
+def test_a_pose_of_the_trees_that_is_too_small_to_draw_stays(model: ViewModel) -> None:
+    frame = np.zeros((320, 320), np.uint8)
+    tiny = Pose(SIDE.rotation, np.array([0.0, 0.0, 900.0]))
+    weighed = Rivals(model, CAMERA).weigh_coarse(frame, Sky(0.0, 1.0, dark=True), tiny)
+    seen = of_trees(tiny)
+    assert beside_look_alikes(seen, weighed, []) is seen

@@ -19,7 +19,7 @@ from rendezview.sensors.appearance.judge.rivals import (
     Weighed,
     edge_scores,
 )
-from rendezview.sensors.appearance.judge.shading import Shade, Shading
+from rendezview.sensors.appearance.judge.shading import FRONT, Shade, Shading
 from rendezview.sensors.appearance.judge.sketch_choice import Aligned, SketchPose
 from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.forest import ForestScores
@@ -54,7 +54,6 @@ _RIVAL_RAD = np.deg2rad(5.0)
 # error_model.json
 _MOST_FEATURE = 0.3
 _MOST_RIVALS = 16  # that are drawn, of most merit. Source: by construction, a bound of time
-_FRONT = np.array([0.0, 0.0, -1.0])  # Sun behind the camera. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,12 +138,6 @@ class _Candidate:
         return None if self.shade is None else self.shade.agreement
 
 
-def _sun_of(candidate: _Candidate) -> Array:
-    """(3,) where the surface points have the Sun; behind the camera where they do not tell."""
-    shade = candidate.shade
-    return _FRONT if shade is None or not shade.sun_camera.any() else shade.sun_camera
-
-
 @dataclass(slots=True, eq=False)
 class Candidates:
     """All refined poses of one frame; each costs its overshoot and its shading once."""
@@ -226,7 +219,7 @@ class Candidates:
         order = order[:_MOST_RIVALS]
         weighed = rivals.weigh(
             self.image, self.sky, [asked[k].refined.pose for k in order], edges[order],
-            [_sun_of(asked[k]) for k in order],
+            [FRONT if (shade := asked[k].shade) is None else shade.sun for k in order],
             None if sketch is None else [sketch[k] for k in order],
         )  # fmt: skip
         if not weighed:

@@ -18,6 +18,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.judge.drawn import Drawn, DrawnEvidence, Explained, cost_of
+from rendezview.sensors.appearance.judge.shading import FRONT, Shading
 from rendezview.sensors.appearance.judge.sketch_choice import SketchPose
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.sky import Sky
@@ -46,13 +47,14 @@ class Weighed:
 class Rivals:
     """Look-alikes of poses of one model, and what the frames of one camera say of them."""
 
-    def __init__(self, model: ViewModel, camera: Camera) -> None:
+    def __init__(self, model: ViewModel, camera: Camera, shading: Shading | None = None) -> None:
         if model.shape is None:
             raise ValueError("the model has no shape")
         self._turns, self._shifts_m = model.shape.turns, model.shape.shifts_m
         self._mirrored = np.linalg.det(self._turns) < 0.0
         self._centre_m = model.centre_m
         self._evidence = DrawnEvidence(model.shape, model, camera)
+        self._shading = shading or Shading(model, camera)
 
     def look_alikes(self, pose: Pose) -> list[Pose]:
         """Poses (camera_from_target) that look nearly like one."""
@@ -71,7 +73,7 @@ class Rivals:
 
     def weigh(
         self, image: Picture, sky: Sky, poses: list[Pose], edges: Array, suns: list[Array],
-        sketch: list[SketchPose | None] | None = None,
+        sketch: list[SketchPose | None] | None = None, *, coarse: bool = False,
     ) -> list[Weighed]:  # fmt: skip
         """Poses of one frame with their probabilities, the likeliest first; [] if none is seen.
 
@@ -83,6 +85,7 @@ class Rivals:
             suns: (3,) towards the Sun of each, camera frame, as the surface points have it. If
                 the Sun is known, that one counts.
             sketch: where one leads each pose to; its lines are among the edges.
+            coarse: take no Suns around those.
         """
         known = sky.sun_camera
         if known is not None:
@@ -100,7 +103,7 @@ class Rivals:
             for one, sun in zip(drawn, suns, strict=True)
         ]
         if known is None:
-            explained = self._under_best_suns(edges, cost_weight, drawn, explained)
+            explained = self._under_best_suns(edges, cost_weight, drawn, explained, coarse=coarse)
         scores = _scores(edges, cost_weight, explained)
         if not np.isfinite(scores.max()):
             return []
@@ -112,9 +115,19 @@ class Rivals:
         ]
         return sorted(weighed, key=lambda w: -w.probability)
 
+    def weigh_coarse(self, image: Picture, sky: Sky, pose: Pose) -> list[Weighed]:
+        """A pose that no edges have moved, beside its look-alikes; no edges count.
+
+        Its own errors are larger than those of a Sun, so none is searched for around the likeliest.
+        """
+        poses = [pose, *self.look_alikes(pose)]
+        shades = (self._shading.of(image, sky, one) for one in poses)
+        suns = [FRONT if shade is None else shade.sun for shade in shades]
+        return self.weigh(image, sky, poses, np.zeros(len(poses)), suns, coarse=True)
+
     def _under_best_suns(
         self, edges: Array, cost_weight: float, drawn: list[Drawn | None],
-        explained: list[Explained],
+        explained: list[Explained], *, coarse: bool,
     ) -> list[Explained]:  # fmt: skip
         """Each under the Suns of the two likeliest, too; those in doubt under Suns around."""
         order = np.argsort(-_scores(edges, cost_weight, explained), kind="stable")
@@ -123,6 +136,8 @@ class Rivals:
             seen if one is None else min([seen, *map(one.under, others)], key=cost_of)
             for one, seen in zip(drawn, explained, strict=True)
         ]
+        if coarse:
+            return explained
         scores = _scores(edges, cost_weight, explained)
         for k, one in enumerate(drawn):
             if one is not None and scores[k] >= scores.max() - _IN_DOUBT:

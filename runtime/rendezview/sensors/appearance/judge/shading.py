@@ -78,11 +78,19 @@ class SurfaceTables(NamedTuple):
         )
 
 
+FRONT = np.array([0.0, 0.0, -1.0])  # a Sun behind the camera. Source: by construction
+
+
 class Shade(NamedTuple):
     """How the surface points of a pose agree with a frame."""
 
     agreement: float  # −1 … 1, in small windows
     sun_camera: Array  # (3,) unit, towards the Sun that fits best, camera frame; 0: too few points
+
+    @property
+    def sun(self) -> Array:
+        """(3,) the same; behind the camera where the points do not tell."""
+        return self.sun_camera if self.sun_camera.any() else FRONT
 
 
 class Shading:

@@ -109,7 +109,9 @@ class PoseSearch:
     def __post_init__(self) -> None:
         self.refiner = Refiner(self.model, self.camera, self.refine_options)
         self.shading = Shading(self.model, self.camera)
-        self.rivals = None if self.model.shape is None else Rivals(self.model, self.camera)
+        self.rivals = None
+        if self.model.shape is not None:
+            self.rivals = Rivals(self.model, self.camera, self.shading)
         self.retrieval = Retrieval(self.model)
         self.forest_scores = self.model.forest_scores()
         self._half_turns = half_turns(self.model)
@@ -121,7 +123,7 @@ class PoseSearch:
         other.refiner = Refiner(self.model, camera, options)
         other.shading = Shading(self.model, camera)
         if self.rivals is not None:
-            other.rivals = Rivals(self.model, camera)
+            other.rivals = Rivals(self.model, camera, other.shading)
         if other.refiner.articulation is not None and self.refiner.articulation is not None:
             other.refiner.articulation.start_rad = self.refiner.articulation.start_rad
             other.refiner.articulation.tracked = self.refiner.articulation.tracked
