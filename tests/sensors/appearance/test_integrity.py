@@ -18,7 +18,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.results import json_line
 from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.appearance.edges.refinement import Refined
-from rendezview.sensors.appearance.integrity.evidence import Evidence, Second
+from rendezview.sensors.appearance.integrity.evidence import Evidence, Other, Second
 from rendezview.sensors.appearance.integrity.model import (
     FRAME_FEATURES,
     PACKAGED,
@@ -32,6 +32,7 @@ from rendezview.sensors.appearance.integrity.model import (
 )
 from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
 from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.rivals import Weighed
 from rendezview.sensors.appearance.outline.reading import OutlineReading
 from rendezview.sensors.observation import Status
 from rendezview.sensors.protection import Levels, Protection
@@ -122,6 +123,31 @@ def test_a_rival_that_is_not_excluded_is_inside_the_level():
     assert found.attitude_rad == pytest.approx(0.7)
     assert found.position_m == pytest.approx(1.5)
     assert np.all(found.axes[:3] == pytest.approx(0.7))
+
+
+@pytest.mark.requirement("RV-INT-2")
+def test_look_alikes_that_a_frame_leaves_possible_are_inside_the_level_of_the_whole_track():
+    monitor = IntegrityMonitor(IntegrityOptions(risk=1e-3), model())
+    beside = (Other(2.0, 3.0, 0.02), Other(1.0, 0.5, 4e-4))
+    first = monitor.judge(evidence(others=beside))
+    assert first.attitude_rad == pytest.approx(2.0)
+    assert first.position_m == pytest.approx(3.0)
+    assert first.wrong == pytest.approx(0.0204)
+    # The next frames are tracked: they look nowhere else.
+    assert monitor.judge(evidence(1.0)).attitude_rad == pytest.approx(2.0)
+    # A jump begins another track.
+    jump = evidence(2.0, innovation=np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert monitor.judge(jump).attitude_rad < 0.01
+
+
+def test_a_second_estimator_that_agrees_rules_look_alikes_out_and_one_that_does_not_supports_them():
+    options = IntegrityOptions(risk=1e-3, second_every=1)
+    for second, odds in ((AGREES, 1.0 / 9.0), (DISAGREES, 9.0)):
+        monitor = IntegrityMonitor(options, model())
+        monitor.judge(evidence(others=(Other(2.0, 3.0, 0.02),)))
+        found = monitor.judge(evidence(1.0), lambda second=second: second)
+        ratio = odds * 0.02 / 0.98
+        assert found.wrong == pytest.approx(ratio / (1.0 + ratio))
 
 
 @pytest.mark.requirement("RV-INT-2")
@@ -252,7 +278,7 @@ def test_a_drift_of_the_motion_is_an_alarm_and_an_allowed_acceleration_is_not():
 
 
 def test_evidence_survives_its_record():
-    original = evidence(3.0, innovation=np.arange(6.0))
+    original = evidence(3.0, innovation=np.arange(6.0), others=(Other(1.0, 2.0, 0.01),))
     again = Evidence.of_record(json.loads(json_line(original.record())))
     for field in dataclasses.fields(Evidence):
         np.testing.assert_equal(getattr(again, field.name), getattr(original, field.name))
@@ -316,6 +342,13 @@ def test_evidence_is_that_of_the_observation_and_its_prediction():
     assert made.rival_m == pytest.approx(0.5)
     assert (made.outline, made.margin, made.trees, made.followed) == (0.9, 0.2, 1.5, True)
     assert np.isnan(made.shading)
+    assert made.others == ()
+    sun = np.array([0.0, 0.0, -1.0])
+    weighed = tuple(Weighed(p, 9.0, 0.1, sun, w) for p, w in ((pose, 0.97), (rival, 0.03)))
+    beside = dataclasses.replace(seen, found=dataclasses.replace(found, weighed=weighed))
+    made = Evidence.of(beside, 2.0, predicted, centre_m)
+    assert made is not None
+    assert made.others[0] == pytest.approx((1.0, 0.5, 0.03))
     alone = Evidence.of(dataclasses.replace(seen, time_s=1.0), 2.0, None, centre_m)
     assert alone is not None
     assert alone.innovation is None

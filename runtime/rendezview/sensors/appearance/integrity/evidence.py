@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.sketch_found import NEAR_RAD, SketchFound
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
 
@@ -21,6 +22,14 @@ class Second:
 
     angle_rad: float  # between both attitudes
     confidence: float  # of the second
+
+
+class Other(NamedTuple):
+    """Another answer that was weighed with a pose."""
+
+    angle_rad: float  # between both attitudes
+    apart_m: float  # distance of both translations
+    probability: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +57,7 @@ class Evidence:
     rival_rad: float  # angle to the rival; NaN: there is none
     rival_m: float  # distance of its translation from that of the pose
     innovation: Array | None = None  # (6,) from the prediction to the pose: rad, m
+    others: tuple[Other, ...] = ()  # look-alikes that the frame leaves possible
 
     @classmethod
     def of(
@@ -100,6 +110,7 @@ class Evidence:
             rival_rad=rival_rad,
             rival_m=rival_m,
             innovation=innovation,
+            others=_others(found, pose),
         )
 
     def record(self) -> dict[str, Any]:
@@ -113,4 +124,23 @@ class Evidence:
         values["covariance"] = np.array(record["covariance"])
         innovation = record["innovation"]
         values["innovation"] = None if innovation is None else np.array(innovation)
+        values["others"] = tuple(Other(*other) for other in record.get("others", ()))
         return cls(**values)
+
+
+def _others(found: Found, pose: Pose) -> tuple[Other, ...]:
+    """The other answers that were weighed, with all of the probability that the pose lacks."""
+    apart = [
+        Other(
+            pose.angle_to(one.pose),
+            float(np.linalg.norm(one.pose.translation_m - pose.translation_m)),
+            one.probability,
+        )
+        for one in found.weighed
+        if pose.angle_to(one.pose) > NEAR_RAD
+    ]
+    total = sum(other.probability for other in apart)
+    if not total > 0.0:
+        return ()
+    scale = (1.0 - found.posterior) / total
+    return tuple(other._replace(probability=scale * other.probability) for other in apart)

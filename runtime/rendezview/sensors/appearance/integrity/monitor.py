@@ -18,8 +18,9 @@ import numpy as np
 from rendezview.errors import RendezviewError
 from rendezview.estimation.protection import LEAST_RISK, MOST_RISK, Drift, Overbound, shared
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.integrity.evidence import Evidence, Second
+from rendezview.sensors.appearance.integrity.evidence import Evidence, Other, Second
 from rendezview.sensors.appearance.integrity.model import (
+    SAME_RAD,
     IntegrityModel,
     SecondEstimator,
     frame_features,
@@ -84,6 +85,7 @@ class IntegrityMonitor:
         self._asked = -self.options.second_every
         self._steps: list[_Step] = []
         self._drift = Drift.none(6)
+        self._others: tuple[Other, ...] = ()  # of the track's first pose, or a later search
 
     def protected(
         self,
@@ -116,6 +118,7 @@ class IntegrityMonitor:
         innovation = evidence.innovation
         if innovation is None or np.linalg.norm(innovation[:3]) > _JUMP_RAD:
             self._restart()
+        self._others = evidence.others or self._others
         features = frame_features(evidence)
         if self._smoothed is None:
             self._smoothed = features
@@ -128,7 +131,10 @@ class IntegrityMonitor:
         doubt = protection.wrong > self.options.risk or ESTIMATORS_DISAGREE in protection.alarms
         if ask is None or evidence.sketched or not (waited and doubt):
             return protection  # of its own pose a sketch is no second estimator
-        self._asked, self._second = self._followed, self._second.after(ask())
+        second = ask()
+        self._asked, self._second = self._followed, self._second.after(second)
+        if second is not None:
+            self._others = tuple(_after(other, second) for other in self._others)
         return self._protection(evidence)
 
     @property
@@ -158,24 +164,30 @@ class IntegrityMonitor:
         model, options = self.model, self.options
         wrong = model.probability_wrong(self.features)
         rival = 0.0 if math.isnan(evidence.rival_rad) else model.at_rival * wrong
+        beside = sum(other.probability for other in self._others)
+        anywhere = max(wrong - rival - beside, 0.0)
         shown, covariance = self._smoothed, evidence.covariance
         assert shown is not None
         turning = model.attitude_spread.widened(covariance[:3, :3], shown, 1.0)
         moving = model.position_spread.widened(covariance[3:6, 3:6], shown, evidence.range_m)
         attitude, turn = _level(
             model.attitude, turning, options.risk,
-            [(evidence.rival_rad, rival), (math.pi, wrong - rival)], math.pi, 1.0,
+            [(evidence.rival_rad, rival), (math.pi, anywhere),
+             *((other.angle_rad, other.probability) for other in self._others)],
+            math.pi, 1.0,
         )  # fmt: skip
         position, move = _level(
             model.position, moving, options.risk,
-            [(evidence.rival_m, rival), (math.inf, wrong - rival)], math.inf, evidence.range_m,
+            [(evidence.rival_m, rival), (math.inf, anywhere),
+             *((other.apart_m, other.probability) for other in self._others)],
+            math.inf, evidence.range_m,
         )  # fmt: skip
         return Protection(
             risk=options.risk,
             attitude_rad=attitude,
             position_m=position,
             axes=np.concatenate([turn, move]),
-            wrong=wrong,
+            wrong=max(wrong, rival + beside),
             drift=self._drift.largest,
             alarms=self._alarms(attitude, position),
         )
@@ -191,6 +203,15 @@ class IntegrityMonitor:
         if self._drift.largest > self.model.limit:
             alarms.append("drift")
         return tuple(alarms)
+
+
+def _after(other: Other, second: Second) -> Other:
+    """Another answer after a second estimator's: its odds are multiplied (Bayes)."""
+    sure = min(max(second.confidence, 1e-6), 1.0 - 1e-6)
+    agrees = second.angle_rad < SAME_RAD
+    against = (1.0 - sure) / sure if agrees else sure / (1.0 - sure)
+    odds = against * other.probability / max(1.0 - other.probability, 1e-12)
+    return other._replace(probability=odds / (1.0 + odds))
 
 
 def _level(
