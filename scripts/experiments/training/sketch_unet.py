@@ -13,7 +13,12 @@ from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_
 from torch import nn
 from torch.nn import functional
 
-from rendezview.sensors.appearance.edges.network import FAINT_GREY, SQUARE_PX, to_squares
+from rendezview.sensors.appearance.edges.network import (
+    FAINT_GREY,
+    SIDE_PX,
+    SQUARE_PX,
+    to_squares,
+)
 from rendezview.sensors.appearance.model.sketches import COVER, MAPS
 
 CHANNELS = 2  # grey levels, and faint differences magnified
@@ -27,7 +32,7 @@ WARM_UP = 200  # steps
 REPORT_S = 60.0  # between reports and checkpoints
 LEARNING_RATE = 2e-3
 MEAN_DECAY = 0.998  # of the running mean of the weights, a step
-HELD_BATCH = 16
+HELD_PIXELS = 32 * SIDE_PX**2  # of held-out pictures, at once
 Batch = tuple[np.ndarray, np.ndarray]  # grey levels (N, S, S), maps (N, MAPS, S, S) 0 … 255
 
 
@@ -120,18 +125,24 @@ def dice(share, truth):
 
 def inputs(batch: Batch, device: str) -> tuple[torch.Tensor, torch.Tensor]:
     """Pictures (N, CHANNELS, S, S) as ``channels_of``, and maps (N, MAPS, S, S) 0 … 1."""
-    grey, maps = (torch.tensor(part).to(device).float() for part in batch)
+    grey, maps = (torch.from_numpy(part).to(device).float() for part in batch)
     middle = grey[:, ::4, ::4].flatten(1).median(1).values[:, None, None]
     pictures = torch.stack([grey / 255.0, torch.tanh((grey - middle) / FAINT_GREY)], 1)
     return pictures.contiguous(memory_format=torch.channels_last), maps / 255.0
+
+
+def brief(device: str) -> bool:
+    """Whether numbers of half the bits, which are as exact, are also faster."""
+    return device == "cuda" or torch.ops.mkldnn._is_mkldnn_bf16_supported()
 
 
 def judged(network, held: Batch, device: str) -> tuple[float, float, np.ndarray]:
     """The two losses and the overlap (IoU) of the cover of each held-out picture (N,)."""
     network.eval()
     pictures, maps = inputs(held, device)
-    with torch.no_grad():
-        odds = torch.cat([log_odds(network, part) for part in pictures.split(HELD_BATCH)])
+    count = max(1, HELD_PIXELS // pictures.shape[-1] ** 2)
+    with torch.no_grad(), torch.autocast(device, dtype=torch.bfloat16, enabled=brief(device)):
+        odds = torch.cat([log_odds(network, part) for part in pictures.split(count)])
         entropy, overlap = losses(odds, maps)
     seen, truth = odds[:, COVER] > 0, maps[:, COVER] > 0.5
     both, either = (seen & truth).sum((1, 2)), (seen | truth).sum((1, 2))
@@ -148,8 +159,10 @@ class Trained:
             for _ in range(2)
         )
         self.mean.load_state_dict(self._network.state_dict())
-        # Half the bits are as exact, and faster where the processor has them.
-        self._brief = device == "cuda" or torch.ops.mkldnn._is_mkldnn_bf16_supported()
+        self._kept, self._now = (
+            [v for v in one.state_dict().values() if v.dtype.is_floating_point]
+            for one in (self.mean, self._network)
+        )
         self._optimizer = torch.optim.AdamW(
             self._network.parameters(), weight_decay=1e-3, fused=device == "cuda"
         )
@@ -162,7 +175,7 @@ class Trained:
         network = self._network
         for group in self._optimizer.param_groups:
             group["lr"] = rate
-        with torch.autocast(self._device, dtype=torch.bfloat16, enabled=self._brief):
+        with torch.autocast(self._device, dtype=torch.bfloat16, enabled=brief(self._device)):
             odds = log_odds(network, pictures)
         entropy, overlap = losses(odds, maps)
         self._optimizer.zero_grad(set_to_none=True)
@@ -170,20 +183,14 @@ class Trained:
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         self._optimizer.step()
         self._steps += 1
-        self._follow(min(MEAN_DECAY, self._steps / (self._steps + 20)))
-        self._running.append(torch.stack([entropy.detach(), overlap.detach()]))
-
-    def _follow(self, decay: float) -> None:
-        kept, now = (
-            [v for v in one.state_dict().values() if v.dtype.is_floating_point]
-            for one in (self.mean, self._network)
-        )
+        decay = min(MEAN_DECAY, self._steps / (self._steps + 20))
         with torch.no_grad():
-            torch._foreach_lerp_(kept, now, 1.0 - decay)
+            torch._foreach_lerp_(self._kept, self._now, 1.0 - decay)
+        self._running.append(torch.stack([entropy.detach(), overlap.detach()]))
 
     def report(self, held: list[Batch]) -> None:
         """Print how well it does, and keep the mean of its weights beside the path."""
-        now = torch.stack(self._running).mean(0).tolist()
+        now = torch.stack(self._running or [torch.zeros(2)]).mean(0).tolist()
         self._running.clear()
         print(f"{self.path.stem}, step {self._steps}: cross entropy {now[0]:.3f}, "
               f"1 − Dice {now[1]:.3f}; held out:", flush=True)  # fmt: skip
@@ -212,7 +219,7 @@ def train(
         The running means of their weights.
     """
     torch.manual_seed(seed)
-    torch.backends.cudnn.benchmark = True
+    torch.backends.cudnn.benchmark, torch.backends.cudnn.benchmark_limit = True, 4
     device = "cuda" if torch.cuda.is_available() else "cpu"
     learning = [Trained(path, widths, device) for path, widths in networks.items()]
     began, step, reported = time.monotonic(), 0, 0.0
