@@ -17,6 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from threadpoolctl import threadpool_limits
 
 from rendezview.sensors.appearance.edges.network import SIDE_PX
 from rendezview.sensors.appearance.model.sketches import MAPS
@@ -143,6 +144,7 @@ class Feed:
 
     def _work(self, seed: np.random.SeedSequence, reuse: float) -> None:
         cv2.setNumThreads(1)
+        threadpool_limits(1, "blas")
         rng = np.random.default_rng(seed)
         pool = Pool(rng, reuse)
         while True:

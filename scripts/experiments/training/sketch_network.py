@@ -47,7 +47,9 @@ def run(
     minutes: Annotated[float, "of training"] = 70.0,
     workers: Annotated[int, "processes that draw; 0: one fewer than there are cores"] = 0,
     batch: Annotated[int, "pictures of a step"] = 16,
-    reuse: Annotated[float, "photographs of each drawing"] = 10.0, seed: int = 11,
+    reuse: Annotated[float, "photographs of each drawing"] = 10.0,
+    rate: Annotated[float, "the highest learning rate"] = 2e-3,
+    resume: Annotated[bool, "go on from the weights beside the ONNX files"] = False, seed: int = 11,
 ) -> None:  # fmt: skip
     """Train the network that sketches a photograph, on random spacecraft in hard light.
 
@@ -78,7 +80,7 @@ def run(
         widths[larger] = unet.LARGE_WIDTHS
     for path in widths:
         path.parent.mkdir(parents=True, exist_ok=True)
-    trained = unet.train(feed, held, widths, minutes, seed)
+    trained = unet.train(feed, held, widths, minutes, seed, rate, resume=resume)
     feed.close()
     pictures = [channels_of(grey.astype(np.float32)) for greys, _ in shown for grey in greys]
     for path, one in zip(widths, trained, strict=True):

@@ -29,7 +29,7 @@ LINE_WEIGHT = 3.0  # of a pixel on a line: most are on none
 MAP_WEIGHTS = (1.0, 1.5, 1.5)
 DICE_PX = 50.0  # px²; keeps the overlap of small targets smooth
 WARM_UP = 200  # steps
-REPORT_S = 60.0  # between reports and checkpoints
+REPORT_S, REPORTS = 60.0, 20  # least time between reports and checkpoints; their count
 LEARNING_RATE = 2e-3
 MEAN_DECAY = 0.998  # of the running mean of the weights, a step
 HELD_PIXELS = 32 * SIDE_PX**2  # of held-out pictures, at once
@@ -152,12 +152,16 @@ def judged(network, held: Batch, device: str) -> tuple[float, float, np.ndarray]
 class Trained:
     """A network while it learns, and the running mean of its weights."""
 
-    def __init__(self, path: Path, widths: tuple[int, ...], device: str) -> None:
+    def __init__(
+        self, path: Path, widths: tuple[int, ...], device: str, *, resume: bool = False
+    ) -> None:
         self.path, self._device, self._steps = path, device, 0
         self._network, self.mean = (
             SketchUNet(widths).to(device=device, memory_format=torch.channels_last)
             for _ in range(2)
         )
+        if resume:
+            self._network.load_state_dict(torch.load(path.with_suffix(".pt"), device))
         self.mean.load_state_dict(self._network.state_dict())
         self._kept, self._now = (
             [v for v in one.state_dict().values() if v.dtype.is_floating_point]
@@ -208,12 +212,17 @@ def train(
     networks: dict[Path, tuple[int, ...]],
     minutes: float,
     seed: int,
+    highest: float = LEARNING_RATE,
+    *,
+    resume: bool = False,
 ) -> list[SketchUNet]:
     """AdamW with a cosine of learning rates over the time; all networks see all batches.
 
     Args:
         networks: widths by the ONNX files they will be written to; their weights are kept beside
             these as .pt, once a minute.
+        highest: learning rate.
+        resume: the networks begin with the weights that are kept there.
 
     Returns:
         The running means of their weights.
@@ -221,18 +230,17 @@ def train(
     torch.manual_seed(seed)
     torch.backends.cudnn.benchmark, torch.backends.cudnn.benchmark_limit = True, 4
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    learning = [Trained(path, widths, device) for path, widths in networks.items()]
-    began, step, reported = time.monotonic(), 0, 0.0
-    for batch in batches:
+    learning = [Trained(path, widths, device, resume=resume) for path, widths in networks.items()]
+    began, reported = time.monotonic(), 0.0
+    for step, batch in enumerate(batches):
         spent = time.monotonic() - began
         if (done := spent / (60.0 * minutes)) >= 1.0:
             break
-        rate = LEARNING_RATE * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.0 + np.cos(np.pi * done))
+        rate = highest * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.0 + np.cos(np.pi * done))
         pictures, maps = inputs(batch, device)
         for one in learning:
             one.step(pictures, maps, rate + 1e-6)
-        step += 1
-        if spent - reported > REPORT_S:
+        if spent - reported > max(REPORT_S, 60.0 * minutes / REPORTS):
             reported = spent
             for one in learning:
                 one.report(held)

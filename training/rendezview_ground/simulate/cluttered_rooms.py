@@ -46,8 +46,8 @@ def room(side: int, rng: np.random.Generator) -> Float32s:
             cv2.ellipse(mask, centre, axes.tolist(), turn, 0.0, 360.0, 1.0, -1, cv2.LINE_AA)
         else:
             plate = cv2.boxPoints((tuple(map(float, centre)), tuple(2.0 * axes), turn))
-            plate[0] += 0.3 * axes * rng.uniform(-1.0, 1.0, 2)
-            cv2.fillPoly(mask, [plate.astype(np.int32)], 1.0, cv2.LINE_AA)
+            moved = 0.3 * axes * np.array([rng.uniform(-1.0, 1.0, 2), *np.zeros((3, 2))])
+            cv2.fillPoly(mask, [(plate + moved).astype(np.int32)], 1.0, cv2.LINE_AA)
         _lay(picture, mask, rng)
     if rng.random() < 0.7:
         scatter_shapes(picture, int(rng.integers(1, 20)), rng)
@@ -121,7 +121,7 @@ def _elsewhere(
     theirs = other.maps[COVER].astype(np.float32) / 255.0
     scale = np.sqrt(rng.uniform(0.05, _LARGEST_OTHER) * cover.sum() / max(theirs.sum(), 1.0))
     turn = cv2.getRotationMatrix2D((0.5 * side, 0.5 * side), rng.uniform(0.0, 360.0), min(scale, 2))
-    turn[:, 2] += rng.uniform(-0.5, 0.5, 2) * side
+    turn = turn + np.outer(rng.uniform(-0.5, 0.5, 2) * side, [0.0, 0.0, 1.0])
     planes = [theirs, *other.light.astype(np.float32) * np.exp(rng.uniform(-1.5, 1.0))]
     moved = [cv2.warpAffine(plane, turn, (side, side), flags=cv2.INTER_AREA) for plane in planes]
     return np.asarray(moved[0]), np.asarray(moved[1:])
@@ -147,11 +147,9 @@ def _before(
             line = np.array([start + aside, knee, last]).astype(np.int32)
             cv2.polylines(mask, [line], False, 255, int(width), cv2.LINE_AA)
     elif kind == 2:
-        ends = target[rng.integers(len(target))] + np.array([[-1.0], [1.0]]) * 2 * side * (
-            rng.standard_normal(2)
-        )
-        cv2.line(mask, *ends.astype(int).tolist(), 255, int(rng.uniform(0.01, 0.1) * side),
-                 cv2.LINE_AA)  # fmt: skip
+        middle, along = target[rng.integers(len(target))], 2 * side * rng.standard_normal(2)
+        first, last = ((middle + way * along).astype(int).tolist() for way in (-1.0, 1.0))
+        cv2.line(mask, first, last, 255, max(1, int(rng.uniform(0.01, 0.1) * side)), cv2.LINE_AA)
     elif kind == 3 and rng.random() < 0.5:
         centre = target[rng.integers(len(target))]
         corners = centre + rng.uniform(0.05, 0.3) * side * rng.standard_normal((7, 2))

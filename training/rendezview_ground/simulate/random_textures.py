@@ -34,7 +34,7 @@ def random_texture(side: int, rng: np.random.Generator) -> Float32s:
     low, high = sorted(rng.uniform(0.02, 1.0, 2))
     least, most = np.percentile(picture, (1.0, 99.0))
     shares = (picture - least) / max(float(most - least), 1e-3)
-    return np.clip(low + (high - low) * shares, 0.02, 1.0).astype(np.float32)
+    return np.asarray(np.clip(low + (high - low) * shares, 0.02, 1.0), dtype=np.float32)
 
 
 def scatter_shapes(picture: Float32s, count: int, rng: np.random.Generator) -> None:
@@ -58,7 +58,7 @@ def scatter_shapes(picture: Float32s, count: int, rng: np.random.Generator) -> N
                         float(rng.uniform(0.0, 180.0)), 0.0, 360.0, level, thickness)  # fmt: skip
         else:
             ends = (centre + 3.0 * size * rng.uniform(-1.0, 1.0, (2, 2))).astype(int).tolist()
-            cv2.line(picture, *ends, level, int(rng.integers(1, 9)), cv2.LINE_AA)
+            cv2.line(picture, ends[0], ends[1], level, int(rng.integers(1, 9)), cv2.LINE_AA)
 
 
 def _printed(side: int, rng: np.random.Generator) -> Float32s:
@@ -88,10 +88,11 @@ def _tiles(side: int, rng: np.random.Generator) -> Float32s:
     column, row = x / periods[0], y / periods[1]
     kind = rng.integers(3)
     if kind == 0:
-        return ((column % 1.0) < rng.uniform(0.2, 0.8)).astype(np.float32)
+        return np.asarray((column % 1.0) < rng.uniform(0.2, 0.8), dtype=np.float32)
     if kind == 1:
-        return ((np.floor(column) + np.floor(row)) % 2.0).astype(np.float32)
+        return np.asarray((np.floor(column) + np.floor(row)) % 2.0, dtype=np.float32)
     joint = rng.uniform(0.02, 0.15)
     levels = rng.uniform(0.5, 1.0, (64, 64)).astype(np.float32)
     tiles = levels[row.astype(int) % 64, column.astype(int) % 64]
-    return np.where((column % 1.0 < joint) | (row % 1.0 < joint), np.float32(0.1), tiles)
+    joints = (column % 1.0 < joint) | (row % 1.0 < joint)
+    return np.asarray(np.where(joints, 0.1, tiles), dtype=np.float32)

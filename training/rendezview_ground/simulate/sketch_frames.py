@@ -198,7 +198,7 @@ def _samples(mesh: Mesh, camera: Camera, pose: Pose) -> _Samples:
 
 
 def _maps_and_normals(samples: _Samples, radius_m: float) -> tuple[Float32s, Float32s]:
-    """(MAPS, S, S) of an ideal sketch, and (S, S, 3) mean normals; computed around the mesh only."""
+    """(MAPS, S, S) of an ideal sketch, and (S, S, 3) mean normals; only the mesh is searched."""
     side = len(samples.owner) // SAMPLES
     maps, normals = np.zeros((MAPS, side, side), np.float32), np.zeros((side, side, 3), np.float32)
     shown = samples.owner >= 0
@@ -250,7 +250,7 @@ def _textured(
         across = across.astype(np.float32)[:, None]  # a picture one pixel wide
         for first in range(0, len(across), _REMAP_ROWS):
             part = slice(first, first + _REMAP_ROWS)
-            read = cv2.remap(texture, across[part], None, cv2.INTER_LINEAR,
+            read = cv2.remap(texture, across[part, :, 0], across[part, :, 1], cv2.INTER_LINEAR,
                              borderMode=cv2.BORDER_REFLECT)  # fmt: skip
             factor[v[here][part], u[here][part]] = np.asarray(read)[:, 0]
     return factor
