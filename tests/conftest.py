@@ -11,11 +11,12 @@ import cv2
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from tests.compiled import compile_for_tests
 from tests.ground.mesh.mesh_samples import boxes, grey_mesh
 from tests.left_behind import none_left_behind
+from tests.made_once import made_once
 from tests.quick_training import REFINING
 
-from rendezview.cli.compiling import compile_ahead
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
@@ -60,7 +61,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Of several workers none compiles a listed loop that another one compiles too."""
     workers = 0 if hasattr(config, "workerinput") else getattr(config.option, "numprocesses", None)
     if workers:
-        compile_ahead("serve", "track", "train", "demo", "reflectors", "stereo")
+        compile_for_tests()
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -122,18 +123,21 @@ def tiny_options() -> TrainingOptions:
 @pytest.fixture(scope="session")
 def refining_model(tmp_path_factory: pytest.TempPathFactory, bumpy_mesh: Mesh) -> ViewModel:
     """The bumpy body with contour points and lit silhouettes, and next to no trees."""
-    path = tmp_path_factory.mktemp("refining") / "bumpy.rvm"
-    train(bumpy_mesh, path, name="bumpy", options=REFINING, jobs=1)
-    return ViewModel.load(path)
+
+    def trained(path: Path) -> None:
+        train(bumpy_mesh, path, name="bumpy", options=REFINING, jobs=1)
+
+    return ViewModel.load(made_once(tmp_path_factory, "refining.rvm", trained))
 
 
 @pytest.fixture(scope="session")
 def tiny_model_path(
     tmp_path_factory: pytest.TempPathFactory, bumpy_mesh: Mesh, tiny_options: TrainingOptions
 ) -> Path:
-    path = tmp_path_factory.mktemp("model") / "bumpy.rvm"
-    train(bumpy_mesh, path, name="bumpy", options=tiny_options, jobs=1)
-    return path
+    def trained(path: Path) -> None:
+        train(bumpy_mesh, path, name="bumpy", options=tiny_options, jobs=1)
+
+    return made_once(tmp_path_factory, "bumpy.rvm", trained)
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from typing import TypeVar
 
 MOST_S = 600.0  # A guard against hangs, where loops have to be compiled first too.
-_PAUSE_S = 0.02
+_PAUSE_S, _MOST_PAUSE_S = 0.02, 0.2
+_PAUSE_SHARE = 0.05  # of the wait so far: asking 50 times a second takes half a core from the work
 
 _PORTS = range(20_000, 30_000)  # below those that the system gives to connections of others
 
@@ -22,10 +23,11 @@ def wait_until(happened: Callable[[], Value], said: Callable[[], object] = lambd
     Args:
         said: what the failure shows, if it never is.
     """
-    end_s = time.monotonic() + MOST_S
+    start_s = time.monotonic()
     while not (value := happened()):
-        assert time.monotonic() < end_s, said()
-        time.sleep(_PAUSE_S)
+        waited_s = time.monotonic() - start_s
+        assert waited_s < MOST_S, said()
+        time.sleep(min(max(_PAUSE_S, _PAUSE_SHARE * waited_s), _MOST_PAUSE_S))
     return value
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from tests.made_once import made_once
 from tests.waiting import MOST_S, wait_until
 
 from rendezview.cli.main import main
@@ -129,14 +130,16 @@ def mesh_path(tmp_path_factory: pytest.TempPathFactory, bumpy_mesh: Mesh) -> Pat
 @pytest.fixture(scope="session")
 def scene(tmp_path_factory: pytest.TempPathFactory, mesh_path: Path) -> Path:
     """Nine frames, 1° apart, the target 160 px wide in the middle of 640 × 480."""
-    folder = tmp_path_factory.mktemp("sequence") / "scene"
-    spawned = Spawned(
-        *("simulate", mesh_path, "-o", folder, "--trajectory", "circular"),
-        *("--frames", 9, "--turn", 8, "--start-range", 14, "--jobs", 1),
-    )
-    ran = spawned.end()
-    assert ran.code == 0, ran
-    return folder
+
+    def simulated(folder: Path) -> None:
+        spawned = Spawned(
+            *("simulate", mesh_path, "-o", folder, "--trajectory", "circular"),
+            *("--frames", 9, "--turn", 8, "--start-range", 14, "--jobs", 1),
+        )
+        ran = spawned.end()
+        assert ran.code == 0, ran
+
+    return made_once(tmp_path_factory, "scene", simulated)
 
 
 @pytest.fixture(scope="session")

@@ -75,7 +75,8 @@ def test_an_interrupted_track_keeps_what_was_computed(
 def test_a_killed_training_goes_on_with_its_shards(
     spawn, run, mesh_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    options = [*LONG[:2], "--views", 1500, "--held-out", 0, "--resolution", 96, "--jobs", 1]
+    options = ["--order", 0, "--views", 1500, "--held-out", 0, "--resolution", 96, "--jobs", 1,
+               "--shells", "1"]  # fmt: skip
     model, partial = tmp_path / "m.rvm", tmp_path / "m.rvm.partial"
     spawned = spawn("train", mesh_path, "-o", model, *options)
     spawned.wait_for(lambda: len(list(partial.glob("*/views-*.npz"))) >= 3)

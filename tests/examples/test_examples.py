@@ -52,7 +52,8 @@ def test_train_and_first_pose(
     truth = looking_at(np.array([9.0, 6.0, 5.0]), np.zeros(3), [0.0, 0.0, 1.0])
     cv2.imwrite("frame.png", draw(bumpy_mesh, truth, camera, np.random.default_rng(1)))
     program = runpy.run_path(str(EXAMPLES / "train_and_first_pose.py"))
-    found = program["main"]("bumpy.stl", "mm", "camera.yaml", "frame.png", REFINING)
+    options = replace(REFINING, order=1)
+    found = program["main"]("bumpy.stl", "mm", "camera.yaml", "frame.png", options)
     assert found.pose is not None, found.reason
     assert np.rad2deg(found.pose.angle_to(truth)) < 2.0
     assert "quaternion wxyz:" in capsys.readouterr().out

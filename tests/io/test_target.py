@@ -43,6 +43,7 @@ angle_rad = 1.5707963267948966
 [[symmetries]]
 kind = "continuous"
 axis = [1, 1, 0]
+point_m = [0, 0, 0.002]
 """
 
 
@@ -72,6 +73,8 @@ def test_every_field_is_read(tmp_path):
     discrete, continuous = target.symmetries
     assert (discrete.kind, discrete.angle_rad) == ("discrete", math.pi / 2)
     assert discrete.axis.tolist() == [0, 0, 1]
+    assert discrete.point_m.tolist() == [0, 0, 0]  # none is given: the origin
+    assert continuous.point_m.tolist() == [0, 0, 0.002]
     assert (continuous.kind, continuous.angle_rad) == ("continuous", None)
     np.testing.assert_allclose(continuous.axis, [math.sqrt(0.5), math.sqrt(0.5), 0])
 
@@ -147,6 +150,17 @@ REFLECTOR = (
             'name = "x"\n' + MESH
             + '[[symmetries]]\nkind = "discrete"\naxis = [0, 0, 1]\nangle_rad = 90.0\n',
             "angle_rad: .*less than",
+        ),
+        (
+            'name = "x"\n' + MESH
+            + '[[symmetries]]\nkind = "discrete"\naxis = [0, 0, 1]\nangle_rad = 1.0\n',
+            "symmetries: these symmetries never come round: angle_rad .*1.0.*: correct them",
+        ),
+        (
+            'name = "x"\n' + MESH
+            + '[[symmetries]]\nkind = "continuous"\naxis = [0, 0, 1]\npoint_m = [1, 0, 0]\n'
+            + '[[symmetries]]\nkind = "discrete"\naxis = [0, 0, 1]\nangle_rad = 3.14159265\n',
+            "symmetries: these axes have no common point, they miss it by 0.5 m",
         ),
         ('name = "x"\n' + MESH.replace("client.glb", "other.glb"), r"mesh\.path: .*other\.glb"),
         ("name = \n", "not valid TOML .*line 1"),

@@ -63,13 +63,14 @@ def text_has(page: Any, place: str, part: str) -> None:
     until(page, f"document.querySelector('{place}').innerText.includes({part!r})")
 
 
-def shoot(page: Any, folder: Path, name: str) -> None:
-    """Pictures of a page at both widths; its layout must hold."""
+def shoot(page: Any, folder: Path | None, name: str) -> None:
+    """At both widths the layout of a page must hold; pictures of it, if there is a folder."""
     for size, (width, height) in SIZES.items():
         page.set_viewport_size({"width": width, "height": height})
         page.evaluate(_DRAWN)
-        time.sleep(0.1)  # and the view in space, which is drawn less often
-        page.screenshot(path=folder / f"{name}-{size}.png", full_page=size == "phone")
+        if folder is not None:
+            time.sleep(0.1)  # and the view in space, which is drawn less often
+            page.screenshot(path=folder / f"{name}-{size}.png", full_page=size == "phone")
         assert page.evaluate(_LAYOUT, size == "desk") == [], name
 
 

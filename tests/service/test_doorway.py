@@ -47,8 +47,9 @@ def guarded(start_service, tmp_path_factory):
     tokens.write_text('[ann]\nscope = "admin"\ntoken = "nobody-here-has-this-one"\n')
     (folder / "sitecustomize.py").write_text(NO_HURRY)
     served = start_service(
-        "--tokens", str(tokens), RENDEZVIEW_SERVE_CONNECTIONS="40", PYTHONPATH=str(folder)
-    )
+        "--tokens", str(tokens), given=False, RENDEZVIEW_SERVE_CONNECTIONS="40",
+        PYTHONPATH=str(folder),
+    )  # fmt: skip
     yield served
     served.stop()
 

@@ -284,10 +284,24 @@ def test_a_run_of_several_sensors_is_logged_and_repeated_bit_for_bit(
     assert (so_far.frames, so_far.lines, so_far.differing, so_far.gap) == (8, 16, 0, None)
 
 
+@pytest.fixture(scope="module")
+def ringed(start_service, tmp_path_factory):
+    """A service of its own: its target has a ring, and its worker may end."""
+    folder = tmp_path_factory.mktemp("ringed")
+    (folder / "mesh.stl").write_text("solid\nendsolid\n")
+    (folder / "target.toml").write_text(
+        'name = "bumpy"\n[mesh]\npath = "mesh.stl"\nunit = "m"\n[docking_ring]\n'
+        f"centre_m = {RING.centre_m.tolist()}\naxis = {RING.axis.tolist()}\nradius_m = 0.5\n"
+    )
+    served = start_service("--target", str(folder / "target.toml"))
+    yield served
+    served.stop()
+
+
 def test_a_filter_that_ends_with_its_process_is_said_to_have_begun_anew(
-    start_service, sensors, camera, tour
+    ringed, sensors, camera, tour
 ):
-    served = start_service()
+    served = ringed
     with served.client() as client:
         session = client.open(camera, prior=tour[0][1], fusion={"ring": RING}, sensors=POSTED)
         for time_s, truth, image in tour[:4]:
@@ -309,21 +323,13 @@ def test_a_filter_that_ends_with_its_process_is_said_to_have_begun_anew(
         assert "a new one starts" in mirrors or mirrors.startswith("no line for")
         told = session.measure("mirrors", sensors.pose(time_s + 100.0, tour[4][1]))
         assert told["verdicts"][0]["time_s"] == time_s + 100.0
-    served.stop()
+        session.close()
 
 
-def test_a_target_gives_its_ring_to_sessions_that_say_none(
-    start_service, sensors, camera, tour, tmp_path
-):
-    (tmp_path / "mesh.stl").write_text("solid\nendsolid\n")
-    (tmp_path / "target.toml").write_text(
-        'name = "bumpy"\n[mesh]\npath = "mesh.stl"\nunit = "m"\n[docking_ring]\n'
-        f"centre_m = {RING.centre_m.tolist()}\naxis = {RING.axis.tolist()}\nradius_m = 0.5\n"
-    )
-    served = start_service("--target", str(tmp_path / "target.toml"))
-    with served.client() as client:
+def test_a_target_gives_its_ring_to_sessions_that_say_none(ringed, sensors, camera, tour):
+    with ringed.client() as client:
         session = client.open(camera, prior=tour[0][1], sensors=POSTED)
         assert (
             session.measure("ring", sensors.ring(0.0, tour[0][1]))["fused"]["status"] == "waiting"
         )
-    served.stop()
+        session.close()

@@ -88,11 +88,26 @@ def test_a_model_that_is_sent_again_is_used_and_logged(
     client.request("DELETE", "/v1/models/sat")
 
 
-def test_a_step_of_the_clock_does_not_reach_a_session(start_service, camera, tour, tmp_path):
-    off_by = tmp_path / "off_by"
+@pytest.fixture(scope="module")
+def stepped(start_service, tmp_path_factory):
+    """A service whose clock the file ``off_by`` sets, and where a sender keeps its session."""
+    folder = tmp_path_factory.mktemp("stepped")
+    (folder / "off_by").write_text("0")
+    (folder / "sitecustomize.py").write_text(CLOCK)
+    places = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
+    served = start_service(
+        PYTHONPATH=os.pathsep.join(places),
+        CLOCK_OFF_BY=str(folder / "off_by"),
+        RENDEZVIEW_SERVE_SENDER_HOLD_S=str(MOST_S),
+    )
+    served.folder = folder
+    yield served
+    served.stop()
+
+
+def test_a_step_of_the_clock_does_not_reach_a_session(stepped, camera, tour):
+    served, off_by = stepped, stepped.folder / "off_by"
     off_by.write_text("0")
-    (tmp_path / "sitecustomize.py").write_text(CLOCK)
-    served = start_service(PYTHONPATH=str(tmp_path), CLOCK_OFF_BY=str(off_by))
     with served.client() as client:
         session = client.open(camera, prior=tour[0][1])
         states, start_s = [], time.monotonic()
@@ -114,7 +129,8 @@ def test_a_step_of_the_clock_does_not_reach_a_session(start_service, camera, tou
         assert "order of time" in wait_until(degraded)[0]
         session.track(tour[2][2], 5e9 + 1.0)
         assert client.request("GET", "/healthz")["status"] == "ok"
-    served.stop()
+        session.close()
+    off_by.write_text("0")
 
 
 def test_the_clock_of_a_session_goes_on_from_its_start(monkeypatch):
@@ -141,9 +157,9 @@ def test_a_lease_is_held_renewed_and_let_go():
 
 
 @pytest.mark.requirement("RV-SVC-3")
-def test_two_senders_do_not_mix(start_service, camera, tour):
+def test_two_senders_do_not_mix(stepped, camera, tour):
     """The other one's frames show the target elsewhere: its attitude would jump."""
-    served = start_service(RENDEZVIEW_SERVE_SENDER_HOLD_S=str(MOST_S))
+    served = stepped
     refused = []
     with (
         served.client() as client,
@@ -174,7 +190,6 @@ def test_two_senders_do_not_mix(start_service, camera, tour):
             return None
 
         assert wait_until(taken_over)["status"] == "ok"
-    served.stop()
 
 
 def test_a_decoder_that_takes_long_ends_its_process_and_then_its_session_but_no_other(
@@ -185,7 +200,7 @@ def test_a_decoder_that_takes_long_ends_its_process_and_then_its_session_but_no_
     served = start_service(
         "--record", str(tmp_path / "logs"),
         PYTHONPATH=str(tmp_path), RENDEZVIEW_SERVE_SPARE_WORKER="true",
-        RENDEZVIEW_SERVE_FRAME_TIMEOUT_S="5",
+        RENDEZVIEW_SERVE_FRAME_TIMEOUT_S="3",
     )  # fmt: skip
     with served.client() as client, served.client() as other:
         session = client.open(camera, prior=tour[0][1], name="mine")

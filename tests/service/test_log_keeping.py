@@ -72,7 +72,7 @@ def test_a_second_service_harms_no_log_of_a_running_one(start_service, camera, t
 
         track(10)
         starting = threading.Thread(
-            target=lambda: seconds.append(start_service("--record", str(tmp_path)))
+            target=lambda: seconds.append(start_service("--record", str(tmp_path), given=False))
         )
         starting.start()
         while starting.is_alive():

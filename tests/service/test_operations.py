@@ -16,6 +16,7 @@ import pytest
 import trimesh
 from tests.waiting import MOST_S, wait_until
 
+from rendezview.cli.main import main
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import BopSceneWriter
 from rendezview_service.client import ServiceError
@@ -295,19 +296,19 @@ def test_a_service_that_cannot_be_is_refused(model_path, model, settings, source
         Service(Settings(**settings), Path(model) if model else model_path, sources)
 
 
-def test_commands_say_what_is_wrong_in_one_line(tmp_path, model_path):
-    command = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
+def test_commands_say_what_is_wrong_in_one_line(tmp_path, model_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     for arguments, said in [
         (["serve", model_path, "--host", "0.0.0.0"], "--tokens"),
         (["replay", model_path], "not an MCAP"),
     ]:
-        done = subprocess.run(
-            [*command, *map(str, arguments)],
-            capture_output=True, text=True, cwd=tmp_path, check=False, timeout=MOST_S,
-        )  # fmt: skip
-        assert done.returncode == 1, arguments
-        assert said in done.stderr
-        assert len(done.stderr.strip().splitlines()) == 1
+        monkeypatch.setattr(sys, "argv", ["rendezview", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        told = capsys.readouterr().err
+        assert ended.value.code == 1, arguments
+        assert said in told
+        assert len(told.strip().splitlines()) == 1
 
 
 def test_the_log_of_the_service_is_json_lines(service, client, camera):

@@ -222,7 +222,7 @@ def test_after_a_kill_everything_acknowledged_is_there(start_service, camera, to
     copy = tmp_path / "aside" / "copy.mcap"
     copy.parent.mkdir()
     copy.write_bytes(place.read_bytes())
-    again = start_service("--record", str(place))
+    again = start_service("--record", str(place), given=False)
     again.await_line("log mended")  # once it listens
     again.stop()
     assert _messages(place)["/rendezview/state"] == states

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -26,7 +27,7 @@ from pydantic import (
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.joint import Hinge
-from rendezview.geometry.symmetry import Symmetry
+from rendezview.geometry.symmetry import Symmetry, common_point, discrete_turns
 from rendezview.io.files import StrPath, checked, read_text
 from rendezview.io.joints import HingedParts, JointedParts, joint_of
 from rendezview.io.parts import TrustedPart
@@ -254,11 +255,13 @@ class _DiscreteTable(_Table):
     kind: Literal["discrete"]
     axis: _Direction
     angle_rad: Annotated[FiniteFloat, Field(gt=0.0, lt=math.tau)]
+    point_m: _Vector = [0.0, 0.0, 0.0]
 
 
 class _ContinuousTable(_Table):
     kind: Literal["continuous"]
     axis: _Direction
+    point_m: _Vector = [0.0, 0.0, 0.0]
 
 
 class _TargetFile(_Table):
@@ -315,13 +318,25 @@ def _read_target(path: Path) -> Target:
         leds=tuple(
             Led(led.name, _frozen(led.position_m), _frozen(led.normal)) for led in file.leds
         ),
-        symmetries=tuple(
-            Symmetry(s.kind, _frozen(s.axis), getattr(s, "angle_rad", None))
-            for s in file.symmetries
-        ),
+        symmetries=_symmetries(path, file.symmetries),
         joints=tuple(_joint(path, joint) for joint in file.joints),
         parts=tuple(_part(path, part) for part in file.parts),
     )
+
+
+def _symmetries(
+    path: Path, tables: Sequence[_DiscreteTable | _ContinuousTable]
+) -> tuple[Symmetry, ...]:
+    symmetries = tuple(
+        Symmetry(t.kind, _frozen(t.axis), getattr(t, "angle_rad", None), _frozen(t.point_m))
+        for t in tables
+    )
+    try:
+        discrete_turns(symmetries)
+        common_point(symmetries)
+    except ValueError as error:
+        raise RendezviewError(f"{path}: symmetries: {error}: correct them") from error
+    return symmetries
 
 
 def _joint(path: Path, table: _JointTable) -> JointedParts:

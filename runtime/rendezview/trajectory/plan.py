@@ -14,7 +14,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
-from scipy.interpolate import CubicSpline
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
@@ -275,6 +274,8 @@ def _numbers(kind: str, table: Any) -> tuple[dict[str, Any], float | None, float
     if kind == "orbit_path":
         place, velocity = np.array(table.position_m), np.array(table.velocity_m_s)
         return {"position_m": place, "velocity_m_s": velocity}, None, None
+    from scipy.interpolate import CubicSpline  # slow to import, and most plans have no table
+
     times = np.array([point.time_s for point in table])
     if not np.all(np.diff(times) > 0.0):
         raise ValueError("way_points: the times must rise")

@@ -128,7 +128,7 @@ def error(found: Pose, truth: Pose | None, model: ViewModel) -> list[float] | No
     """(6,) rotation vector and translation from the pose to the truth; None: there is none."""
     if truth is None:
         return None
-    return error_of(truth, nearest_alike(found, truth, model.symmetries)).tolist()
+    return error_of(nearest_alike(truth, found, model.symmetries), found).tolist()
 
 
 def alike(recognizer: Recognizer, picture: np.ndarray, truth: Pose, mesh: Mesh) -> Iterator[Pose]:

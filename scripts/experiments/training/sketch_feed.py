@@ -19,10 +19,10 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from rendezview.geometry.zbuffer import Float32s
 from rendezview.sensors.appearance.edges.network import SIDE_PX
 from rendezview.sensors.appearance.model.sketches import MAPS
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.render.zbuffer import Float32s
 from rendezview_ground.simulate.cluttered_rooms import INDOORS, crowded, room
 from rendezview_ground.simulate.random_craft import any_craft
 from rendezview_ground.simulate.random_objects import random_object

@@ -87,8 +87,13 @@ def test_hidden_parts_are_counted(tmp_path: Path) -> None:
 
 def test_a_symmetric_body_is_told(tmp_path: Path) -> None:
     diagnosis = examined(trimesh.creation.box((2.0, 1.2, 0.8)), tmp_path)
-    turned = [f for f in diagnosis.findings if "looks the same when turned by 180°" in f.what]
-    assert len(turned) == 3
+    (turned,) = [f for f in diagnosis.findings if "looks the same when turned by 180°" in f.what]
+    assert "4 attitudes" in turned.what
+    assert "through" not in turned.what
+    corner = trimesh.creation.box((2.0, 1.2, 0.8))
+    corner.apply_translation([1.0, 0.6, 0.4])
+    moved = finding(examined(corner, tmp_path), "looks the same when turned by 180°")
+    assert "4 attitudes; the axes pass through (1.00, 0.60, 0.40) m" in moved.what
     assert not any("looks the same" in f.what for f in examined(body(), tmp_path).findings)
 
 

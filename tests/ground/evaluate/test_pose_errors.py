@@ -160,6 +160,19 @@ def test_a_cylinder_that_can_be_flipped_forgives_both() -> None:
     assert pose_errors(pose, tilted, symmetries=cylinder).rotation_rad == pytest.approx(0.3)
 
 
+def test_a_turn_about_an_axis_beside_the_origin_moves_the_origin_and_is_no_error() -> None:
+    corner = np.array([1.5, 1.0, 0.5])
+    box = [Symmetry("discrete", axis, math.pi, corner) for axis in (X, Y)]
+    pose = Pose(turned(Y, 0.4), np.array([0.0, 1.0, 9.0]))
+    half_turn = turned(Z, math.pi)  # the product of both
+    estimate = pose @ Pose(half_turn, corner - half_turn @ corner)
+    assert pose_errors(pose, estimate).translation_m > 3.0
+    errors = pose_errors(pose, estimate, symmetries=box, centre_m=corner)
+    assert errors.rotation_rad == pytest.approx(0.0, abs=1e-7)
+    assert errors.translation_m == pytest.approx(0.0, abs=1e-9)
+    assert errors.range_fraction == pytest.approx(0.0, abs=1e-12)
+
+
 def test_two_continuous_axes_make_a_ball() -> None:
     rng = np.random.default_rng(5)
     ball = [Symmetry("continuous", Z, None), Symmetry("continuous", X, None)]

@@ -156,6 +156,16 @@ def test_normalised_errors_are_those_of_the_right_poses_of_the_log(tmp_path: Pat
     assert normalised_errors(sequence(3), log, [quarter]) == pytest.approx(
         [expected, 0.0], abs=1e-9
     )
+    # About an axis beside the origin: the covariance is that of the pose's own origin.
+    aside = Symmetry("discrete", np.array([0.0, 0.0, 1.0]), np.pi, np.array([0.5, 0.0, 0.0]))
+    truth = sequence(1).frames[0].camera_from_target
+    assert truth is not None
+    there = truth @ Pose(np.diag([-1.0, -1.0, 1.0]), np.array([1.0, 0.0, 0.0]))
+    tilt = Rotation.from_rotvec([0.0, np.deg2rad(1.0), 0.0]).as_matrix()
+    log.write_text(logged(0, Pose(tilt @ there.rotation, there.translation_m)) + "\n")
+    assert normalised_errors(sequence(1), log, [aside]) == pytest.approx(
+        [np.deg2rad(1.0) ** 2 / 0.01**2]
+    )
     assert "median" in nees_text(np.array([expected]))
     log.write_text("no log\n")
     with pytest.raises(RendezviewError, match="line 1"):

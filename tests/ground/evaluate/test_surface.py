@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import Symmetry
+from rendezview.geometry.symmetry import Symmetry, discrete_turns
 from rendezview_ground.evaluate.bop_models import bop_model
 from rendezview_ground.evaluate.surface import ModelPoints, alike_of, surface_errors, turns_about
 
@@ -21,6 +21,10 @@ K = np.array([[800.0, 0.0, 320.0], [0.0, 790.0, 240.0], [0.0, 0.0, 1.0]])
 FOURFOLD = Symmetry("discrete", Z, math.pi / 2)
 ROUND = Symmetry("continuous", Z, None)
 FLIP = Symmetry("discrete", np.array([1.0, 0.0, 0.0]), math.pi)
+
+
+def turned(axis: Array, angle_rad: float) -> Array:
+    return np.asarray(Rotation.from_rotvec(angle_rad * axis).as_matrix())
 
 
 def cases(count: int = 6) -> list[tuple[Pose, Pose]]:
@@ -139,33 +143,75 @@ def test_a_bop_model_has_the_symmetries_of_its_file(tmp_path: Path) -> None:
     model = bop_model(
         write_models(
             tmp_path,
-            symmetries_discrete=[
-                half_turn.ravel().tolist(),
-                np.diag([-1.0, -1.0, 1.0, 1.0]).ravel().tolist(),
-            ],
+            symmetries_discrete=[np.eye(4).ravel().tolist(), half_turn.ravel().tolist()],
             min_x=-10,
         )
     )
     assert model is not None
-    assert (model.obj_id, model.diameter_m, len(model.alike)) == (7, 0.2, 3)
+    assert (model.obj_id, model.diameter_m, len(model.alike), model.unused) == (7, 0.2, 2, 0)
     np.testing.assert_allclose(model.alike[1].apply([0.05, 0.0, 0.3]), [0.05, 0.0, 0.3])
-    (about_origin,) = model.symmetries
-    assert about_origin.angle_rad == pytest.approx(math.pi)
-    assert model.off_origin == 1
+    (aside,) = model.symmetries
+    assert aside.angle_rad == pytest.approx(math.pi)
+    np.testing.assert_allclose(aside.point_m, [0.05, 0.0, 0.0], atol=1e-12)
     offset = bop_model(
         write_models(
             tmp_path, symmetries_continuous=[{"axis": [0, 0, 2], "offset": [30.0, 0.0, 9.0]}]
         )
     )
     assert offset is not None
-    assert (len(offset.alike), offset.off_origin) == (315, 1)
+    assert (len(offset.alike), offset.unused) == (315, 0)
     for turn in offset.alike:
         np.testing.assert_allclose(turn.apply([0.03, 0.0, 1.0]), [0.03, 0.0, 1.0], atol=1e-12)
-    on_axis = bop_model(
-        write_models(tmp_path, symmetries_continuous=[{"axis": [0, 0, 1], "offset": [0, 0, 9.0]}])
+    (round_body,) = offset.symmetries
+    assert round_body.kind == "continuous"
+    np.testing.assert_allclose(round_body.point_m, [0.03, 0.0, 0.009])
+
+
+def test_the_turns_of_a_bop_file_generate_each_other_although_rounded(tmp_path: Path) -> None:
+    """All turns of a square box about a point, measured to 0.2° and 0.3 mm."""
+    rng = np.random.default_rng(6)
+    centre_mm = np.array([10.0, -20.0, 30.0])
+    rows = []
+    for quarter in range(4):
+        for flip in (np.eye(3), np.diag([1.0, -1.0, -1.0])):
+            error = Rotation.from_rotvec(rng.uniform(-1.0, 1.0, 3) * np.deg2rad(0.1)).as_matrix()
+            turn = error @ turned(Z, quarter * math.pi / 2) @ flip
+            matrix = np.eye(4)
+            matrix[:3, :3] = turn
+            matrix[:3, 3] = centre_mm - turn @ centre_mm + rng.uniform(-0.3, 0.3, 3)
+            rows.append(matrix.round(6).ravel().tolist())
+    model = bop_model(write_models(tmp_path, symmetries_discrete=rows[1:]))
+    assert model is not None
+    assert len(discrete_turns(model.symmetries)) == 8
+    assert (len(model.alike), model.unused) == (8, 0)
+    for symmetry in model.symmetries:
+        np.testing.assert_allclose(symmetry.point_m, centre_mm / 1000.0, atol=1e-3)
+
+
+def test_turns_of_a_bop_file_that_no_body_has_count_in_surface_distances_only(
+    tmp_path: Path,
+) -> None:
+    aside, along = np.diag([-1.0, -1.0, 1.0, 1.0]), np.diag([1.0, -1.0, -1.0, 1.0])
+    aside[0, 3] = 100.0  # parallel to the first
+    along[0, 3] = 40.0  # and moved along its axis
+    rows = [np.diag([-1.0, -1.0, 1.0, 1.0]), aside, along]
+    model = bop_model(
+        write_models(tmp_path, symmetries_discrete=[row.ravel().tolist() for row in rows])
     )
-    assert on_axis is not None
-    assert [s.kind for s in on_axis.symmetries] == ["continuous"]
+    assert model is not None
+    assert (len(model.alike), len(model.symmetries), model.unused) == (4, 1, 2)
+
+
+def test_alike_poses_of_an_axis_beside_the_origin_keep_its_points() -> None:
+    through = np.array([0.3, -0.2, 0.0])
+    for symmetry in (
+        Symmetry("discrete", Z, math.pi / 2, through),
+        Symmetry("continuous", Z, None, through),
+    ):
+        alike = alike_of([symmetry])
+        assert len(alike) == (4 if symmetry.kind == "discrete" else 315)
+        for turn in alike:
+            np.testing.assert_allclose(turn.apply([0.3, -0.2, 7.0]), [0.3, -0.2, 7.0], atol=1e-12)
 
 
 def test_other_meshes_are_no_bop_models(tmp_path: Path) -> None:

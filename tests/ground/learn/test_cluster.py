@@ -42,6 +42,7 @@ SMALL = TrainingOptions(
     contour_radii=(1.0,),
     contour_resolution_px=64,
     surface_points=64,
+    forest_trees=2,
 )
 
 

@@ -1,4 +1,4 @@
-"""Contour points and shadowed silhouettes of views, and the symmetries of meshes."""
+"""Contour points and shadowed silhouettes of views."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from rendezview_ground.learn.views.shadowed_silhouettes import shadowed_silhouet
 from rendezview_ground.learn.views.surface_palette import packed_surfaces, surface_palette
 from rendezview_ground.learn.views.views import look_from
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.mesh.symmetries import find_symmetries
 from rendezview_ground.render.crossings import faces_beside
 
 OPTIONS = TrainingOptions(contour_points=200, contour_resolution_px=256)
@@ -191,14 +190,3 @@ def test_a_face_in_shadow_or_turned_away_is_not_lit(bumpy_mesh):
     low, high = lit["area_m2"][phases < np.deg2rad(45)], lit["area_m2"][phases > np.deg2rad(65)]
     assert low.mean() > 1.1 * high.mean()  # the farther round the Sun, the less is lit
     assert np.linalg.norm(lit["quat_wxyz"], axis=1) == pytest.approx(1.0, abs=1e-6)
-
-
-def test_symmetries_of_bodies_are_found_and_of_others_not(bumpy_mesh):
-    box = find_symmetries(as_mesh(trimesh.creation.box((2.0, 1.0, 0.5))))
-    assert sorted(s.angle_rad for s in box) == pytest.approx([np.pi] * 3)
-    prism = find_symmetries(as_mesh(trimesh.creation.cylinder(0.5, 2.0, sections=4)))
-    assert any(s.angle_rad == pytest.approx(np.pi / 2) for s in prism)
-    tube = find_symmetries(as_mesh(trimesh.creation.cone(0.5, 2.0, sections=128)))
-    assert [s.kind for s in tube] == ["continuous"]
-    assert abs(tube[0].axis[2]) == pytest.approx(1.0)
-    assert find_symmetries(bumpy_mesh) == ()

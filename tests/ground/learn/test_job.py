@@ -31,6 +31,7 @@ SMALL = TrainingOptions(
     contour_radii=(1.0,),
     contour_resolution_px=64,
     surface_points=64,
+    forest_trees=2,
 )
 STOPPED = """
 import os, pickle, signal, sys
@@ -57,6 +58,21 @@ def reference(tmp_path_factory, bumpy_mesh) -> bytes:
     return path.read_bytes()
 
 
+@pytest.fixture(scope="module")
+def by_two_jobs(tmp_path_factory, bumpy_mesh) -> tuple[bytes, list[tuple[str, int, int]]]:
+    """The bytes of a model, and what its training reported."""
+    path, steps = tmp_path_factory.mktemp("jobs") / "bumpy.rvm", []
+    train(
+        bumpy_mesh,
+        path,
+        name="bumpy",
+        options=SMALL,
+        jobs=2,
+        progress=lambda *step: steps.append(step),
+    )
+    return path.read_bytes(), steps
+
+
 def stopped(folder: Path, mesh: Mesh, by: signal.Signals, jobs: int = 1) -> tuple[Path, int]:
     folder.mkdir()
     inputs, path = folder.parent / "inputs.pickle", folder / "bumpy.rvm"
@@ -71,9 +87,8 @@ def stopped(folder: Path, mesh: Mesh, by: signal.Signals, jobs: int = 1) -> tupl
 
 
 @pytest.mark.requirement("RV-TRAIN-1")
-def test_two_jobs_give_the_bytes_of_one(tmp_path, bumpy_mesh, reference):
-    train(bumpy_mesh, tmp_path / "m.rvm", name="bumpy", options=SMALL, jobs=2)
-    assert (tmp_path / "m.rvm").read_bytes() == reference
+def test_two_jobs_give_the_bytes_of_one(by_two_jobs, reference):
+    assert by_two_jobs[0] == reference
 
 
 def test_another_seed_gives_other_bytes(tmp_path, bumpy_mesh, reference):
@@ -140,15 +155,12 @@ def test_shards_of_other_inputs_are_not_used(tmp_path, bumpy_mesh, reference):
     assert path.read_bytes() == reference
 
 
-def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
+def test_progress_counts_up_to_the_end_of_each_stage(by_two_jobs):
     reported: dict[str, list[int]] = {}
     ends = {}
-
-    def progress(stage: str, done: int, of: int) -> None:
+    for stage, done, of in by_two_jobs[1]:
         reported.setdefault(stage, []).append(done)
         ends[stage] = of
-
-    train(bumpy_mesh, tmp_path / "m.rvm", name="b", options=SMALL, jobs=2, progress=progress)
     assert list(reported) == [
         "surface",
         "lattice",

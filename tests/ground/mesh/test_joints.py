@@ -1,5 +1,6 @@
 """Targets with joints: parts of the mesh, configurations, recognition and tracking of the angle."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from rendezview_ground.mesh.mesh import Mesh, load_mesh
 from rendezview_ground.simulate.joint_motion import joint_motion
 from rendezview_ground.simulate.scene import SceneOptions, render_frame
 
+OPTIONS = replace(REFINING, order=1)
 JOINT = """
 [[joints]]
 name = "wing"
@@ -45,7 +47,7 @@ def target(tmp_path_factory: pytest.TempPathFactory) -> Target:
 def model(tmp_path_factory: pytest.TempPathFactory, target: Target) -> ViewModel:
     path = tmp_path_factory.mktemp("model") / "winged.rvm"
     mesh = load_mesh(target.mesh_path, target.unit)
-    train_target(target, mesh, path, options=REFINING, jobs=1)
+    train_target(target, mesh, path, options=OPTIONS, jobs=1)
     return ViewModel.load(path)
 
 
@@ -125,7 +127,7 @@ origin_m = [-0.2, 0.0, 0.0]
     wing.export(folder / "other.obj")
     target = winged_target(folder, JOINT + other)
     mesh = load_mesh(target.mesh_path, target.unit)
-    train_target(target, mesh, folder / "pair.rvm", options=REFINING, jobs=1)
+    train_target(target, mesh, folder / "pair.rvm", options=OPTIONS, jobs=1)
     return target, ViewModel.load(folder / "pair.rvm")
 
 

@@ -70,7 +70,7 @@ def test_a_bent_part_that_is_not_trusted_costs_little(tmp_path: Path) -> None:
         pose = Pose(turn, np.array([0.0, 0.0, 12.0]))
         sun = [0.2, 0.1, -1.0]
         frames.append((pose, render_frame(shown, camera, pose, sun, light, rng)))
-    options = replace(REFINING, shadowed_silhouettes=False, contour_radii=(1.0,))
+    options = replace(REFINING, order=1, shadowed_silhouettes=False, contour_radii=(1.0,))
     medians = []
     for trust in (1.0, 0.0):
         target = trusting(tmp_path / f"t{trust}", trust)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rendezview.geometry.pose import Pose
+from rendezview.geometry.zbuffer import draw_parallel, empty_buffers
 from rendezview_ground.learn.options import TrainingOptions, view_geometry
 from rendezview_ground.learn.views.contours import _free_runs
 from rendezview_ground.learn.views.drawn_view import DrawnView, draw_view
@@ -25,7 +26,6 @@ from rendezview_ground.render.crossings import (
 from rendezview_ground.render.curve import evenly_spread
 from rendezview_ground.render.faces_along import faces_along, scratch_for
 from rendezview_ground.render.projection import Window, project_vertices
-from rendezview_ground.render.zbuffer import draw_parallel, empty_buffers
 
 OPTIONS = TrainingOptions(surface_points=200)
 

@@ -111,7 +111,10 @@ def test_a_drawing_process_that_dies_is_an_error_and_the_next_view_gets_a_new_on
 
 
 def trained(mesh: Mesh, path: Path, renderer: Renderer, jobs: int) -> ViewModel:
-    options = replace(REFINING, order=0, held_out_views=0, renderer=renderer)
+    options = replace(
+        REFINING, order=0, perturbed_views=40, held_out_views=0, forest_trees=2,
+        contour_radii=(1.0,), renderer=renderer,
+    )  # fmt: skip
     train(mesh, path, name="bumpy", options=options, jobs=jobs)
     return ViewModel.load(path)
 

@@ -8,13 +8,14 @@ import pickle
 import struct
 import subprocess
 import sys
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 
 import numpy as np
 import pytest
 from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.model.container import read_container, write_container
 from rendezview.sensors.appearance.model.trees import Forest
@@ -169,6 +170,19 @@ def test_a_model_comes_back_the_same(tiny_model, tmp_path):
             assert asdict(a) == asdict(b)
         elif f.name not in ("views", "forest"):
             assert a == b
+
+
+def test_a_model_keeps_its_symmetries_and_those_of_older_files(tiny_model, tmp_path):
+    """Older files have no point: their axes pass through the origin."""
+    aside = Symmetry("discrete", np.array([0.0, 0.0, 1.0]), np.pi, np.array([1.5, 1.0, 0.5]))
+    older = Symmetry("continuous", np.array([0.0, 1.0, 0.0]), None)
+    path = tmp_path / "symmetric.rvm"
+    replace(tiny_model, symmetries=(aside, older)).save(path)
+    found = ViewModel.load(path).symmetries
+    assert [(s.kind, s.angle_rad) for s in found] == [("discrete", np.pi), ("continuous", None)]
+    assert [s.point_m.tolist() for s in found] == [[1.5, 1.0, 0.5], [0.0, 0.0, 0.0]]
+    header, _ = read_container(path)
+    assert [s.get("point_m") for s in header["symmetries"]] == [[1.5, 1.0, 0.5], None]
 
 
 def test_saving_a_loaded_model_gives_its_bytes_again(tiny_model_path, tiny_model, tmp_path):

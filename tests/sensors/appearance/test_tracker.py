@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.errors import RendezviewError
 from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance import (
     AppearanceObservation,
     Recognizer,
@@ -29,7 +30,7 @@ class Script:
         self.reach_deg: list[float] = []
         self.answer: Pose | None = None
         self.prior_error_rad = MatchOptions().prior_error_rad
-        self.model = SimpleNamespace(centre_m=np.zeros(3), target_radius_m=1.0)
+        self.model = SimpleNamespace(centre_m=np.zeros(3), target_radius_m=1.0, symmetries=())
         self.search = None
         self.overflows = lambda pose: False
 
@@ -263,3 +264,49 @@ def test_two_poses_that_become_one_are_no_rivals():
     tracker = Tracker(script)
     assert tracker.update(0.0, FRAME).status is Status.AMBIGUOUS
     assert tracker.update(1.0, FRAME).status is Status.OK
+
+
+# Half a turn about an axis through (0.5, 0, 0), beside the origin.
+HALF_TURN = Symmetry("discrete", np.array([0.0, 0.0, 1.0]), np.pi, np.array([0.5, 0.0, 0.0]))
+TURNED = Pose(np.diag([-1.0, -1.0, 1.0]), np.array([1.0, 0.0, 0.0]))
+
+
+def test_two_poses_that_look_alike_are_no_rivals():
+    script = Rivals({0: [0.5, 0.5], 1: [0.5, 0.5]})
+    script.model.symmetries = (HALF_TURN,)
+    script.poses[1] = script.poses[0] @ TURNED
+    tracker = Tracker(script)
+    assert tracker.update(0.0, FRAME).status is Status.AMBIGUOUS
+    assert tracker.update(1.0, FRAME).status is Status.OK
+
+
+class Restarting(Script):
+    """Sees nothing near a prior for two frames; then everywhere finds the pose turned by half."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.search = object()
+        self.blind = self.restarted = False
+
+    def recognize(self, image, prior=None, *options, time_s, **others) -> AppearanceObservation:
+        if prior is None:
+            self.restarted = self.blind
+            pose = A @ TURNED if self.blind else A
+            return AppearanceObservation(Status.OK, pose=pose, confidence=0.95, time_s=time_s)
+        near = prior.angle_to(A) < 0.1 and np.allclose(prior.translation_m, A.translation_m)
+        if near and self.blind is self.restarted:
+            return AppearanceObservation(Status.OK, pose=A, confidence=0.95, time_s=time_s)
+        return AppearanceObservation(Status.LOST, "nothing near", time_s=time_s)
+
+
+@pytest.mark.parametrize("symmetries", [(), (HALF_TURN,)])
+def test_a_restart_gives_the_pose_that_was_tracked_of_those_that_look_alike(symmetries):
+    script = Restarting()
+    script.model.symmetries = symmetries
+    tracker = Tracker(script)
+    assert tracker.update(0.0, FRAME).pose is A
+    script.blind = True
+    looks = [tracker.update(float(k), FRAME) for k in (1, 2, 3)]
+    assert [look.pose for look in looks[:2]] == [None, None]
+    turned = looks[2].pose.angle_to(A)
+    assert turned == pytest.approx(0.0 if symmetries else np.pi, abs=1e-9)

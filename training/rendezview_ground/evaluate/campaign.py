@@ -102,7 +102,8 @@ def pose_error(
     """Errors of an observation; ``None`` if it has no pose."""
     if observation.pose is None or observation.covariance is None:
         return None
-    pose = nearest_alike(observation.pose, truth, model.symmetries)
+    pose = observation.pose
+    truth = nearest_alike(truth, pose, model.symmetries)  # the covariance is that of the pose
     turn = Rotation.from_matrix(truth.rotation @ pose.rotation.T).as_rotvec()
     error = np.concatenate([turn, truth.translation_m - pose.translation_m])
     centre = truth.apply(model.centre_m)

@@ -37,6 +37,7 @@ from rendezview_ground.evaluate.scores import scores
 from rendezview_ground.evaluate.stanford import Judged, judged_log, stanford_dict, stanford_text
 from rendezview_ground.evaluate.surface import ModelPoints, alike_of
 from rendezview_ground.mesh.mesh import load_mesh
+from rendezview_ground.mesh.symmetries import described, find_symmetries
 
 
 def evaluate(
@@ -162,18 +163,22 @@ def _reference(target: str | None, unit: str | None) -> _Reference:
     if target is None:
         return _Reference()
     found = find_target(target)
-    model = bop_model(found.mesh_path)
+    model, notes = bop_model(found.mesh_path), tuple[str, ...]()
     mesh = load_mesh(found.mesh_path, unit or found.unit or ("mm" if model else None))
     centre_m, _ = mesh.bounding_sphere
     points_m = mesh.vertices_m[np.unique(mesh.faces)]
     if model is None:
-        surface = ModelPoints.of(points_m, alike_of(found.symmetries))
-        return _Reference(found.symmetries, centre_m, surface)
+        alike = found.symmetries
+        if not (alike or found.joints):  # as training does
+            alike = find_symmetries(mesh)
+        if alike:
+            notes = (f"the target {described(alike)}: the nearest of its equivalent poses counts",)
+        surface = ModelPoints.of(points_m, alike_of(alike))
+        return _Reference(alike, centre_m, surface, notes)
     surface = ModelPoints.of(points_m, model.alike, model.diameter_m)
-    notes: tuple[str, ...] = ()
-    if model.off_origin:
+    if model.unused:
         notes = (
-            f"{model.off_origin} symmetries of the model do not pass through its origin: they "
-            "count in MSSD and MSPD only",
+            f"{model.unused} symmetries of the model are none beside the others (no common point "
+            "of the axes, or turns that never come round): they count in MSSD and MSPD only",
         )
     return _Reference(model.symmetries, centre_m, surface, notes)

@@ -20,7 +20,7 @@ from rendezview_ground.mesh.colours import GREY
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.mesh.notes import counted
 from rendezview_ground.mesh.simplify import MANY_FACES
-from rendezview_ground.mesh.symmetries import find_symmetries
+from rendezview_ground.mesh.symmetries import described, find_symmetries
 
 # Times larger by one body: a question, and a warning. Source: one panel of a craft makes 1.5
 _FAR, _TOO_FAR = 1.5, 2.0
@@ -288,23 +288,17 @@ def _hidden(mesh: Mesh, progress: Callable[[int, int], None] | None) -> list[Fin
 
 
 def _symmetric(mesh: Mesh) -> list[Finding]:
-    findings = []
-    for symmetry in find_symmetries(mesh):
-        axis = ", ".join(f"{v:.2f}" for v in symmetry.axis)
-        turn = (
-            "by any angle"
-            if symmetry.angle_rad is None
-            else f"by {math.degrees(symmetry.angle_rad):.0f}°"
+    symmetries = find_symmetries(mesh)
+    if not symmetries:
+        return []
+    return [
+        Finding(
+            Mark.NOTE,
+            f"It {described(symmetries)}.",
+            "written into the model; poses are one of the equivalent ones",
+            "the attitude is known only up to that turn; a coloured marking decides it",
         )
-        findings.append(
-            Finding(
-                Mark.NOTE,
-                f"It looks the same when turned {turn} about ({axis}).",
-                "written into the model; poses are one of the equivalent ones",
-                "the attitude is known only up to that turn; a coloured marking decides it",
-            )
-        )
-    return findings
+    ]
 
 
 def _colourless(mesh: Mesh) -> list[Finding]:

@@ -29,7 +29,8 @@ def of_logged_poses(
     """What ``judge`` makes of the logged entry and the error of each pose; ``None`` is left out.
 
     The error (6,) is (rotation vector, translation) from the pose to the truth, camera frame; of
-    poses that look alike, the nearest one counts.
+    true poses that look alike, the nearest one counts. The pose stays, for its covariance is that
+    of its own origin.
 
     Raises:
         RendezviewError: the log cannot be read, or is none of ``track``.
@@ -43,7 +44,7 @@ def of_logged_poses(
             if truth is None or found is None:
                 continue
             pose = Pose.from_quat_wxyz(found["quat_wxyz"], found["translation_m"])
-            error = rates_between(nearest_alike(pose, truth, symmetries), truth, 1.0)
+            error = rates_between(pose, nearest_alike(truth, pose, symmetries), 1.0)
             judgement = judge(entry, error)
         except (ValueError, KeyError, TypeError, np.linalg.LinAlgError) as fault:
             raise RendezviewError(

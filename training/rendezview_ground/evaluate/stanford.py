@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.special import betaincinv
-from scipy.stats import genpareto
 
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
@@ -80,6 +79,8 @@ def tail_risk(ratio: Array) -> float | None:
     beyond = finite[finite > edge] - edge
     if edge >= 1.0 or not len(beyond):
         return float(np.mean(finite > 1.0))
+    from scipy.stats import genpareto  # slow to import
+
     shape, _, scale = genpareto.fit(beyond, floc=0.0)
     return float(len(beyond) / len(finite) * genpareto.sf(1.0 - edge, shape, 0.0, scale))
 

@@ -17,7 +17,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import Symmetry, discrete_turns
+from rendezview.geometry.symmetry import Symmetry, common_point, discrete_turns
 
 STEP = 0.01  # of the diameter; largest motion of a point per step. Source: BOP toolkit
 _REFERENCE_WIDTH_PX = 640.0  # px; width to which BOP's thresholds refer. Source: BOP 2020, 2.2
@@ -88,16 +88,18 @@ class SurfaceErrors:
 
 
 def alike_of(symmetries: Sequence[Symmetry]) -> tuple[Pose, ...]:
-    """The rotations of a target's symmetries, target_from_target, the identity first.
+    """The turns of a target's symmetries, target_from_target, the identity first.
 
     A continuous symmetry is sampled in 315 steps (`STEP`), as in the toolkit.
 
     Raises:
-        ValueError: the multiples of a discrete rotation never return to the identity.
+        ValueError: the multiples of a discrete rotation never return to the identity, or the axes
+            have no common point.
     """
-    discrete = [Pose(turn, np.zeros(3)) for turn in discrete_turns(symmetries)]
+    centre_m = common_point(symmetries)
+    discrete = [Pose(turn, centre_m - turn @ centre_m) for turn in discrete_turns(symmetries)]
     axes = [s.axis / np.linalg.norm(s.axis) for s in symmetries if s.kind == "continuous"]
-    return combined(discrete, [turn for axis in axes for turn in turns_about(axis, np.zeros(3))])
+    return combined(discrete, [turn for axis in axes for turn in turns_about(axis, centre_m)])
 
 
 def turns_about(axis: Array, through_m: Array) -> list[Pose]:

@@ -20,10 +20,12 @@ from rendezview.io.camera_files import load_camera
 from rendezview_ground.learn.command_options import Dask, Jobs
 from rendezview_ground.learn.job import Trained
 from rendezview_ground.learn.jobs.open_executor import open_executor
+from rendezview_ground.learn.look_alike_words import look_alike_words
 from rendezview_ground.learn.options import Neighbourhood, TrainingOptions
 from rendezview_ground.learn.target_job import train_target
 from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.mesh.simplify import TOLERANCE_RADII
+from rendezview_ground.mesh.symmetries import described
 from rendezview_ground.render.renderers import Renderer, working_renderer
 
 _DEFAULT = TrainingOptions()
@@ -166,9 +168,13 @@ def summary(trained: Trained) -> str:
         lit = 0 if model.lit is None else len(model.lit.sun)
         lines.append(
             f"refinement: {model.contours.kind.shape[2]} contour points per view from "
-            f"{len(model.contours.shells_m)} distances, {lit} shadowed silhouettes; "
-            + (f"{len(model.symmetries)} symmetries" if model.symmetries else "no symmetry")
+            f"{len(model.contours.shells_m)} distances, {lit} shadowed silhouettes"
         )
+    if model.symmetries or not model.joints:  # with joints they are not searched
+        lines.append(f"the target {described(model.symmetries)}")
+    words = None if model.shape is None else look_alike_words(model.shape, model.symmetries)
+    if words is not None:
+        lines.append(words)
     for k, joint in enumerate(model.joints):
         angles = sorted(
             {float(np.rad2deg(m.angles_rad[k])) for m in (model, *model.configurations)}

@@ -144,6 +144,7 @@ def _train(
     contours = stages.contours()
     silhouettes = stages.shadowed_silhouettes()
     sketches = stages.sketches()
+    shape = stages.shape()
     samples = Samples(options.order, lattice, perturbed)
     trees = stages.trees(samples)
     score_forest = stages.score_forest(lattice, perturbed, silhouettes)
@@ -187,6 +188,7 @@ def _train(
         shape_error=shape_error,
         surface=surface,
         sketches=sketches,
+        shape=shape,
         score_forest=score_forest,
         error_model=None if contours is None else ErrorModel.packaged(),
     )

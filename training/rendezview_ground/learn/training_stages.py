@@ -17,6 +17,7 @@ from rendezview.sensors.appearance.model.contours import Contours
 from rendezview.sensors.appearance.model.forest import ScoreForest
 from rendezview.sensors.appearance.model.near_views import NearSphere
 from rendezview.sensors.appearance.model.shadowed_silhouettes import ShadowedSilhouettes
+from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.appearance.model.signature import Readings
 from rendezview.sensors.appearance.model.sketches import ViewSketches
 from rendezview.sensors.appearance.model.surface import Surface
@@ -28,6 +29,7 @@ from rendezview_ground.learn.options import TrainingOptions, ViewGeometry
 from rendezview_ground.learn.trees.calibrate import prior_errors, recognition_errors
 from rendezview_ground.learn.trees.forest import ForestSamples, joined, learn_forest
 from rendezview_ground.learn.trees.node_trees import Samples, TreeSet, learn_trees
+from rendezview_ground.learn.views.carried_shape import carried_shape
 from rendezview_ground.learn.views.contours import contour_points
 from rendezview_ground.learn.views.near_spheres import near_spheres
 from rendezview_ground.learn.views.perturbed_views import perturbed_views
@@ -223,6 +225,15 @@ class TrainingStages:
         shards = self._run("sketches", _sketch_arrays, shared, parts)
         return ViewSketches(**{n: np.concatenate([a[n] for a in shards]) for n in shards[0]})
 
+    def shape(self) -> Shape | None:
+        """The mesh that the craft carries, and its look-alikes; None with joints."""
+        if 0 in (self.options.contour_points, self.options.surface_points) or (
+            self.mesh.face_part is not None
+        ):
+            return None
+        shared = (self.mesh, self.geometry, self.options.seed)
+        return Shape(**self._run("shape", _shape_arrays, shared, [()])[0])
+
     def trees(self, samples: Samples) -> TreeSet:
         """Trees of all nodes."""
         nodes = len(Geodesic.of_order(self.options.order).nodes)
@@ -321,6 +332,11 @@ def _sketch_arrays(
 ) -> Arrays:
     views = [sketched_view(mesh, geometry, direction, surfaces) for direction in directions]
     return {name: np.stack([view[name] for view in views]) for name in views[0]}
+
+
+def _shape_arrays(mesh: Mesh, geometry: ViewGeometry, seed: int) -> Arrays:
+    shape = carried_shape(mesh, geometry, seed)
+    return {f.name: getattr(shape, f.name) for f in dataclasses.fields(Shape)}
 
 
 def _tree_arrays(samples: Samples, options: TrainingOptions, nodes: range) -> Arrays:

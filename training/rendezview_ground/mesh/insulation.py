@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from rendezview.geometry.pose import Array
@@ -93,6 +92,8 @@ def _note(share: float, covered: float) -> str:
 
 def _subdivided(mesh: Mesh, radius_m: float) -> tuple[Mesh, NDArray[np.intp]]:
     """Consistent winding, short edges, and one vertex at each place; and each face's own before."""
+    import trimesh  # slow to import, and most meshes have no blanket
+
     body = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
     trimesh.repair.fix_normals(body, multibody=True)  # type: ignore[no-untyped-call]
     vertices_m, faces, source = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]

@@ -28,8 +28,8 @@ _LEAST_FACES = 1000  # of one colour; fewer stay as they are. Source: by constru
 _ROUNDS = 100  # over all edges. Source: the default of pyfqmr
 
 
-def simplified(mesh: Mesh, tolerance_m: float) -> Mesh:
-    """The mesh with fewer triangles, if it has more than `MANY_FACES`.
+def simplified(mesh: Mesh, tolerance_m: float, many: int = MANY_FACES) -> Mesh:
+    """The mesh with fewer triangles, if it has more than ``many``.
 
     Borders stay where they are: open edges, and the edges between parts that differ in colour,
     joint or trust.
@@ -37,8 +37,9 @@ def simplified(mesh: Mesh, tolerance_m: float) -> Mesh:
     Args:
         mesh: cleaned, equal positions merged.
         tolerance_m: see the module.
+        many: faces; a mesh with no more stays as it is.
     """
-    if len(mesh.faces) <= MANY_FACES:
+    if len(mesh.faces) <= many:
         return mesh
     group = _groups(mesh)
     order = np.argsort(group, kind="stable")

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array
+from rendezview.geometry.zbuffer import Float32s, Int32s
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.render.zbuffer import Float32s, Int32s
 
 STEP_RADII = 0.02  # target radii; a surface that much deeper is another surface
 _CREASE_COSINE = np.cos(np.deg2rad(30.0))  # facets that meet at a greater angle form a crease

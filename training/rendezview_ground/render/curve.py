@@ -7,7 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array
-from rendezview_ground.render.zbuffer import Int32s
+from rendezview.geometry.zbuffer import Int32s
 
 _CELL_PX = 4  # px; cells of the space-filling curve
 # Source: by construction, a code of two digits of 12 bits holds 4096 × 4096 cells

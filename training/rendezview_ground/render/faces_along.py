@@ -13,8 +13,8 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array
+from rendezview.geometry.zbuffer import Int32s
 from rendezview_ground.render.crossings import depth_on
-from rendezview_ground.render.zbuffer import Int32s
 
 _ON_EDGE_PX = 1e-6  # px; a place that close to an edge lies on it
 _SAME_DEPTH = 2e-6  # relative; closer depths are equal

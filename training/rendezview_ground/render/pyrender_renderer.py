@@ -16,10 +16,10 @@ import numpy as np
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
+from rendezview.geometry.zbuffer import NOBODY, Float32s, Int32s
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.projection import Mask, Window, project_vertices
 from rendezview_ground.render.pyrender_process import Request
-from rendezview_ground.render.zbuffer import NOBODY, Float32s, Int32s
 
 _PLATFORMS = ("egl", "osmesa")  # in this order, unless PYOPENGL_PLATFORM names one
 _START_S = 60.0  # s; a process that has not answered by then hangs. Source: 1 s on an idle machine

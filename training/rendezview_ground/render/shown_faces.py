@@ -14,6 +14,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.zbuffer import Float32s, Int32s, draw_chosen, empty_buffers
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.projection import (
     Mask,
@@ -22,7 +23,6 @@ from rendezview_ground.render.projection import (
     project_with_nearness,
 )
 from rendezview_ground.render.rasterizer import fill_silhouette
-from rendezview_ground.render.zbuffer import Float32s, Int32s, draw_chosen, empty_buffers
 
 # Nodes nearest to a direction, whose faces are drawn. Source: of 130,000 pixels of `hubble`, 800 px
 # wide, 7 leave 7 to 15 with another face than all faces have, 19 leave one or two

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
-from rendezview_ground.render.zbuffer import Float32s
+from rendezview.geometry.zbuffer import Float32s
 from rendezview_ground.simulate.distortion import pixel_rays
 
 

@@ -12,7 +12,7 @@ from scipy import fft
 from scipy.special import expit
 
 from rendezview.geometry.pose import Array
-from rendezview_ground.render.zbuffer import Float32s
+from rendezview.geometry.zbuffer import Float32s
 
 
 def cloudy_sky(side: int, rng: np.random.Generator, *, whole: bool = False) -> Float32s:

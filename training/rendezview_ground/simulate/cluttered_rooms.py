@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from rendezview.geometry.zbuffer import Float32s
 from rendezview.sensors.appearance.model.sketches import COVER
-from rendezview_ground.render.zbuffer import Float32s
 from rendezview_ground.simulate.hard_light import HardLightOptions
 from rendezview_ground.simulate.random_textures import random_texture, scatter_shapes
 from rendezview_ground.simulate.sketch_frames import CraftDrawing

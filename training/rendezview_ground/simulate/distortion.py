@@ -12,7 +12,7 @@ import numpy as np
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
-from rendezview_ground.render.zbuffer import Float32s
+from rendezview.geometry.zbuffer import Float32s
 
 _AREA_MAX = 9.0  # largest area of the wide picture, in areas of the camera's picture
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from rendezview_ground.render.zbuffer import Float32s
+from rendezview.geometry.zbuffer import Float32s
 
 # By construction of the training set of the sketch network:
 _GREY = (3.0, 300.0)  # grey levels of a speck before the optics, uniform in the logarithm

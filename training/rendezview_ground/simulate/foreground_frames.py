@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.zbuffer import Float32s
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.render.zbuffer import Float32s
 from rendezview_ground.simulate.background import Earth, earth_radiance
 from rendezview_ground.simulate.random_craft import random_craft
 from rendezview_ground.simulate.random_skies import random_sky

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview_ground.render.zbuffer import Float32s
+from rendezview.geometry.zbuffer import Float32s
 from rendezview_ground.simulate.dust import add_dust
 
 Range = tuple[float, float]  # uniform

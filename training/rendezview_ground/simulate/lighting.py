@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from rendezview.geometry.pose import Array
-from rendezview_ground.render.zbuffer import Float32s, Int32s
+from rendezview.geometry.zbuffer import Float32s, Int32s
 
 _LEAST_SUN_COSINE = 0.03  # of a face; bounds the slope of its plane on the shadow map
 _FOLD_TEXELS = 2.0  # texels; a surface that close above a face's plane does not shade it

@@ -18,8 +18,8 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.zbuffer import Float32s
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.render.zbuffer import Float32s
 from rendezview_ground.simulate.distortion import widened
 
 _SKY_ROWS = 64  # rows of the environment map

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import fft
 from scipy.spatial import cKDTree
 
-from rendezview_ground.render.zbuffer import Float32s
+from rendezview.geometry.zbuffer import Float32s
 
 _LARGEST_FIELDS = 150  # patches; most of a picture of fields
 

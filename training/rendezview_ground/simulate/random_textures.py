@@ -7,7 +7,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from rendezview_ground.render.zbuffer import Float32s
+from rendezview.geometry.zbuffer import Float32s
 from rendezview_ground.simulate.random_skies import random_sky
 
 _FONTS = (

@@ -16,10 +16,10 @@ from joblib import Parallel, delayed
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.zbuffer import Float32s
 from rendezview.io.sequences import BopSceneWriter
 from rendezview_ground.mesh.insulation import MOST_INSULATION, insulated
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.render.zbuffer import Float32s
 from rendezview_ground.simulate.background import (
     Earth,
     Stars,

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview_ground.render.zbuffer import Float32s
+from rendezview.geometry.zbuffer import Float32s
 
 UInt8s = npt.NDArray[np.uint8]
 

@@ -18,8 +18,8 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.zbuffer import Float32s, draw_perspective, empty_buffers
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.render.zbuffer import Float32s, draw_perspective, empty_buffers
 from rendezview_ground.simulate.distortion import widened
 from rendezview_ground.simulate.lighting import shade_samples
 from rendezview_ground.simulate.shadows import ShadowMap, shadow_map

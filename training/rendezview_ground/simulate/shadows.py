@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 
 from rendezview.geometry.pose import Array
+from rendezview.geometry.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
 from rendezview_ground.render.directions import axes_towards
-from rendezview_ground.render.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
 
 _MARGIN_TEXELS = 2.0  # texels around the map, so that every lookup finds its neighbours
 

@@ -16,16 +16,16 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.edges.network import SIDE_PX
-from rendezview.sensors.appearance.model.sketches import COVER, MAPS
-from rendezview_ground.learn.views.sketch_maps import SAMPLES, facing_normals, sketch_maps
-from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.render.zbuffer import (
+from rendezview.geometry.zbuffer import (
     Float32s,
     Int32s,
     draw_perspective,
     empty_buffers,
 )
+from rendezview.sensors.appearance.edges.network import SIDE_PX
+from rendezview.sensors.appearance.model.sketches import COVER, MAPS
+from rendezview_ground.learn.views.sketch_maps import SAMPLES, facing_normals, sketch_maps
+from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate.cloudy_skies import cloudy_sky
 from rendezview_ground.simulate.hard_light import HardLightOptions, photograph
 from rendezview_ground.simulate.random_craft import any_craft

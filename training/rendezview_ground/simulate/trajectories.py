@@ -12,7 +12,6 @@ from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
@@ -170,6 +169,8 @@ def torque_free(
         ``inertial_from_body`` (N, 3, 3), the identity at the first time, and the
         angular velocity in body axes (N, 3).
     """
+    from scipy.integrate import solve_ivp  # slow to import, and most flights do not tumble
+
     moments = np.asarray(inertia, dtype=np.float64)
 
     def slope(_: float, state: Array) -> Array:

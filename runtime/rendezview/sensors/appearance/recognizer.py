@@ -46,7 +46,10 @@ _NEAR_RAD = np.deg2rad(8.0)
 _LEAST_CONFIDENT = 0.1
 # Configurations of a target with joints that are searched whole. Source: pose-joints (0.1)
 _CONFIGURATIONS = 3
-# merit; chance decides between two poses nearer to each other. Source: pose-accuracy, seed 77
+# Of a pose among its look-alikes.
+_LEAST_POSTERIOR = 0.9
+# merit; chance decides between two poses nearer to each other, where no look-alike was drawn.
+# Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
 # Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
 # tells how far. Source: by construction
@@ -302,7 +305,9 @@ class Recognizer:
                 if proposed is not None and self._confident(proposed):
                     pose = proposed.best.pose
                     return self._given(self.outline.seen(traced, pose, clock), proposed)
-            if sketched is not None and self._confident(sketched):
+                if proposed is not None and proposed.weighed:
+                    found = proposed
+            if sketched is not None and self._confident(sketched) and _agree(found, sketched):
                 pose = sketched.best.pose
                 # Grey edges are the finer ones, where they are seen.
                 closer = search.at(frame, sky, pose, _NEAR_RAD)
@@ -314,7 +319,12 @@ class Recognizer:
                 clock.lap("refine")
                 if found is not None and self._confident(found):
                     return self._given(self.outline.seen(traced, found.best.pose, clock), found)
-            if sketched is not None and (found is None or sketched.confidence > found.confidence):
+            weighed = found is not None and len(found.weighed) > 0
+            if (
+                sketched is not None
+                and not weighed
+                and (found is None or sketched.confidence > found.confidence)
+            ):
                 found = sketched
         if traced_view is None:
             traced_view = self.outline.recognize(traced, prior, prior_error_rad, clock)
@@ -353,8 +363,19 @@ class Recognizer:
 
     def _confident(self, found: Found) -> bool:
         """Whether a pose is given: it is likely right, and without a prior it has no rival."""
-        close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
+        if found.weighed:
+            close = found.posterior < _LEAST_POSTERIOR
+        else:
+            close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
         return found.confidence >= self.least_confidence and not close and _is_known(found.best)
+
+
+def _agree(weighed: Found | None, other: Found) -> bool:
+    """Whether another pose is the likeliest beside its look-alikes, if they were asked."""
+    if weighed is None or not weighed.weighed:
+        return True
+    apart = weighed.best.pose.angle_to(other.best.pose)
+    return weighed.posterior >= _LEAST_POSTERIOR and apart < _NEAR_RAD
 
 
 def _is_known(refined: Refined) -> bool:
@@ -374,7 +395,16 @@ def _refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObse
             status, reason = Status.UNRECOGNIZED, "no pose of the target fits the edges"
     elif isinstance(found, SketchFound) and status not in _WHOLE_OUTLINE:
         pass  # the outline says why
-    elif found.rival is not None and found.margin < CLOSE_MARGIN:
+    elif found.weighed and found.posterior < _LEAST_POSTERIOR:
+        first, second = found.weighed[:2]
+        apart = first.pose.angle_to(second.pose)
+        status = Status.AMBIGUOUS
+        reason = (
+            f"{np.rad2deg(apart):.0f}° apart, two poses explain this frame with probabilities "
+            f"{first.probability:.2f} and {second.probability:.2f}: give a prior, the Sun's "
+            "direction, or more frames"
+        )
+    elif not found.weighed and found.rival is not None and found.margin < CLOSE_MARGIN:
         apart = found.best.pose.angle_to(found.rival.pose)
         status = Status.AMBIGUOUS
         reason = (

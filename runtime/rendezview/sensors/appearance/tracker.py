@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import angle_between, nearest_alike
 from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
 from rendezview.sensors.appearance.joints import JointFilter
 from rendezview.sensors.appearance.judge.sketch_found import SketchFound
@@ -268,10 +269,27 @@ class Tracker:
             again = self.recognizer.recognize(image, None, None, sun_camera, time_s=time_s)
             if again.pose is not None and (again.confidence or 0.0) >= options.restart_confidence:
                 self._motion = None  # a restart: no rates from the pose before
-                return again
+                return self._as_before(again, prior, time_s, image, sun_camera)
         if observation.status is Status.AMBIGUOUS and self._motion is None:
             self._rivals = [(pose, 0.0) for pose in observation.candidates]
         return observation
+
+    def _as_before(
+        self,
+        again: AppearanceObservation,
+        prior: Pose | None,
+        time_s: float,
+        image: npt.ArrayLike,
+        sun_camera: npt.ArrayLike | None,
+    ) -> AppearanceObservation:
+        """Of the poses that look alike after a restart, the one that was tracked before."""
+        if again.pose is None or prior is None:
+            return again
+        same = nearest_alike(again.pose, prior, self.recognizer.model.symmetries)
+        if same.angle_to(again.pose) < _SAME_RAD:
+            return again
+        there = self.recognizer.recognize(image, same, None, sun_camera, time_s=time_s)
+        return again if there.pose is None else there
 
     def _enough_inliers(self) -> float:
         """Inlier ratio that the pose next to the prediction needs: less after a confirmation."""
@@ -292,8 +310,10 @@ class Tracker:
                 looks.append((merit + found.merit, observation, found.best.pose))
         looks.sort(key=lambda look: -look[0])
         # Rivals that converge to one pose are one.
+        symmetries = self.recognizer.model.symmetries
         for k in range(len(looks) - 1, 0, -1):
-            if any(looks[k][2].angle_to(look[2]) < _SAME_RAD for look in looks[:k]):
+            pose = looks[k][2]
+            if any(angle_between(pose, look[2], symmetries) < _SAME_RAD for look in looks[:k]):
                 del looks[k]
         if not looks:
             self._rivals = []

@@ -39,7 +39,7 @@ def mesh():
 @pytest.fixture(scope="module")
 def model(tmp_path_factory, mesh) -> ViewModel:
     path = tmp_path_factory.mktemp("docking") / "docking.rvm"
-    options = replace(REFINING, contour_radii=(1.0,), sketches=False, forest_trees=0)
+    options = replace(REFINING, order=1, contour_radii=(1.0,), sketches=False, forest_trees=0)
     train(mesh, path, name="docking", options=options, docking_ring=RING, jobs=1)
     return ViewModel.load(path)
 

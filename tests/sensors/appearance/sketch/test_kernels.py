@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Pose
+from rendezview.geometry.zbuffer import draw_perspective, empty_buffers
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
@@ -37,7 +38,6 @@ from rendezview.sensors.appearance.edges.sketch import (
 from rendezview.sensors.appearance.judge.explained import explained_share
 from rendezview.sensors.appearance.model.contours import CREASE, NO_POINT, OUTLINE
 from rendezview_ground.learn.views.sketch_maps import SAMPLES, facing_normals, sketch_maps
-from rendezview_ground.render.zbuffer import draw_perspective, empty_buffers
 
 STAGES = np.array([[10.0, 5.0, 6.0, 1.0, 0.5], [4.0, 2.0, 6.0, 1.0, 0.5]])
 

@@ -6,13 +6,15 @@ as in scikit-learn, so the next whole number below a threshold gives the same de
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.tree import BaseDecisionTree
 
 from rendezview.geometry.pose import Array
+
+if TYPE_CHECKING:
+    from sklearn.tree import BaseDecisionTree
 
 Int64s = npt.NDArray[np.int64]
 BRANCHLESS = -1  # component of a leaf. Source: by construction

@@ -9,11 +9,11 @@ decides as scikit-learn does.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from sklearn.ensemble import ExtraTreesClassifier
 
 from rendezview.geometry.geodesic import Geodesic, angle_between, within
 from rendezview.geometry.pose import Array
@@ -34,6 +34,9 @@ from rendezview_ground.learn.jobs.stages import Arrays
 from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree
 from rendezview_ground.learn.views.views import ViewSet
+
+if TYPE_CHECKING:
+    from sklearn.ensemble import ExtraTreesClassifier
 
 _STREAM_OF_FOREST = 7  # of random numbers, with the node
 # Chosen on held-out views and silhouettes: larger leaves and fewer bins decide worse, random
@@ -120,6 +123,8 @@ def forest_of(
     rng: np.random.Generator,
 ) -> ExtraTreesClassifier:
     """Fit scikit-learn's forest to the samples of a node: readings (K, BINS) and labels (K,)."""
+    from sklearn.ensemble import ExtraTreesClassifier  # slow to import
+
     return ExtraTreesClassifier(
         options.forest_trees,
         criterion="entropy",

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from sklearn.tree import DecisionTreeClassifier
 
 from rendezview.geometry.geodesic import Geodesic, angle_between, within
 from rendezview.geometry.pose import Array
@@ -18,6 +17,9 @@ from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree, seed_of
 from rendezview_ground.learn.trees.neighbourhood import neighbourhood
 from rendezview_ground.learn.views.views import ViewSet
+
+if TYPE_CHECKING:
+    from sklearn.tree import DecisionTreeClassifier
 
 IN_EDGES = 1.0  # edges; a view within this distance of the node should be recognised
 OUT_EDGES = (1.32, 3.0)  # edges; a view in this range should not. The lattice has none between
@@ -140,6 +142,8 @@ def fitted(
         options: the stopping rules, and which bins are components.
         node: decides which of two equal splits is taken.
     """
+    from sklearn.tree import DecisionTreeClassifier  # slow to import
+
     components = readings[:, :: options.component_step]
     levels = Levels.of(components)
     classifier = DecisionTreeClassifier(

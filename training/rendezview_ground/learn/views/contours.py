@@ -13,6 +13,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array
+from rendezview.geometry.zbuffer import Float32s, Int32s
 from rendezview.sensors.appearance.model.contours import (
     DEPTH_UNIT,
     DIRECTION_UNIT,
@@ -38,7 +39,6 @@ from rendezview_ground.render.crossings import (
 )
 from rendezview_ground.render.curve import evenly_spread
 from rendezview_ground.render.projection import SurfaceRenderer
-from rendezview_ground.render.zbuffer import Float32s, Int32s
 
 _BORDER_PX = 4.0  # px around the target in the picture
 _THIN_PX = 2.0  # px; an edge with a shorter free run is unreliable

@@ -9,11 +9,11 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.zbuffer import draw_parallel, draw_perspective, empty_buffers
 from rendezview_ground.learn.options import ViewGeometry
 from rendezview_ground.learn.views.views import look_from
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.projection import NEAREST_M, SurfaceRenderer, Window
-from rendezview_ground.render.zbuffer import draw_parallel, draw_perspective, empty_buffers
 
 _LEAST_DEPTH_M = 0.02  # m, of a near face. Source: by construction, its pixels stay finite
 

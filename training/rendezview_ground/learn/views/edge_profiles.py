@@ -12,11 +12,11 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array
+from rendezview.geometry.zbuffer import Int32s
 from rendezview.sensors.appearance.model.contours import REACH_RADII, SURFACES
 from rendezview_ground.learn.views.drawn_view import DrawnView
 from rendezview_ground.render.crossings import KIND, STEP_RADII
 from rendezview_ground.render.faces_along import Scratch, faces_along, scratch_for
-from rendezview_ground.render.zbuffer import Int32s
 
 # Lengths are shares of the target's radius in the picture. 1/196 is one pixel of a view 400 px
 # wide, in which the target's radius is 196 px.

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
+from rendezview.geometry.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
 from rendezview.sensors.appearance.model.shadowed_silhouettes import READING_UNIT, SHADOWED_BINS
 from rendezview.sensors.appearance.model.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
@@ -22,7 +23,6 @@ from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.crossings import face_normals
 from rendezview_ground.render.directions import axes_towards
 from rendezview_ground.render.projection import SurfaceRenderer
-from rendezview_ground.render.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
 
 _SUN_ORDER = 1  # of the sphere of Sun directions: 42 of them, 32° apart
 _MAP_TEXELS = 256  # width of a shadow map

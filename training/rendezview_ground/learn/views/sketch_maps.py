@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
+from rendezview.geometry.zbuffer import Int32s
 from rendezview.sensors.appearance.model.sketches import (
     MAPS,
     Float32s,
@@ -25,7 +26,6 @@ from rendezview_ground.learn.options import ViewGeometry
 from rendezview_ground.learn.views.drawn_view import draw_view
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.projection import SurfaceRenderer
-from rendezview_ground.render.zbuffer import Int32s
 
 SAMPLES = 2  # a pixel side. Source: by construction
 RANGE_RADII = 6.0  # target radii from which views are sketched. Source: middle of 3 to 13

@@ -7,6 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array
+from rendezview.geometry.zbuffer import Int32s
 from rendezview.sensors.appearance.model.contours import DIRECTION_UNIT, POINT_UNIT
 from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT, Surface
 from rendezview_ground.learn.options import TrainingOptions, ViewGeometry
@@ -15,7 +16,6 @@ from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.crossings import face_normals
 from rendezview_ground.render.projection import SurfaceRenderer
 from rendezview_ground.render.shown_faces import bits_of
-from rendezview_ground.render.zbuffer import Int32s
 
 SURFACE_ORDER = 3  # of the sphere of directions: 642, independent of the order of the trees
 _CANDIDATES = 8  # candidates per kept point: much of a mesh is visible from nowhere

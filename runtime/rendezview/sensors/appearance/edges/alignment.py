@@ -50,7 +50,7 @@ class Stage(NamedTuple):
 ) = range(len(Stage._fields))  # fmt: skip
 
 CLOSE_PX = 1.5  # px; spread of a refined pose's inliers … Source: fixed with error_model.json
-_LOOSE_PX = 3.0  # px; … and of a roughly aligned one's. Source: by construction, twice that
+LOOSE_PX = 3.0  # px; … and of a roughly aligned one's. Source: by construction, twice that
 _LOOSE_STRIDE = 2  # one point in two is enough to judge that. Source: by construction
 AGREEING = 0.53  # of the spread: it counts exp(−½). Source: fixed with error_model.json
 _INNER_SHARE = 0.5  # of inner edges in the loose ratio. Source: by hand, docs/notes/refinement.md
@@ -335,7 +335,7 @@ def align_each(
         ratios[k, 0] = ratios[k, 1] = ratios[k, 2] = 0.0
         if align(image, lens, frame, first, views, rotations[k], centres[k], edges) != DIVERGED:
             outline, inner, _ = inlier_ratios(
-                image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX,
+                image, lens, frame, views, rotations[k], centres[k], LOOSE_PX,
                 int(np.int64(_LOOSE_STRIDE)), edges,
             )  # fmt: skip
             rough[k] = outline + _INNER_SHARE * inner

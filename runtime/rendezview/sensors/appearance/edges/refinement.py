@@ -20,6 +20,7 @@ from rendezview.sensors.appearance.edges.alignment import (
     CLOSE_PX,
     CUT_SPREADS,
     DIVERGED,
+    LOOSE_PX,
     SPREAD,
     VIEWS,
     Stage,
@@ -67,6 +68,7 @@ _FINE = np.array(
         Stage(4, 0.5, 1, lines=3, fit=1, views=3, damping=1e-4, relaxation=1.3),
     ]
 )
+_COARSE_STAGES = 1  # of the stages above, before a pose is given up. Source: docs/notes/rivals.md
 _CUT_PX = 1.25  # px; 2.5 spreads of the last stage. Source: by construction
 # Where the craft may differ from its mesh, no edge is in place to half a pixel. Source: commit
 # 5cde9da
@@ -180,15 +182,34 @@ class Refiner:
         self._nothing_known = 1e-4 * np.array([1.0] * 3 + [self._radius_m**-2] * 3)
 
     def refine(
-        self, image: Picture, sky: Sky, start: Pose, *, closely: bool = False
+        self, image: Picture, sky: Sky, start: Pose, *, closely: bool = False, least: float = 0.0
     ) -> Refined | None:
         """The pose next to ``start`` that fits the edges; None where it finds no hold.
 
-        ``closely``: only edges a few pixels away are looked for.
+        Args:
+            image: (H, W) frame.
+            sky: behind the target.
+            start: camera_from_target.
+            closely: only edges a few pixels away are looked for.
+            least: inlier ratio after the coarse stages; below it the pose is given up.
         """
         rotation, centre = self._centred(start)
         stages = self._stages[1:] if closely else self._stages
+        if least > 0.0 and self.articulation is None:
+            edges = np.zeros((self._rows, COLUMNS))
+            first, stages = stages[:_COARSE_STAGES], stages[_COARSE_STAGES:]
+            frame = sky.vector
+            light = align(image, self._lens, frame, first, self.views, rotation, centre, edges)
+            if light == DIVERGED or self._ratio(image, sky, rotation, centre) < least:
+                return None
         return self._refined(image, sky.vector, stages, rotation, centre)
+
+    def _ratio(self, image: Picture, sky: Sky, rotation: Array, centre: Array) -> float:
+        outline, inner, _ = inlier_ratios(
+            image, self._lens, sky.vector, self.views, rotation, centre, LOOSE_PX, 1,
+            np.zeros((self._rows, COLUMNS)),
+        )  # fmt: skip
+        return float((2.0 * outline + inner) / 3.0)
 
     def measured(self, image: Picture, sky: Sky, start: Pose) -> MeasuredEdges | None:
         """The edges at the pose next to ``start`` that fits them; None where it finds no hold."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,7 +11,8 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.refinement import Refined, Refiner
-from rendezview.sensors.appearance.judge.shading import Shading
+from rendezview.sensors.appearance.judge.rivals import Rivals, Weighed
+from rendezview.sensors.appearance.judge.shading import Shade, Shading
 from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
@@ -41,6 +42,7 @@ _RIVAL_RAD = np.deg2rad(5.0)
 # Of overshoot and of margin in the regression, which saturate there. Source: fixed with the fit of
 # error_model.json
 _MOST_FEATURE = 0.3
+_FRONT = np.array([0.0, 0.0, -1.0])  # Sun behind the camera. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,12 +60,18 @@ class Found:
     shading: float | None = None  # see ``Refiner.shading``; None: not computed
     votes: float | None = None  # log odds of the outline's forest about it; None: not asked
     single: bool = False  # only the pose next to the prior was tried
+    weighed: tuple[Weighed, ...] = ()  # beside its look-alikes, the likeliest first; (): not asked
     error_model: ErrorModel = field(default_factory=ErrorModel.packaged)
 
     @property
     def merit(self) -> float:
         """Merit of the best pose; see ``merit``."""
         return merit(self.best, self.overshoot, self.shading)
+
+    @property
+    def posterior(self) -> float:
+        """Probability of the pose among its look-alikes; 1 where they were not asked."""
+        return self.weighed[0].probability if self.weighed else 1.0
 
     @property
     def answers(self) -> list[Pose]:
@@ -111,7 +119,12 @@ class _Candidate:
 
     refined: Refined
     overshoot: float
-    shading: float | None = None  # None: not computed yet, or the model has no surface
+    shade: Shade | None = None  # None: not computed yet, or the model has no surface
+
+    @property
+    def shading(self) -> float | None:
+        """Agreement of the surface points with the frame."""
+        return None if self.shade is None else self.shade.agreement
 
 
 @dataclass(slots=True, eq=False)
@@ -149,8 +162,8 @@ class Candidates:
         least = max(by_edges) - _IN_DOUBT if shade else np.inf
         merits = []
         for c, edges in zip(self._all, by_edges, strict=True):
-            if edges >= least and c.shading is None:
-                c.shading = self.shading.of(self.image, self.sky, c.refined.pose)
+            if edges >= least and c.shade is None:
+                c.shade = self.shading.of(self.image, self.sky, c.refined.pose)
             merits.append(merit(c.refined, c.overshoot, c.shading if edges >= least else None))
         k = int(np.argmax(merits))
         best = self._all[k]
@@ -165,6 +178,38 @@ class Candidates:
             best.shading,
             self._votes(best.refined),
             error_model=self.refiner.error_model,
+        )
+
+    def weighed(self, rivals: Rivals) -> Found | None:
+        """The likeliest pose beside its rivals, by drawn evidence; None without any pose."""
+        found = self.choose()
+        if found is None:
+            return None
+        symmetries = self.refiner.model.symmetries
+        merits = {id(c): merit(c.refined, c.overshoot, c.shading) for c in self._all}
+        least = found.merit - _IN_DOUBT
+        apart: list[_Candidate] = []
+        for c in sorted(self._all, key=lambda c: -merits[id(c)]):
+            pose = c.refined.pose
+            if merits[id(c)] >= least and all(
+                angle_between(pose, other.refined.pose, symmetries) > _RIVAL_RAD for other in apart
+            ):
+                apart.append(c)
+        weighed = rivals.weigh(
+            self.image, self.sky, [c.refined.pose for c in apart], [merits[id(c)] for c in apart],
+            [_FRONT if c.shade is None else c.shade.sun_camera for c in apart],
+        )  # fmt: skip
+        best = next(c for c in apart if c.refined.pose is weighed[0].pose)
+        j = self._rival(best, [merits[id(c)] for c in self._all])
+        return replace(
+            found,
+            best=best.refined,
+            overshoot=best.overshoot,
+            margin=1.0 if j is None else merits[id(best)] - merits[id(self._all[j])],
+            rival=None if j is None else self._all[j].refined,
+            shading=best.shading,
+            votes=self._votes(best.refined),
+            weighed=tuple(weighed),
         )
 
     def _rival(self, best: _Candidate, merits: list[float]) -> int | None:

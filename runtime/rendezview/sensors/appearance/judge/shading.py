@@ -78,6 +78,13 @@ class SurfaceTables(NamedTuple):
         )
 
 
+class Shade(NamedTuple):
+    """How the surface points of a pose agree with a frame."""
+
+    agreement: float  # −1 … 1, in small windows
+    sun_camera: Array  # (3,) unit, towards the Sun that fits best, camera frame; 0: too few points
+
+
 class Shading:
     """Agreement of bright and dark with poses of one model, in the frames of one camera."""
 
@@ -89,21 +96,22 @@ class Shading:
         self._centre_m = model.centre_m
         self._lens = (lens_vector(camera), camera.is_distorted)
 
-    def of(self, image: Picture, sky: Sky, pose: Pose) -> float | None:
-        """Agreement in small windows, −1 … 1; None where the model has no surface."""
+    def of(self, image: Picture, sky: Sky, pose: Pose) -> Shade | None:
+        """Agreement in small windows and its Sun; None where the model has no surface."""
         if self._surface is None:
             return None
-        centre = pose.apply(self._centre_m)
+        centre, sun = pose.apply(self._centre_m), np.zeros(3)
         within, _ = shading(
-            image, self._lens, sky.vector, self._surface, pose.rotation.copy(), centre
+            image, self._lens, sky.vector, self._surface, pose.rotation.copy(), centre, sun
         )
-        return float(within)
+        return Shade(float(within), sun)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def shading(
-    image: Picture, lens: Lens, frame: Array, surface: SurfaceTables, rotation: Array, centre: Array
-) -> tuple[float, float]:
+    image: Picture, lens: Lens, frame: Array, surface: SurfaceTables, rotation: Array,
+    centre: Array, sun: Array,
+) -> tuple[float, float]:  # fmt: skip
     """Correlations of the grey levels with the expected brightness of a pose, −1 … 1.
 
     Under the light that fits best: in windows of an eighteenth of the target, each about its own
@@ -114,6 +122,7 @@ def shading(
         lens: ``lens_vector`` of the camera, and whether it distorts.
         frame: (6,) as in ``Sky.vector``.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
+        sun: (3,) gets the direction to the Sun, camera frame; it begins as 0.
     """
     most = surface.point.shape[1]
     which = np.empty(most, dtype=np.int64)
@@ -135,7 +144,7 @@ def shading(
     tolerance = _TOLERANCE * quantile(some, 0.01 * BRIGHT_PERCENTILE) + frame[0]
     away = centre / np.sqrt(_dot(centre, centre))
     strengths, chosen = np.empty(2), np.zeros(2)
-    sun, tried, best = np.zeros(3), np.empty(3), np.inf
+    tried, best = np.empty(3), np.inf
     node = int(np.int64(-1))  # as a literal, numba would compile a copy for it
     known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
     for nodes, near in _SUN_LEVELS:

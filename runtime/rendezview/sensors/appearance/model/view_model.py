@@ -22,6 +22,7 @@ from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.forest import ForestScores, ScoreForest
 from rendezview.sensors.appearance.model.near_views import NearSphere
 from rendezview.sensors.appearance.model.shadowed_silhouettes import ShadowedSilhouettes
+from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.appearance.model.sketches import ViewSketches
 from rendezview.sensors.appearance.model.surface import Surface
 from rendezview.sensors.appearance.model.trees import Forest
@@ -109,6 +110,7 @@ class ViewModel:
         None  # order and confirm first poses; None: trained without, or earlier
     )
     sketches: ViewSketches | None = None  # for photographs; None: trained without, or earlier
+    shape: Shape | None = None  # of rivals; None: trained without, or earlier
     error_model: ErrorModel | None = None  # of refined poses; None: the packaged one serves
     # (6, 6) of the strain that calibration left: xx, yy, zz, xy, xz, yz; None: not calibrated
     shape_covariance: Array | None = None
@@ -207,10 +209,7 @@ class ViewModel:
             "target_radius_m": self.target_radius_m,
             "smooth_bins": self.smooth_bins,
             "held_out": {f.name: getattr(self.held_out, f.name) for f in fields(HeldOut)},
-            "symmetries": [
-                {"kind": s.kind, "axis": np.asarray(s.axis).tolist(), "angle_rad": s.angle_rad}
-                for s in self.symmetries
-            ],
+            "symmetries": [symmetry.record() for symmetry in self.symmetries],
             "shape_error": self.shape_error,
             "provenance": self.provenance,
         }
@@ -252,10 +251,8 @@ class ViewModel:
             surface=_part(arrays, "surface", Surface),
             score_forest=_part(arrays, "voters", ScoreForest),
             sketches=_part(arrays, "sketches", ViewSketches),
-            symmetries=tuple(
-                Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
-                for s in header.get("symmetries", [])
-            ),
+            shape=_part(arrays, "shape", Shape),
+            symmetries=tuple(Symmetry.of_record(s) for s in header.get("symmetries", [])),
             shape_error=float(header.get("shape_error", 0.0)),
             error_model=_error_model(header),
             shape_covariance=_shape_covariance(header),
@@ -309,6 +306,8 @@ class ViewModel:
             self.score_forest.check(nodes)
         if self.sketches is not None:
             self.sketches.check()
+        if self.shape is not None:
+            self.shape.check()
         if len(self.angles_rad) != len(self.joints):
             raise ValueError(f"{len(self.angles_rad)} angles of {len(self.joints)} joints")
         for configuration in self.configurations:
@@ -365,5 +364,6 @@ _PARTS = {
     "surface": "surface",
     "score_forest": "voters",
     "sketches": "sketches",
+    "shape": "shape",
 }
 _ARRAYS = ("centre_m", "leaf_on", "leaf_off", "training_accuracy", "held_out_accuracy")

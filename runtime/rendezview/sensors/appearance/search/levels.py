@@ -18,6 +18,8 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture, shrunk
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.rivals import Rivals
+from rendezview.sensors.appearance.judge.shading import Shading
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.search.search import PoseSearch
@@ -167,6 +169,9 @@ class LevelSearch:
             blur_px = shrunk_blur(whole.refine_options.blur_px, times)
             level.refine_options = replace(whole.refine_options, blur_px=blur_px)
             level.refiner = Refiner(self.model, level.camera, level.refine_options)
+            level.shading = Shading(self.model, level.camera)
+            if whole.rivals is not None:
+                level.rivals = Rivals(self.model, level.camera)
             if level.refiner.articulation is not None and whole.refiner.articulation is not None:
                 level.refiner.articulation.start_rad = whole.refiner.articulation.start_rad
         small = shrunk(image, times)

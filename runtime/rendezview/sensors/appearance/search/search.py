@@ -21,6 +21,7 @@ from rendezview.sensors.appearance.edges.refinement import (
     Refiner,
 )
 from rendezview.sensors.appearance.judge.confidence import Candidates, Found
+from rendezview.sensors.appearance.judge.rivals import Rivals
 from rendezview.sensors.appearance.judge.shading import Shading
 from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
@@ -49,6 +50,9 @@ _WORTH_TURNING = 0.2
 # The same after coarse alignment: of 252 right poses of Mitsuba none had less. Source: the same
 _WORTH_REFINING = 0.15
 _WORTH_REFINING_LAST = 0.08  # in the search after the sketch. Source: the same
+# Inlier ratio of a look-alike after the coarse stages, behind the best pose's: of 300 that come
+# within 0.15 of its merit, 1 % are farther behind. Source: docs/notes/rivals.md
+_MOST_BEHIND = 0.3
 # Source: commits 7a5ba6e and 1cf9b72, experiment pose-accuracy
 _ROUNDS = 2  # of looks around the best two poses where none is confident; after a sketch one
 # rad; a local optimum lies about that far from the right pose. Source: spacing of the nodes' views,
@@ -92,6 +96,7 @@ class PoseSearch:
     refine_options: RefineOptions = field(default_factory=RefineOptions)
     refiner: Refiner = field(init=False)
     shading: Shading = field(init=False)
+    rivals: Rivals | None = field(init=False)  # None: the model has no shape
     retrieval: Retrieval = field(init=False)
     forest_scores: ForestScores | None = field(init=False)  # None: the model has no forest
     _half_turns: Array = field(init=False)  # (3, 3, 3)
@@ -99,6 +104,7 @@ class PoseSearch:
     def __post_init__(self) -> None:
         self.refiner = Refiner(self.model, self.camera, self.refine_options)
         self.shading = Shading(self.model, self.camera)
+        self.rivals = None if self.model.shape is None else Rivals(self.model, self.camera)
         self.retrieval = Retrieval(self.model)
         self.forest_scores = self.model.forest_scores()
         self._half_turns = half_turns(self.model)
@@ -147,7 +153,7 @@ class PoseSearch:
         if self.forest_scores is not None and len(bodies) == 1 and not again:
             agreed = self._agreed(image, sky, candidates, bodies[0], *starts[0], least)
             if agreed is not None:
-                return agreed
+                return self._beside_look_alikes(image, sky, candidates, agreed)
         if brief:
             rotations, centres = (np.concatenate([s[k][:first] for s in starts]) for k in (0, 1))
             candidates.add(self.refiner.best(image, sky, rotations, centres, _REFINED_OF_VOTED))
@@ -171,10 +177,31 @@ class PoseSearch:
                 turned.append(best)
             found = candidates.choose()
             confidence = 0.0 if found is None else found.confidence
-            if confidence >= _CONFIDENT or confidence < give_up:
+            if confidence < give_up:
                 return found
+            if confidence >= _CONFIDENT:
+                return self._beside_look_alikes(image, sky, candidates, found)
         rounds = 1 if again else _ROUNDS
-        return self._around_best_two(image, sky, candidates, found, turned, rounds)
+        found = self._around_best_two(image, sky, candidates, found, turned, rounds)
+        return self._beside_look_alikes(image, sky, candidates, found)
+
+    def _beside_look_alikes(
+        self, image: Picture, sky: Sky, candidates: Candidates, found: Found | None
+    ) -> Found | None:
+        """The likeliest pose after each look-alike of the best has had one alignment."""
+        if self.rivals is None or found is None:
+            return found
+        asked: list[Refined] = []
+        for _ in range(_ROUNDS):
+            if found is None or found.best in asked:
+                break
+            asked.append(found.best)
+            others = self.rivals.look_alikes(found.best.pose)
+            worth = found.best.inlier_ratio - _MOST_BEHIND
+            refined = [self.refiner.refine(image, sky, pose, least=worth) for pose in others]
+            candidates.add([r for r in refined if r is not None])
+            found = candidates.choose()
+        return candidates.weighed(self.rivals)
 
     def _voted(self, body: Outlines, rotations: Array, centres: Array) -> tuple[Array, Array]:
         """Starting poses in the order of similarity and votes together, likeliest first."""
@@ -285,7 +312,7 @@ class PoseSearch:
             best = candidates.most_inliers
             pose = proposals[0] if best is None else best.pose
             candidates.add(self._half_turned(image, sky, pose))
-        return candidates.choose()
+        return self._beside_look_alikes(image, sky, candidates, candidates.choose())
 
     def near(
         self,
@@ -339,8 +366,10 @@ class PoseSearch:
     def _half_turned(self, image: Picture, sky: Sky, pose: Pose) -> list[Refined]:
         """Poses from half turns of one: many craft look nearly the same from behind or below.
 
-        Each is refined directly and after coarse alignment, which may move it away.
+        None where the model knows its look-alikes, which are asked at last. Each is refined directly and after coarse alignment, which may move it away.
         """
+        if self.rivals is not None:
+            return []
         rotations = pose.rotation @ self._half_turns
         centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
         starts = map(Pose, rotations, centres - rotations @ self.model.centre_m)

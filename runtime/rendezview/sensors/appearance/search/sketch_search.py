@@ -215,7 +215,7 @@ class SketchSearch:
             explained = explained_share(lines, lines_lens, self._views, *at, seen)
             alike = (0.0, 0.0)
             if self._surface is not None:
-                alike = shading(grey, lens, sky, self._surface, *at)
+                alike = shading(grey, lens, sky, self._surface, *at, np.zeros(3))
             lit = (max(correlation, 0.0) ** 2 for correlation in alike)
             outline, inner, contrast, visible = (float(score) for score in scores[k])
             found.append(SketchPose(pose, outline, inner, contrast, visible, explained, *lit))

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
-from scipy.optimize import linear_sum_assignment
 
 from rendezview.geometry.pose import Array, Pose, rotation_angle
 from rendezview.sensors.beacons.detect.detectors import UNKNOWN, Spots
@@ -52,6 +51,8 @@ def nearest_lights(
 def _numbered(
     rig: Rig, k: int, leds: Array, normals: Array, found: Spots, pose: Pose, gate: float
 ) -> Spots:
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
     led = np.full(len(found), UNKNOWN)
     camera = rig.cameras[k]
     in_camera = camera.camera_from_rig @ pose

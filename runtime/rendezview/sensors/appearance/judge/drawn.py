@@ -1,0 +1,334 @@
+"""Drawn evidence: how well the picture that a pose predicts explains the frame.
+
+The craft is drawn at the pose, with cast shadows, under the Sun that fits the frame best, beside
+uniform light from all around. What is left is a robust cost in units of independent cells, so that
+its logarithm compares poses whose edges are alike. Every pose has its own Sun: a half-turned craft
+under the other pose's Sun would look worse than it can.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose, minimal_rotation
+from rendezview.geometry.so3 import rotate_back_into
+from rendezview.geometry.zbuffer import draw_parallel, draw_perspective, empty_buffers
+from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.edges.lighting import BEHIND
+from rendezview.sensors.appearance.model.shape import Shape
+from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT
+from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview.sensors.appearance.sky import Sky
+
+Float32s = npt.NDArray[np.float32]
+
+_RADIUS_PX = 60.0  # of the target as it is drawn, at most
+_WINDOW_RADII, _WINDOW_MORE_PX = 1.25, 6.0  # half a side of the drawn part
+_SHADOW_PX = 160  # side of the shadow map
+_SHADOW_RADII = 1.05  # half a side of it
+# Of its pixels: nearer surfaces do not shade each other. Its 3 × 3 pixels lie on a slope.
+_SHADOW_DEPTH_PX, _SHADOW_REACH_PX, _SHADOW_MOST_PX = 0.5, 1.6, 16.0
+_OBSERVED_BLUR_PX, _DRAWN_BLUR_PX = 0.8, 1.0  # σ: small errors of the pose count little
+_TOLERANCE = 0.1  # of the bright level: what diffuse shading leaves unexplained
+_BRIGHT_QUANTILE = 0.9  # of the levels where the craft is
+_CELLS_ACROSS = 20.0  # of the target's radius: errors of neighbouring pixels are alike
+_STEPS_RAD = np.deg2rad([10.0, 5.0, 2.5])  # about the best Sun, hexagons
+_FITS = 6  # of the two strengths of light, by weights
+_AROUND_PX = 3  # the compared pixels reach so far beyond the craft
+_SKY_BLUR_PX = 12.0  # σ: the sky beside the craft, behind it
+_LEAST_DRAWN_PX = 60  # pixels of the craft
+_SHRUNK_BLUR = 0.4  # σ before a picture is shrunk, of the times; squares of as many have 0.29
+_LEAST_COST = 1e-3  # its logarithm stays finite. Source: by construction
+_NEAR_RADII = 1e-3  # of the target's radius; triangles are clipped there
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explained:
+    """What a pose leaves unexplained of a frame."""
+
+    cost: float  # independent cells that it does not explain
+    sun_camera: Array  # (3,) unit, towards the Sun that fits best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """The part of a frame about the craft, as a camera without distortion would see it smaller."""
+
+    levels: Float32s  # (H, W) above black
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    tolerance_grey: float
+    cell_px: float  # pixels of an independent cell
+    sun_camera: Array | None  # if it is known
+    sky: Float32s  # (H, W) levels as they are expected beside the craft
+    seen: npt.NDArray[np.intp]  # (M,) pixels that are compared
+
+    def beside(self, drawn: list[Drawn]) -> Window:
+        """The same for poses that are compared: where one of them has the craft.
+
+        The sky is interpolated from around all of them.
+        """
+        anywhere = np.zeros(self.levels.shape, np.uint8)
+        for one in drawn:
+            anywhere.ravel()[one.where] = 1
+        near = cv2.dilate(anywhere, np.ones((2 * _AROUND_PX + 1,) * 2, np.uint8))
+        free = (1 - near).astype(np.float32)
+        size = (0, 0), _SKY_BLUR_PX
+        weight = cv2.GaussianBlur(free, *size)
+        blurred = cv2.GaussianBlur(free * self.levels, *size) / np.maximum(weight, 1e-6)
+        sky = np.where(weight > 1e-3, blurred, 0.0).astype(np.float32)
+        return replace(self, sky=sky, seen=np.flatnonzero(near.ravel()))
+
+
+class DrawnEvidence:
+    """Draws one model at poses, in the frames of one camera."""
+
+    def __init__(self, shape: Shape, model: ViewModel, camera: Camera) -> None:
+        """The mesh is unpacked once."""
+        self._vertices = np.ascontiguousarray(shape.vertices_m, dtype=np.float64)
+        self._faces = np.ascontiguousarray(shape.faces)
+        corners = self._vertices[shape.faces]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(cross, axis=1, keepdims=True)
+        self._normals = np.ascontiguousarray(cross / np.maximum(length, 1e-30))
+        self._albedo = shape.albedo.astype(np.float64) * ALBEDO_UNIT
+        self._centre_m, self._radius_m = model.centre_m, model.target_radius_m
+        self._camera = camera
+
+    def window(self, image: Picture, sky: Sky, pose: Pose) -> Window:
+        """The part of a frame (H, W) about a pose, for it and its rivals."""
+        camera, centre = self._camera, pose.apply(self._centre_m)
+        radius_px = camera.fx * self._radius_m / float(np.linalg.norm(centre))
+        times = max(1.0, radius_px / _RADIUS_PX)
+        half = math.ceil((_WINDOW_RADII * radius_px + _WINDOW_MORE_PX) / times)
+        fx, fy = camera.fx / times, camera.fy / times
+        cx, cy = half - fx * centre[0] / centre[2], half - fy * centre[1] / centre[2]
+        black = sky.level_grey if sky.dark else 0.0
+        levels = self._undistorted(image, 2 * half + 1, (fx, fy, cx, cy), times, black)
+        levels = cv2.GaussianBlur(levels, (0, 0), _OBSERVED_BLUR_PX) - np.float32(black)
+        drawn, _ = self._geometry(pose, levels.shape, fx, fy, cx, cy)
+        seen = levels[drawn > 0.0]
+        bright = float(np.quantile(seen, _BRIGHT_QUANTILE)) if len(seen) else 0.0
+        tolerance = _TOLERANCE * max(bright, 0.0) + sky.noise_grey
+        cell_px = (radius_px / times / _CELLS_ACROSS) ** 2
+        nothing, all_of_it = np.zeros_like(levels), np.arange(levels.size)
+        return Window(
+            levels, fx, fy, cx, cy, tolerance, cell_px, sky.sun_camera, nothing, all_of_it
+        )
+
+    def _undistorted(
+        self, image: Picture, side: int, intrinsics: tuple[float, ...], times: float, black: float
+    ) -> Float32s:
+        """(side, side) of a frame, as a pinhole camera with other intrinsics would take it."""
+        fx, fy, cx, cy = intrinsics
+        camera, k = self._camera, np.arange(side)
+        x, y = (k - cx) / fx, (k - cy) / fy
+        if camera.is_distorted:
+            directions = np.ones((side, side, 3))
+            directions[..., 0], directions[..., 1] = x, y[:, None]
+            u, v = np.moveaxis(camera.project(directions), -1, 0)
+        else:
+            u, v = camera.fx * x + camera.cx, (camera.fy * y + camera.cy)[:, None]
+        margin = math.ceil(2.0 * times)
+        left, top = (max(math.floor(places.min()) - margin, 0) for places in (u, v))
+        right, bottom = (math.ceil(places.max()) + margin for places in (u, v))
+        part = image[top : max(bottom, top + 1), left : max(right, left + 1)].astype(np.float32)
+        if part.size == 0:
+            return np.full((side, side), black, np.float32)
+        if times > 1.0:
+            part = np.asarray(cv2.GaussianBlur(part, (0, 0), _SHRUNK_BLUR * times))
+        at = np.empty((side, side, 2), np.float32)
+        at[..., 0], at[..., 1] = u - left, v - top
+        return np.asarray(
+            cv2.remap(part, at[..., 0], at[..., 1], cv2.INTER_LINEAR,
+                      borderMode=cv2.BORDER_CONSTANT, borderValue=black)
+        )  # fmt: skip
+
+    def drawn(self, window: Window, pose: Pose) -> Drawn | None:
+        """The craft at a pose (camera_from_target); None where too little lies in the window."""
+        nearness, owner = self._geometry(
+            pose, window.levels.shape, window.fx, window.fy, window.cx, window.cy
+        )
+        where = np.flatnonzero(owner.ravel() >= 0)
+        if len(where) < _LEAST_DRAWN_PX:
+            return None
+        points, normals = np.empty((len(where), 3)), np.empty((len(where), 3))
+        intrinsics = np.array([window.fx, window.fy, window.cx, window.cy])
+        rotation, centre = pose.rotation.copy(), pose.apply(self._centre_m)
+        _surface_at(where, nearness, owner, intrinsics, rotation, centre, self._normals,
+                    points, normals)  # fmt: skip
+        albedo = self._albedo[owner.ravel()[where]]
+        return Drawn(self, window, pose, where, points, normals, albedo)
+
+    def _geometry(
+        self, pose: Pose, shape: tuple[int, ...], fx: float, fy: float, cx: float, cy: float
+    ) -> tuple[Float32s, npt.NDArray[np.int32]]:
+        """(H, W) nearness (1/z) and faces of the craft at a pose."""
+        nearness, owner = empty_buffers(*shape)
+        vertices = self._vertices @ pose.rotation.T + pose.apply(self._centre_m)
+        near_m = _NEAR_RADII * self._radius_m
+        draw_perspective(vertices, self._faces, fx, fy, cx, cy, near_m, nearness, owner)
+        return nearness, owner
+
+    def shadow_map(self, sun: Array) -> tuple[Float32s, Array, float]:
+        """Heights towards a Sun (3,), target axes; its axes (3, 3), and its pixels a metre."""
+        tilt = minimal_rotation(sun, np.array([0.0, 0.0, 1.0]))
+        scale = _SHADOW_PX / (2.0 * _SHADOW_RADII * self._radius_m)
+        seen = self._vertices @ tilt.T * scale + 0.5 * _SHADOW_PX
+        seen[:, 2] += _SHADOW_PX  # above 0, which is empty
+        depth, owner = empty_buffers(_SHADOW_PX, _SHADOW_PX)
+        draw_parallel(seen, self._faces, depth, owner)
+        return depth, tilt, scale
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """One pose in one window, under any Sun: N pixels of the craft."""
+
+    evidence: DrawnEvidence
+    window: Window
+    pose: Pose
+    where: npt.NDArray[np.intp]  # (N,) pixels of the window
+    points: Array  # (N, 3) m from the view centre, target axes
+    normals: Array  # (N, 3) towards the camera
+    albedo: Array  # (N,)
+
+    def under(self, sun_camera: Array) -> Explained:
+        """What stays unexplained under a Sun (3,)."""
+        window, sunlit = self.window, self.sunlit(sun_camera)
+        seen = window.levels.ravel()[self.where].astype(np.float64)
+        a, b = _strengths(seen, sunlit, self.albedo, window.tolerance_grey)
+        drawn = window.sky.copy()
+        drawn.ravel()[self.where] = a * sunlit + b * self.albedo
+        drawn = np.asarray(cv2.GaussianBlur(drawn, (0, 0), _DRAWN_BLUR_PX))
+        cost = _unexplained(window.levels, drawn, window.seen, window.tolerance_grey)
+        cost /= window.cell_px
+        return Explained(max(cost, _LEAST_COST), sun_camera)
+
+    def sunlit(self, sun_camera: Array) -> Array:
+        """(N,) albedo times the cosine to a Sun (3,), 0 in shadow."""
+        sun = self.pose.rotation.T @ sun_camera
+        depth, tilt, scale = self.evidence.shadow_map(sun)
+        sunlit = np.empty(len(self.where))
+        _sunlit(self.points, self.normals, self.albedo, sun, tilt, scale, depth, sunlit)
+        return sunlit
+
+    def under_best(self, begin: Explained) -> Explained:
+        """What stays unexplained under the Sun that fits best, from one that may be near."""
+        best = begin
+        if self.window.sun_camera is not None:
+            return best
+        for step in _STEPS_RAD:
+            tilt = minimal_rotation(np.array([0.0, 0.0, 1.0]), best.sun_camera)
+            for k in range(6):
+                a, s = k * math.pi / 3.0, math.sin(step)
+                sun = tilt @ np.array([s * math.cos(a), s * math.sin(a), math.cos(step)])
+                if sun[2] <= -BEHIND:
+                    best = min(best, self.under(sun), key=cost_of)
+        return best
+
+
+def cost_of(explained: Explained) -> float:
+    return explained.cost
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _unexplained(
+    levels: Float32s, drawn: Float32s, seen: npt.NDArray[np.intp], tolerance: float
+) -> float:
+    """Sum of r² / (1 + r²) over some pixels (Geman and McClure 1987)."""
+    total, width = 0.0, levels.shape[1]
+    for k in range(len(seen)):
+        y, x = seen[k] // width, seen[k] % width
+        r = (levels[y, x] - drawn[y, x]) / tolerance
+        total += r * r / (1.0 + r * r)
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _strengths(seen: Array, lit: Array, dull: Array, tolerance: float) -> tuple[float, float]:
+    """Strengths ≥ 0 of the Sun and of light from all around: robust fit of the levels (N,)."""
+    a, b = 0.0, 0.0
+    for step in range(_FITS):
+        aa, ab, bb, ca, cb = 1e-9, 0.0, 1e-9, 0.0, 0.0
+        for k in range(len(seen)):
+            if step == 0:
+                w = max(seen[k], 0.0) + 1e-3
+            else:
+                r = (seen[k] - a * lit[k] - b * dull[k]) / tolerance
+                w = 1.0 / (1.0 + r * r)
+                w *= w
+            aa += w * lit[k] * lit[k]
+            ab += w * lit[k] * dull[k]
+            bb += w * dull[k] * dull[k]
+            ca += w * lit[k] * seen[k]
+            cb += w * dull[k] * seen[k]
+        bb *= 1.001
+        both = aa * bb - ab * ab
+        a, b = (ca * bb - cb * ab) / both, (cb * aa - ca * ab) / both
+        if b < 0.0:
+            a, b = ca / aa, 0.0
+        elif a < 0.0:
+            a, b = 0.0, cb / bb
+    return a, b
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _surface_at(
+    where: npt.NDArray[np.intp], nearness: Float32s, owner: npt.NDArray[np.int32],
+    intrinsics: Array, rotation: Array, centre: Array, face_normals: Array, points: Array,
+    normals: Array,
+) -> None:  # fmt: skip
+    """Fill points and normals (N, 3), target axes, of pixels ``where``; see ``Drawn``."""
+    width = owner.shape[1]
+    eye, q = np.empty(3), np.empty(3)
+    rotate_back_into(rotation, -centre, eye)
+    for k in range(len(where)):
+        row, column = where[k] // width, where[k] % width
+        z = 1.0 / nearness[row, column]
+        q[0] = (column - intrinsics[2]) * z / intrinsics[0] - centre[0]
+        q[1] = (row - intrinsics[3]) * z / intrinsics[1] - centre[1]
+        q[2] = z - centre[2]
+        rotate_back_into(rotation, q, points[k])
+        normal = face_normals[owner[row, column]]
+        towards = 0.0
+        for i in range(3):
+            towards += normal[i] * (eye[i] - points[k, i])
+        for i in range(3):
+            normals[k, i] = normal[i] if towards >= 0.0 else -normal[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _sunlit(
+    points: Array, normals: Array, albedo: Array, sun: Array, tilt: Array, scale: float,
+    depth: Float32s, out: Array,
+) -> None:  # fmt: skip
+    """Fill ``out`` (N,): albedo times the cosine to the Sun, 0 in shadow; see ``shadow_map``."""
+    size = depth.shape[0]
+    for k in range(len(out)):
+        out[k] = 0.0
+        cosine = normals[k, 0] * sun[0] + normals[k, 1] * sun[1] + normals[k, 2] * sun[2]
+        if cosine <= 0.0:
+            continue
+        p0, p1, p2 = points[k, 0] * scale, points[k, 1] * scale, points[k, 2] * scale
+        u = tilt[0, 0] * p0 + tilt[0, 1] * p1 + tilt[0, 2] * p2 + 0.5 * size
+        v = tilt[1, 0] * p0 + tilt[1, 1] * p1 + tilt[1, 2] * p2 + 0.5 * size
+        w = tilt[2, 0] * p0 + tilt[2, 1] * p1 + tilt[2, 2] * p2 + 1.5 * size
+        slope = np.sqrt(max(1.0 - cosine * cosine, 0.0)) / cosine
+        w += min(_SHADOW_DEPTH_PX + _SHADOW_REACH_PX * slope, _SHADOW_MOST_PX)
+        i0, j0 = int(v + 0.5), int(u + 0.5)
+        near, bright = 0, 0
+        for i in range(max(i0 - 1, 0), min(i0 + 2, size)):
+            for j in range(max(j0 - 1, 0), min(j0 + 2, size)):
+                near += 1
+                bright += depth[i, j] < w
+        out[k] = albedo[k] * cosine * bright / max(near, 1)
