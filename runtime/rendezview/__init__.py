@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from rendezview.sensors.appearance import Recognizer, Tracker, TrackerOptions, ViewModel
     from rendezview.sensors.beacons import LitDark, ReflectorSensor, Rig, StereoTracker, patterns_of
     from rendezview.sensors.beacons.rig_files import load_rig
-    from rendezview.sensors.measurement import BeamSurface, RangeMeasurement
+    from rendezview.sensors.beam import BeamMesh, BeamSurface
+    from rendezview.sensors.measurement import RangeMeasurement
     from rendezview.sensors.observation import Observation, Status
     from rendezview.sensors.ring import RingPrior, RingSensor
     from rendezview_ground.evaluate import evaluate, frame_overlay, write_report
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from rendezview_service.client import Client
 
 __all__ = [
+    "BeamMesh",
     "BeamSurface",
     "Camera",
     "Client",
@@ -115,7 +117,8 @@ _MODULE = {
             "patterns_of",
         ),
         "rendezview.sensors.beacons.rig_files": ("load_rig",),
-        "rendezview.sensors.measurement": ("BeamSurface", "RangeMeasurement"),
+        "rendezview.sensors.beam": ("BeamMesh", "BeamSurface"),
+        "rendezview.sensors.measurement": ("RangeMeasurement",),
         "rendezview.sensors.observation": ("Observation", "Status"),
         "rendezview.sensors.ring": ("RingPrior", "RingSensor"),
         "rendezview_ground.evaluate": ("evaluate", "frame_overlay", "write_report"),
@@ -145,6 +148,13 @@ def __getattr__(name: str) -> Any:
 def _imported(name: str, module: str) -> Any:
     try:
         return getattr(importlib.import_module(module), name)
+    except RuntimeError as error:
+        from rendezview.errors import without_cache
+
+        words = without_cache(error)
+        if words is None:
+            raise
+        raise words from error
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         extra = _EXTRAS.get(module.partition(".")[0])

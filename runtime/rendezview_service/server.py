@@ -8,26 +8,33 @@ import gc
 import resource
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from types import FrameType
 
 import uvicorn
 
 from rendezview.errors import RendezviewError
 from rendezview_service.http.app import make_app
-from rendezview_service.http.connections import bounded
+from rendezview_service.http.connections import BoundedSocket, bounded
 from rendezview_service.http.security import Token, read_tokens
 from rendezview_service.hub.service import Service
 from rendezview_service.settings import Settings
 
 _OTHER_FILES = 200  # files that are open beside connections. Source: a chosen limit
-_SHUTDOWN_S = 10  # s, for open requests. Source: chosen
+_SHUTDOWN_S = 2  # s, for open requests. Source: chosen
+_LOOK_S = 0.1  # s, between looks whether the service can track. Source: chosen
+
+
+async def _at_once() -> bool:
+    return True
 
 
 class _Server(uvicorn.Server):
-    """Reports its address once it listens."""
+    """Reports its address once it listens, and once it can track."""
 
+    on_listening: Callable[[str], None] = staticmethod(lambda address: None)
     on_ready: Callable[[str], None] = staticmethod(lambda address: None)
+    is_ready: Callable[[], Awaitable[bool]] = staticmethod(_at_once)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
@@ -36,7 +43,13 @@ class _Server(uvicorn.Server):
         if self.started and sockets:
             host, port = sockets[0].getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"
-            self.on_ready(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/")
+            address = f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/"
+            self.on_listening(address)
+            self._told = asyncio.create_task(self._tell(address))
+
+    async def _tell(self, address: str) -> None:
+        if await self.is_ready():
+            self.on_ready(address)
 
     def stop(self) -> None:
         """End the service in order."""
@@ -48,11 +61,16 @@ class _Server(uvicorn.Server):
         self.should_exit = True
 
 
-def run(service: Service, on_ready: Callable[[str], None]) -> None:
+def run(
+    service: Service,
+    on_ready: Callable[[str], None],
+    on_listening: Callable[[str], None] = lambda address: None,
+) -> None:
     """Serve until SIGINT or SIGTERM; the logs are complete afterwards.
 
     Args:
-        on_ready: receives the address once the service listens, before it can track.
+        on_ready: receives the address once the service can track.
+        on_listening: the same before; page and health answer from then on.
 
     Raises:
         RendezviewError: the address is taken, or the service cannot start.
@@ -61,6 +79,14 @@ def run(service: Service, on_ready: Callable[[str], None]) -> None:
     app = _Watched(make_app(service, tokens_of(settings)))
     server = _Server(_config(app, settings))
     service.on_failure = server.stop
+    server.on_listening = on_listening
+
+    async def is_ready() -> bool:
+        while (status := service.health().status) == "not ready" and service.failure is None:
+            await asyncio.sleep(_LOOK_S)
+        return status in ("ok", "degraded")
+
+    server.is_ready = is_ready
     _serve(server, settings, on_ready)
     failure = app.failure or service.failure
     if isinstance(failure, RendezviewError):
@@ -88,7 +114,7 @@ def _config(app: _Watched, settings: Settings) -> uvicorn.Config:
     return uvicorn.Config(
         app,
         http=bounded(_connections(settings.connections)),
-        ws="websockets-sansio",
+        ws=BoundedSocket,
         loop="uvloop" if sys.platform != "win32" else "asyncio",
         lifespan="on",
         access_log=False,
@@ -108,7 +134,7 @@ def _config(app: _Watched, settings: Settings) -> uvicorn.Config:
 
 def _serve(server: _Server, settings: Settings, on_ready: Callable[[str], None]) -> None:
     server.on_ready = on_ready
-    listener = _listen(settings.host, settings.port)
+    listener = listen(settings.host, settings.port)
     try:
         with contextlib.suppress(KeyboardInterrupt):
             server.run(sockets=[listener])
@@ -121,15 +147,16 @@ def _serve(server: _Server, settings: Settings, on_ready: Callable[[str], None])
 
 
 def _connections(wanted: int) -> int:
-    """As many as wanted, or as the limit of open files allows."""
+    """As many as wanted, or as open files allow: for a moment there are twice so many."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    needed = wanted + _OTHER_FILES
+    needed = 2 * wanted + _OTHER_FILES
     if soft != resource.RLIM_INFINITY and soft < needed:
         allowed = needed if hard == resource.RLIM_INFINITY else min(needed, hard)
         with contextlib.suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
             soft = allowed
-    return wanted if soft == resource.RLIM_INFINITY else max(1, min(wanted, soft - _OTHER_FILES))
+    most = wanted if soft == resource.RLIM_INFINITY else (soft - _OTHER_FILES) // 2
+    return max(1, min(wanted, most))
 
 
 class _Watched:
@@ -150,7 +177,8 @@ class _Watched:
             raise
 
 
-def _listen(host: str, port: int) -> socket.socket:
+def listen(host: str, port: int) -> socket.socket:
+    """A socket at an address. Raises: RendezviewError: it is taken, or not this machine's."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -29,6 +29,8 @@ class Settings(BaseSettings):
     open_to_all: bool = False  # serve other machines without tokens
 
     models_folder: Path | None = None  # uploaded and trained models; default: a temporary folder
+    # Open sessions go on from there after a restart; all nodes of a cluster share it.
+    state_folder: Path | None = None
     camera: Path | None = None  # for sessions that give none
     target: Path | None = None  # its ring and reflectors, for sessions without
     approach: Path | None = None  # docking port, corridor, limits, for sessions that give none
@@ -43,15 +45,17 @@ class Settings(BaseSettings):
         default=1_000_000_000, ge=1_000_000
     )  # then a log's next part begins
     log_part_s: float = Field(default=3600.0, ge=1.0)  # the same
+    log_wait_s: float = Field(default=0.25, ge=0.0)  # an answer waits so long for the disk
+    log_memory_bytes: int = Field(default=64_000_000, ge=0)  # of what waits longer, of a session
     logs_bytes: int = Field(default=0, ge=0)  # of all logs; the oldest are removed; 0: keep all
     logs_s: float = Field(default=0.0, ge=0.0)  # logs that are older are removed; 0: keep all
 
     foxglove_port: int | None = Field(default=None, ge=0, le=65535)  # live stream; none by default
     rerun_port: int | None = Field(default=None, ge=1, le=65535)  # the same
+    ros_endpoint: str | None = None  # of a Zenoh router that takes poses for ROS 2
     viewer_host: str = "127.0.0.1"  # where these streams listen; they have no tokens
 
     cluster: str | None = None  # address of a Ray cluster that tracks; this is then a gateway
-    cluster_folder: Path | None = None  # of the sessions' checkpoints; all nodes share it
     spare_seats: int = Field(default=1, ge=0)  # of the cluster, kept free for sessions that move
 
     workers: int = Field(default=0, ge=0, le=256)  # worker processes; 0: one per core
@@ -69,8 +73,8 @@ class Settings(BaseSettings):
     measurement_lines: int = Field(default=32, ge=1, le=1000)  # in one message
     measurements_waiting: int = Field(default=16, ge=1, le=256)  # messages, of a session
     measurements_per_s: float = Field(default=500.0, gt=0.0)  # lines, of a session
-    bodies_bytes: int = Field(default=1_000_000_000, ge=1024)  # of all requests together
-    connections: int = Field(default=1000, ge=10)  # with more, the one that waits longest is closed
+    bodies_bytes: int = Field(default=200_000_000, ge=1024)  # of all requests together
+    connections: int = Field(default=1000, ge=10)  # half for requests, a quarter for WebSockets
     message_bytes: int = Field(default=1_000_000, ge=1024)  # any other body
     requests_per_s: float = Field(default=5000.0, gt=0.0)  # of one caller
     frame_timeout_s: float = Field(default=5.0, gt=0.0)  # then the worker is restarted

@@ -135,9 +135,12 @@ def tests_module(name: str) -> Any:
 
 
 def mesh_of(target: str | Path) -> tuple[str, Mesh]:
-    """Name and mesh of a bundled target, a target file or a bare mesh."""
+    """Name and mesh of a bundled target, a target file, a bare mesh or a near-symmetric craft."""
     from rendezview.io.bundled import find_target
     from rendezview_ground.mesh.mesh import load_mesh
+    from rendezview_ground.simulate.near_symmetric_craft import CRAFT
 
+    if str(target) in CRAFT:
+        return str(target), CRAFT[str(target)]()
     found = find_target(str(target))
     return found.name, load_mesh(found.mesh_path, found.unit)

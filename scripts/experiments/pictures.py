@@ -135,9 +135,12 @@ def curve(range_m: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return middles, np.array([np.median(error[inside[k]]) for k in full])
 
 
-def fusion(runs: Path) -> None:
+def fusion(runs: Path, model: Path) -> None:
     """Errors of sensors and filter over the range, of the runs of fusion-approach."""
-    rows = [sample for run in sorted(runs.iterdir()) for sample in fly(load_run(run)).samples]
+    views = ViewModel.load(model)
+    rows = [
+        sample for run in sorted(runs.iterdir()) for sample in fly(load_run(run, views)).samples
+    ]
     range_m = np.array([row.range_m for row in rows])
     found = [row.single | {"fused": row.fused} for row in rows]
     figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.8), constrained_layout=True)
@@ -179,19 +182,25 @@ def sketch(model: Path) -> None:
 
 
 DRAWN = {"readme": readme, "simulation": simulation, "ring": ring, "reflectors": reflectors,
-         "fusion": fusion, "sketch": sketch}  # fmt: skip
+         "sketch": sketch}  # fmt: skip
 
 
 def run(
     name: Literal["readme", "simulation", "ring", "reflectors", "fusion", "sketch"],
-    source: Path | None = None,
-) -> None:
+    source: Path | None = None, *,
+    model: Path | None = None,
+) -> None:  # fmt: skip
     """Draw one picture of the README or the docs again, into docs/pictures.
 
-    readme needs the folder that rendezview demo wrote; fusion, the runs of fusion-approach; sketch,
-    a model of hubble.
+    readme needs the folder that rendezview demo wrote; fusion, the runs of fusion-approach and
+    their --model; sketch, a model of hubble.
     """
     if source is None and name in ("readme", "fusion", "sketch"):
         raise SystemExit(f"picture {name} needs a SOURCE, see --help")
-    DRAWN[name](source or PICTURES)
+    if name == "fusion":
+        if model is None:
+            raise SystemExit("picture fusion needs --model, that of the runs")
+        fusion(source or PICTURES, model)
+    else:
+        DRAWN[name](source or PICTURES)
     print(PICTURES, name)

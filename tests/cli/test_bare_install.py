@@ -78,3 +78,52 @@ def test_recordings_say_which_package_they_need(tiny_model_path: Path, tmp_path:
         )
         assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
         assert f"pip install 'rendezview[{wanted}]'" in done.stderr
+
+
+NO_CACHE = """
+import sys
+from numba.core import caching
+caching.CacheImpl._locator_classes = []  # as where nothing can be written
+"""
+
+
+@pytest.mark.parametrize("command", ["show", "track", "train", "guide", "ring"])
+def test_without_a_place_for_compiled_loops_the_variable_is_named(tmp_path: Path, command: str):
+    program = NO_CACHE + "from rendezview.cli.main import main\nmain()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, command, "--help"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+    assert "set NUMBA_CACHE_DIR to a folder that can" in done.stderr
+
+
+def test_without_a_place_for_compiled_loops_the_library_names_the_variable():
+    program = NO_CACHE + (
+        "import rendezview\n"
+        "try:\n    rendezview.Camera\n"
+        "except rendezview.RendezviewError as error:\n    print(error)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert "NUMBA_CACHE_DIR" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("name", ["opencv-python", "opencv-contrib-python"])
+def test_another_opencv_is_told_in_a_line(tmp_path: Path, name: str):
+    folder = tmp_path / f"{name.replace('-', '_')}-4.12.0.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 4.12.0\n")
+    program = (
+        f"import sys\nsys.path.append({str(tmp_path)!r})\n"
+        "from rendezview.cli.main import main\nmain()"
+    )
+    for path, lines in ((program, 1), (program.replace(str(tmp_path), "/none"), 0)):
+        done = subprocess.run(
+            [sys.executable, "-c", path, "--help"], capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stderr.count("\n")) == (0, lines)
+        assert (f"pip uninstall {name}, then" in done.stderr) == bool(lines)

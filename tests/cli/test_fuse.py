@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import JsonLinesWriter, read_json_lines
+from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.measurement import tangents
 
 SIGMA = np.array([4e-3, 4e-3, 2e-3, 0.01, 0.01, 0.05])
@@ -98,6 +100,29 @@ def test_three_logs_give_one_state_better_than_each(run, logs: Path):
     assert covariance.shape == (12, 12)
     assert np.sqrt(covariance[5, 5]) < 0.2 * SIGMA[5]
     assert set(last["sensors"]) == {"track", "ring", "laser"}
+
+
+def test_a_range_can_be_cast_on_the_mesh_of_a_model(run, logs: Path, tiny_model):
+    model = logs / "model.rvm"
+    # A wall in the ring's plane, in which the drawn ranger meets the target.
+    sides = 50.0 * tangents(AXIS).T
+    corners = CENTRE - tiny_model.centre_m + np.array([*sides, -sides.sum(axis=0)])
+    wall = Shape(
+        corners.astype(np.float32), np.array([[0, 1, 2]], np.int32), np.zeros(1, np.uint8),
+        np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0),
+    )  # fmt: skip
+    replace(tiny_model, shape=wall).save(model)
+    ran = fuse(run, logs, "--model", model)
+    assert ran.code == 0, ran
+    ranges = [
+        state["measurement"]
+        for state in read_json_lines(logs / "state.jsonl")
+        if state["measurement"]["sensor"] == "laser"
+    ]
+    assert ranges[0]["reason"] == "a range on the mesh waits until poses agree"
+    assert all(one["accepted"] for one in ranges[5:])
+    tiny_model.save(model)
+    fuse(run, logs, "--model", model).says("carries no mesh", "--surfaces")
 
 
 def test_estimates_can_be_asked_for_between_measurements(run, logs: Path):

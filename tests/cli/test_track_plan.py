@@ -9,7 +9,7 @@ from oem import OrbitEphemerisMessage
 from rendezview.cli.guide import Guide, chaser_attitudes
 from rendezview.cli.track import track
 from rendezview.errors import RendezviewError
-from rendezview.io.ccsds import parse_epoch
+from rendezview.io.ccsds import epoch_of, orbit_message, parse_epoch
 from rendezview.io.results import JsonLinesWriter
 from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.appearance.outline.reading import OutlineReading
@@ -70,8 +70,9 @@ def test_plan_to_words_messages_and_pictures(tmp_path: Path):
 
 def test_wrong_options_are_said_in_words(tmp_path: Path):
     model = tmp_path / "model.rvm"
-    with pytest.raises(RendezviewError, match="UTC date"):
-        track(model, tmp_path, tmp_path / "p.csv", epoch="noon")
+    for wrong, words in (("noon", "UTC date"), ("0031-05-04", "year 31 is no date")):
+        with pytest.raises(RendezviewError, match=words):
+            track(model, tmp_path, tmp_path / "p.csv", epoch=wrong)
     with pytest.raises(RendezviewError, match="different files"):
         track(model, tmp_path, tmp_path / "p.csv", oem=tmp_path / "p.csv")
     guide = Guide(PathFollower(np.zeros(3), Shape.CIRCULAR))
@@ -109,3 +110,32 @@ def test_attitudes_of_the_chaser_must_reach(tmp_path: Path):
 def test_an_unknown_shape_is_refused():
     with pytest.raises(RendezviewError, match="circular, spiral"):
         Guide.of(np.zeros(3), None, "square", None, True)
+
+
+DATES = [1.79e9, 1.79e9 + 1.0]  # 21 September 2026
+
+
+@pytest.mark.parametrize(
+    ("text", "times_s", "year"),
+    [
+        (None, DATES, 1970),
+        ("1970-01-01", DATES, 1970),
+        ("1970-01-01T00:00:00Z", DATES, 1970),
+        (None, [0.0, 1.0], 2000),
+        (None, [], 2000),
+        ("2026-09-21T10:00:00", [0.0, 1.0], 2026),
+        ("2026-09-21T10:00:00", [86400.0 * 365, 86400.0 * 366], 2026),
+    ],
+)
+def test_times_since_1970_count_from_there(text, times_s, year):
+    epoch, words = epoch_of(text, times_s)
+    assert epoch.year == year
+    assert (words is not None) == (year == 2000)
+
+
+def test_an_epoch_that_contradicts_the_times_is_refused():
+    for text in ("2026-09-21T10:00:00", "2000-01-01T12:00:00"):
+        with pytest.raises(RendezviewError, match="dates themselves, from 2026-09-21T"):
+            epoch_of(text, DATES)
+    with pytest.raises(RendezviewError, match=r"1\.79e\+12 s is no date: give times in seconds"):
+        orbit_message(epoch_of(None, DATES)[0], [1.79e12], [[1, 2, 3]], [[0, 0, 0]], frame="RSW")

@@ -41,15 +41,16 @@ def lost_and_found(refining_model, bumpy_mesh, camera, draw, tmp_path_factory) -
 def test_the_frame_after_an_outage_is_searched_near_its_line(refining_model, lost_and_found):
     sequence = open_sequence(lost_and_found / "scene")
     known = poses_by_frame(lost_and_found / "fused.jsonl", lambda *known: known)
-    for expected, independent, near in (
-        (known, False, range(13)),
-        (known, True, range(13)),
-        (None, False, (1, 2, 11, 12)),  # all attitudes are searched at first, and after a while
+    for expected, independent, near, without in (
+        (known, False, range(13), DARK),
+        (known, True, range(13), DARK),
+        # All attitudes are searched at first and after a while. A second frame confirms the turn.
+        (None, False, (1, 2, 11, 12), range(3, 11)),
     ):
         told = follow(refining_model, sequence, expected=expected, independent=independent)
         seen = {frame.im_id: (frame, observation) for frame, observation in told}
         for k, (frame, observation) in seen.items():
-            assert (observation.pose is None) == (k in DARK)
+            assert (observation.pose is None) == (k in without)
             if observation.pose is not None:
                 off = observation.pose.angle_to(frame.camera_from_target)
                 assert np.rad2deg(off) < 1.0

@@ -30,6 +30,9 @@ MIDDLE = [
 ]  # fmt: skip
 
 
+RANGER_M = 0.02  # σ of the ranger of the other renderer's approach
+
+
 def documented() -> list[list[str]]:
     """The commands of the block under the heading of the whole approach."""
     text = DOC.read_text(encoding="utf-8").split("## A whole approach")[1]
@@ -104,7 +107,8 @@ def test_on_frames_of_another_renderer_the_fused_state_is_no_worse_than_the_reco
         round(frame.time_s, 3): frame.camera_from_target for frame in open_sequence(scene).frames
     }
 
-    def errors(name: str) -> dict[float, float]:
+    def errors(name: str) -> dict[float, tuple[float, float]]:
+        """Of the ring's centre, and the σ that the pose claims for its place."""
         found = {}
         for text in Path(name).read_text().splitlines():
             line = json.loads(text)
@@ -112,7 +116,8 @@ def test_on_frames_of_another_renderer_the_fused_state_is_no_worse_than_the_reco
             if line["pose"] is not None and true is not None:
                 pose = Pose.from_quat_wxyz(**line["pose"])
                 off = pose.apply(ring.centre_m) - true.apply(ring.centre_m)
-                found[round(line["time_s"], 3)] = float(np.linalg.norm(off))
+                sigma_m = np.sqrt(np.trace(np.array(line["covariance"])[3:6, 3:6]))
+                found[round(line["time_s"], 3)] = float(np.linalg.norm(off)), float(sigma_m)
         return found
 
     recognizer, fused = errors("track.jsonl"), errors("state.jsonl")
@@ -120,7 +125,11 @@ def test_on_frames_of_another_renderer_the_fused_state_is_no_worse_than_the_reco
     for far, near in ((30.0, 15.0), (15.0, 7.5), (7.5, 3.0), (3.0, 0.0)):
         times = [t for t in recognizer if near <= ranges[t] < far]
         assert len(times) >= 2
-        alone, both = (np.sqrt(np.mean([e[t] ** 2 for t in times])) for e in (recognizer, fused))
+        (alone, claimed), (both, _) = (
+            np.sqrt(np.mean([np.square(e[t]) for t in times], axis=0)) for e in (recognizer, fused)
+        )
+        if claimed > RANGER_M:  # then the ranger is the better one, as far as a filter can know
+            alone = max(alone, RANGER_M)
         assert both <= 1.1 * alone + 1e-3, (far, near)
     states = [json.loads(line) for line in Path("state.jsonl").read_text().splitlines()]
     assert states[-1]["starts"] == 1

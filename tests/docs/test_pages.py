@@ -72,9 +72,9 @@ def test_every_picture_of_the_tutorial_is_there_and_has_words():
 
 
 @pytest.mark.parametrize("page", [
-    "tutorial.md", "own_target.md", "files-plan.md", "evaluation.md", "reflectors-options.md",
-    "stereo-laboratory.md", "service.md", "service-sensors.md", "service-page.md",
-    "service-cluster.md", "scale-out.md",
+    "tutorial.md", "own_target.md", "files-plan.md", "evaluation.md", "fly.md",
+    "reflectors-options.md", "stereo-laboratory.md", "service.md", "service-sensors.md",
+    "service-page.md", "service-cluster.md", "scale-out.md",
 ])  # fmt: skip
 def test_printed_commands_have_options_that_exist(page: str):
     text = (DOCS / page).read_text(encoding="utf-8").replace("\\\n", " ")

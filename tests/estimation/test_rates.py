@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.estimation import rate_filters as bank_module
 from rendezview.estimation.rates import RateBank, RateOptions
+from rendezview.estimation.surprise import surprise
 from rendezview.geometry.pose import Pose
 
 SIGMA = np.array([3e-3, 3e-3, 3e-4, 1e-3, 1e-3, 5e-3])  # rad and m: reflectors at 5 m
@@ -300,3 +301,63 @@ def test_pointing_errors_are_not_taken_for_swings_faster_than_the_readings(hertz
                 speeds.append(np.linalg.norm(found.rates[3:]))
         steps = np.linalg.norm(np.diff(places, axis=0), axis=1) * hertz
         assert max(speeds) < 2.0 * steps.max()  # 5 to 150 times without the limit
+
+
+def test_a_surprise_is_a_jump_of_range_or_attitude_and_leaves_the_filters_as_they_are():
+    rng, bank, twin = np.random.default_rng(8), RateBank(), RateBank()
+    covariance = np.diag(SIGMA**2)
+    pose, _ = swinging(0.0)
+    assert bank.surprise(0.0, pose, covariance) == 0.0
+    for t in np.arange(0.0, 4.0, 0.1):
+        pose, _ = swinging(t)
+        seen = pose.perturbed(rng.normal(0.0, SIGMA))
+        assert bank.surprise(float(t), seen, covariance) < 30.0
+        ours, theirs = (one.add(float(t), seen, covariance) for one in (bank, twin))
+        assert (ours is None) == (theirs is None)
+    np.testing.assert_array_equal(ours.rates, theirs.rates)
+    pose, _ = swinging(4.0)
+    place = pose.translation_m
+    across = np.cross(place, [0.0, 1.0, 0.0])
+    aside = Rotation.from_rotvec(0.05 * across / np.linalg.norm(across)).as_matrix()
+    harmless = (
+        pose, Pose(aside @ pose.rotation, aside @ place), Pose(pose.rotation, aside @ place)
+    )  # fmt: skip
+    for same in harmless:
+        assert bank.surprise(4.0, same, covariance) < 20.0
+    jumps = (
+        pose.perturbed([0.0, 0.15, 0.0, 0.0, 0.0, 0.0]),
+        Pose(pose.rotation, 1.05 * place),
+    )  # fmt: skip
+    for other in jumps:
+        assert bank.surprise(4.0, other, covariance) > 60.0
+        alone = bank.surprise(4.0, other, covariance, np.inf)
+        assert alone >= bank.surprise(4.0, other, covariance)
+
+
+def test_a_surprise_is_the_distance_from_the_prediction_of_numpy():
+    """One filter of each part; the place off along the line of sight only."""
+    dt, kinds = 0.5, RateOptions().kinds()[:1]
+    rng = np.random.default_rng(9)
+    states, covariances = np.zeros((2, 1, 13)), np.zeros((2, 1, 13, 13))
+    for part in range(2):
+        bank_module.begin(kinds[0], states[part, 0], covariances[part, 0])
+        root = rng.normal(0.0, 0.02, (3, 3))
+        covariances[part, 0, :3, :3] = root @ root.T
+    rotations, places = np.eye(3)[None].copy(), np.array([[0.4, -0.2, 4.0]])
+    measured = np.diag(SIGMA**2)
+    place, turn = 1.03 * places[0], np.array([0.02, -0.05, 0.03])
+    rotation = Rotation.from_rotvec(turn).as_matrix()
+    wanted = 0.0
+    for part, off in enumerate((turn, place - places[0])):
+        spread = covariances[part, 0, :3, :3] + dt**2 * covariances[part, 0, 3:6, 3:6]
+        spread = spread + kinds[0, bank_module.WALK] ** 2 * dt**3 / 3.0 * np.eye(3)
+        own = slice(3 * part, 3 * part + 3)
+        wanted += off @ np.linalg.solve(spread + measured[own, own], off)
+    before = states.copy(), covariances.copy(), rotations.copy(), places.copy()
+    found = surprise(
+        dt, kinds, kinds, rotations, places, states, covariances, np.zeros((2, 1)), rotation,
+        place, measured, 1e-3, 1.0, 0.0,
+    )  # fmt: skip
+    assert found == pytest.approx(wanted, rel=1e-6)
+    for kept, now in zip(before, (states, covariances, rotations, places), strict=True):
+        np.testing.assert_array_equal(kept, now)

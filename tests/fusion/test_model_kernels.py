@@ -99,10 +99,11 @@ def test_noise_and_bias_are_split_by_the_shares():
     rng = np.random.default_rng(7)
     motion, whole = rng.standard_normal((5, 6)), covariance_of(rng, 5)
     shares = np.array([0.0, 0.2, 0.5, 1.0, 3.0])
-    fits, design, noise, root = with_bias(motion, whole, shares, 18, 25)
+    fits, design, noise, root, sigmas = with_bias(motion, whole, shares, 18, 25)
     assert fits
     lower = np.linalg.cholesky(whole)
     assert root == pytest.approx(lower, abs=1e-12)
+    assert sigmas == pytest.approx(np.sqrt(np.diag(whole)))
     assert design[:, :6] == pytest.approx(motion)
     assert design[:, 18:23] == pytest.approx(lower * np.sqrt(np.maximum(1.0 - shares, 0.0)))
     assert not np.delete(design, [*range(6), *range(18, 23)], axis=1).any()

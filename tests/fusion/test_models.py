@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from tests.fusion.scenes import PLANE, QUIET, RING, WHITE, still_at
 
 from rendezview.fusion import (
+    BeamMesh,
     BeamSurface,
     FusionOptions,
     PoseMeasurement,
@@ -19,6 +20,8 @@ from rendezview.fusion.models import forecasts
 from rendezview.fusion.state import RING_GEOMETRY, begin, estimate_of, with_slot
 from rendezview.geometry.pose import Pose
 
+# One large face, aslant, where the beam of the scenes meets the target.
+WALL = BeamMesh(30.0 * np.array([[0, -1, -1], [0, 1, -1], [0.5, 0, 2]]), np.array([[0, 1, 2]]))
 HALF = SensorOptions(bias_share=0.5)
 OPTIONS = replace(QUIET, pose=HALF, ring=HALF, range=HALF)
 GEOMETRY = replace(OPTIONS, ring_radius_sigma=0.1, ring_depth_sigma_m=0.5)
@@ -26,7 +29,7 @@ GEOMETRY = replace(OPTIONS, ring_radius_sigma=0.1, ring_depth_sigma_m=0.5)
 
 def begun(world, measurement, options):
     """A state at a first pose, a little beside the truth, with room for the measurement."""
-    state = begin(world.pose(0.0), options)
+    state = begin(world.pose(0.0), options)._replace(confirmed=True)
     return with_slot(state, measurement, options.ring)
 
 
@@ -136,8 +139,12 @@ def test_a_ring_is_where_its_radius_and_depth_put_it(world):
             (BeamSurface(np.array([0.2, 0.5, -0.3]), np.array([-0.8, 0.6, 0.0]), 0.03),),
             np.array([0.4, -0.3, 0.1]), np.array([0.05, 0.02, 1.0]),
         ),
+        RangeMeasurement(
+            0.0, "laser", 30.0, 0.02,
+            WALL, np.array([0.1, -0.2, 0.1]), np.array([0.01, 0.02, 1.0]),
+        ),
     ],
-    ids=["straight", "slanting"],
+    ids=["straight", "slanting", "mesh"],
 )  # fmt: skip
 def test_the_slope_of_a_range_is_its_derivative(world, beam):
     state = begun(world, beam, OPTIONS)
@@ -260,6 +267,8 @@ def test_what_cannot_be_compared_says_why(world):
     assert "grazes" in forecasts(state, along, OPTIONS)
     away = replace(beam, direction=np.array([0.0, 0.0, -1.0]))
     assert "behind the ranger" in forecasts(state, away, OPTIONS)
+    mesh = replace(beam, surfaces=WALL)
+    assert "waits" in forecasts(state._replace(confirmed=False), mesh, OPTIONS)
     flat = replace(ring.candidates[0], covariance=np.zeros((6, 6)))
     state = begun(world, ring, OPTIONS)
     assert "covariance" in forecasts(state, replace(ring, candidates=(flat,)), OPTIONS)
@@ -289,14 +298,20 @@ def test_the_next_surface_stands_in_where_the_spot_may_miss_the_first(world):
 
 
 def test_a_spot_is_not_trusted_at_the_edge_of_a_surface(world):
-    """The margin is two σ of the place."""
+    """The margin is two σ of the spot's place, by attitude and place together."""
     beam = world.range(0.0)
     state = begun(world, beam, OPTIONS)
     (found,) = meanings(state, beam, OPTIONS)
     pose, _, _ = estimate_of(state)
     spot = pose.inverse().apply((beam.range_m - found.residual[0]) * beam.direction)
     from_m = float(np.linalg.norm(spot - PLANE.point_m))
-    sigma_m = np.sqrt(np.diag(state.covariances[0])[3:6].max())
+
+    def spot_of(one):
+        return one.place_m + one.rotation.T @ (beam.range_m * beam.direction)
+
+    slope = [(spot_of(moved(state, 1e-6 * e)) - spot_of(state)) / 1e-6 for e in np.eye(6)]
+    spread = np.transpose(slope) @ state.covariances[0][:6, :6] @ slope
+    sigma_m = np.sqrt(np.diag(spread).max())
     for margin, says in ((1.9, False), (2.1, True)):
         surface = replace(PLANE, outer_m=from_m + margin * sigma_m)
         found = forecasts(state, replace(beam, surfaces=(surface,)), OPTIONS)

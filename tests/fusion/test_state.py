@@ -18,6 +18,7 @@ from rendezview.fusion import (
     SensorOptions,
     predict,
 )
+from rendezview.fusion.hypothesis import look
 from rendezview.fusion.state import RING_GEOMETRY, begin, estimate_of
 from rendezview.geometry.pose import Pose
 
@@ -115,6 +116,24 @@ def test_a_bias_is_not_averaged_away(world):
         wide.append(sigmas(state))
     assert np.all(wide[0] > 0.9 * np.sqrt(0.9) * SIGMA)
     assert np.all(wide[1] < 0.5 * SIGMA)
+
+
+@pytest.mark.parametrize("finer", [1.0, 10.0])
+def test_a_sensor_that_is_finer_at_once_has_a_new_bias(finer, make_world):
+    """It sees other parts now. Two sensors of one share of bias, of which one knows the place."""
+    options = replace(QUIET, pose=BIASED)
+    world = make_world(3)
+    state = begin(world.pose(0.0, sensor="stereo"), options)
+    off = 2.0 * SIGMA
+    for _ in range(5):
+        state, _ = taken(state, world.pose(0.0, off), options)
+    slot = state.slots["camera"]
+    before = state.weights @ state.deviations[:, slot.start : slot.start + 6]
+    fine = world.pose(0.0, sigma=SIGMA / finer)
+    found = look(state, fine, options)
+    after = found.state.weights @ found.state.deviations[:, slot.start : slot.start + 6]
+    assert np.abs(before).max() > 0.5
+    assert after == pytest.approx(before / finer)
 
 
 @pytest.mark.parametrize("share", [0.2, 0.8])

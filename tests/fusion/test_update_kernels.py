@@ -12,6 +12,7 @@ from rendezview.fusion.update_kernels import (
     corrected,
     jitter_step,
     log_mean,
+    renewed,
     white_share,
 )
 
@@ -45,6 +46,15 @@ def test_a_measurement_beside_each_model_is_that_of_numpy():
     for lower, white, spread, off in zip(lowers, whites, spreads, offs, strict=True):
         assert lower == pytest.approx(np.linalg.cholesky(spread))
         assert white == pytest.approx(np.linalg.solve(np.linalg.cholesky(spread), off))
+
+
+def test_biases_that_lose_memory_are_those_of_numpy():
+    (x, p, _), kept = a_measurement(9)[0], np.array([0.3, 1.0, 0.8])
+    fade = np.ones(24)
+    fade[19:22] = kept
+    deviations, covariances = renewed(x, p, 19, kept)
+    assert deviations == pytest.approx(x * fade)
+    assert covariances == pytest.approx(p * np.outer(fade, fade) + np.diag(1.0 - fade**2))
 
 
 def test_a_covariance_that_is_not_one_fits_nothing():

@@ -248,3 +248,53 @@ def test_a_pose_survives_pickle_and_copy():
     pose = Pose.from_quat_wxyz([1, 2, 3, 4], [1, 2, 3])
     for twin in (pickle.loads(pickle.dumps(pose)), copy.deepcopy(pose)):
         assert_same(twin, pose, 0.0)
+
+
+@settings(deadline=None)
+@given(poses)
+def test_a_pose_and_its_matrix_are_the_same(pose):
+    matrix = pose.as_matrix()
+    assert_same(Pose.from_matrix(matrix), pose, 1e-12)
+    assert_same(Pose.from_matrix(matrix[:3]), pose, 1e-12)
+    assert_same(Pose.from_matrix(matrix.round(5)), pose, 1e-4)
+    np.testing.assert_allclose(pose.inverse().as_matrix() @ matrix, np.eye(4), atol=1e-9)
+
+
+@settings(deadline=None)
+@given(poses, vectors)
+def test_a_pose_at_points_is_its_product_with_them(pose, point):
+    homogeneous = pose.as_matrix() @ [*point, 1.0]
+    np.testing.assert_allclose(pose @ point, homogeneous[:3], atol=1e-9)
+    many = np.stack([point, -point]).reshape(2, 1, 3)
+    np.testing.assert_array_equal(pose @ many, pose.apply(many))
+    np.testing.assert_array_equal(pose @ point.tolist(), pose.apply(point))
+
+
+def test_poses_are_equal_where_their_numbers_are():
+    pose = Pose.from_quat_wxyz([1, 2, 3, 4], [1, 2, 3])
+    same = Pose(pose.rotation.copy(), pose.translation_m.copy())
+    other = Pose(pose.rotation, [1, 2, 4])
+    assert pose == same
+    assert hash(pose) == hash(same)
+    assert pose != other
+    assert pose != pose.inverse()
+    assert (pose == 3) is False
+    assert len({pose, same, other}) == 2
+    assert copy.deepcopy(pose) == pose
+
+
+def test_matrices_that_are_no_poses_are_named():
+    matrix = Pose.from_quat_wxyz([1, 2, 3, 4], [1, 2, 3]).as_matrix()
+    for wrong, words in [
+        (matrix.T, "it is transposed"),
+        (2.0 * matrix, "last row"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "determinant"),
+        (np.diag([2.0, 2.0, 2.0, 1.0]), "not a rotation"),
+        (matrix[:3, :3], r"\(4, 4\) or \(3, 4\), not \(3, 3\)"),
+        (matrix * np.nan, "last row|finite"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            Pose.from_matrix(wrong)
+    for points in (3.0, [1.0, 2.0], np.zeros((3, 4))):
+        with pytest.raises(ValueError, match=r"points_m must be \(\.\.\., 3\)"):
+            Pose.identity() @ points

@@ -216,3 +216,11 @@ def test_a_bad_json_line_is_named(tmp_path, line):
     (tmp_path / "log.jsonl").write_text('{"a": 1}\n\n' + line)
     with pytest.raises(RendezviewError, match=r"log\.jsonl: line 3"):
         read_json_lines(tmp_path / "log.jsonl")
+
+
+def test_a_file_without_the_header_is_read(tmp_path):
+    row = "3,12,1,0.5,1 0 0 0 1 0 0 0 1,0 0 5000,-1"
+    path = tmp_path / "peer.csv"
+    path.write_text(f"{row}\n{row.replace(',12,', ',13,')}\n")
+    assert [r.im_id for r in read_results(path)] == [12, 13]
+    assert read_results(path)[0].camera_from_target.translation_m[2] == 5.0

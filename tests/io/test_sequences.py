@@ -144,6 +144,27 @@ def test_the_target_among_several_objects_has_to_be_chosen(tmp_path):
     assert absent.camera_from_target is None
 
 
+@pytest.mark.parametrize("obj_id", [None, 5])
+def test_frames_with_several_instances_of_the_target_have_no_truth(tmp_path, obj_id):
+    first, second, other = poses(3)
+    entries = [entry(first, 5), entry(second, 5)] + ([] if obj_id is None else [entry(other, 8)])
+    sequence = open_sequence(foreign_scene(tmp_path / "s", entries), obj_id=obj_id)
+    assert (sequence[0].camera_from_target, sequence[0].obj_id) == (None, 5)
+    assert sequence.notes == ("1 of 1 frames show the target several times: they have no truth",)
+
+
+def test_a_sequence_is_indexed_as_a_list(tmp_path):
+    write_scene(tmp_path / "s")
+    sequence = open_sequence(tmp_path / "s")
+    assert sequence[0] is sequence.frames[0]
+    assert sequence[-1] is sequence.frames[-1]
+    part = sequence[1:]
+    assert (len(part), part.scene_id) == (len(sequence) - 1, sequence.scene_id)
+    assert list(part) == list(sequence.frames[1:])
+    with pytest.raises(IndexError):
+        sequence[1000]
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [

@@ -11,6 +11,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import save_camera
 from rendezview.io.sequences import open_sequence
+from rendezview.io.sequences.decoding import decode_levels
 from rendezview.io.sequences.message_images import RawPicture, grey
 from rendezview.io.sequences.misfit import misfit
 
@@ -54,10 +55,9 @@ def test_a_level_beyond_the_depth_is_an_error_and_the_camera_file_decides(tmp_pa
     assert (sequence.frames[3].read() == 20000 >> 8).all()
 
 
-def test_floating_point_levels_are_no_picture(tmp_path):
-    cv2.imwrite(str(tmp_path / "a.tiff"), np.ones((48, 64), np.float32))
-    with pytest.raises(RendezviewError, match="not an image that can be read"):
-        open_sequence(tmp_path / "a.tiff", CAMERA)
+def test_floating_point_levels_of_a_single_frame_have_no_scale(tmp_path):
+    picture = cv2.imencode(".tiff", np.ones((48, 64), np.float32))[1]
+    assert decode_levels(picture.tobytes()) is None
 
 
 def test_a_single_image_is_a_sequence_of_one(tmp_path):

@@ -5,11 +5,15 @@ from __future__ import annotations
 import contextlib
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+from google.protobuf.timestamp_pb2 import Timestamp
+from mcap_protobuf.writer import Writer as ProtobufWriter
 from rosbags.rosbag2 import StoragePlugin
 from tests.io.bags import (
     START_S,
@@ -19,6 +23,7 @@ from tests.io.bags import (
     write_ros1,
     write_ros2,
 )
+from tests.io.small_videos import stream
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -242,3 +247,73 @@ def test_a_picture_that_cannot_be_is_refused(
 ) -> None:
     with pytest.raises(RendezviewError, match=message):
         grey(picture, "here")
+
+
+def test_pictures_are_sorted_by_their_stamps_and_those_without_one_left_out(
+    tmp_path: Path,
+) -> None:
+    made = shots(count=8)
+    times_s = [0.0, 0.2, 0.1, 0.3, 0.3, 0.4, 0.35, 0.5]
+    made = [replace(shot, time_s=t) for shot, t in zip(made, times_s, strict=True)]
+    made.insert(3, replace(made[0], time_s=-float(START_S)))  # a stamp of 0
+    for write, name in ((write_foxglove, "a.mcap"), (write_ros1, "a.bag"), (write_ros2, "a")):
+        sequence = open_sequence(write(tmp_path / name, made, INFO))
+        assert [round(frame.time_s - START_S, 6) for frame in sequence] == [
+            0.0, 0.1, 0.2, 0.3, 0.35, 0.4, 0.5,
+        ]  # fmt: skip
+        assert [frame.im_id for frame in sequence] == list(range(7))
+        for frame, k in zip(sequence, (0, 2, 1, 4, 7, 6, 8), strict=True):
+            np.testing.assert_array_equal(frame.read(), made[k].image)
+        *late, doubled, unset = sequence.notes
+        if write is write_foxglove:  # the readers of bags sort by the times of recording
+            assert "2 of 9 pictures come after pictures of a later stamp" in late[0]
+        assert "1 of 9 pictures have the stamp of another one" in doubled
+        assert "1 of 9 pictures have no stamp" in unset
+
+
+def write_video(path: Path, name: str, parts: list[bytes], kind: str = "protobuf") -> Path:
+    """A recording of a compressed video, one picture a message."""
+    with open(path, "wb") as file, ProtobufWriter(file) as bag:
+        for index, part in enumerate(parts):
+            stamp = Timestamp(seconds=START_S, nanos=round(1e8 * index))
+            video = CompressedVideo(timestamp=stamp, data=part, format=name)
+            bag.write_message("/eye/video", video, START_S * 10**9, START_S * 10**9)
+    return path
+
+
+@pytest.mark.parametrize("name", ["h264", "h265"])
+@pytest.mark.parametrize("lead", [0, 2])
+def test_compressed_video_is_read_from_its_first_key_picture(
+    tmp_path: Path, name: str, lead: int
+) -> None:
+    parts = stream(name)[3 - lead :] if lead else stream(name)
+    first = lead or 0
+    sequence = open_sequence(write_video(tmp_path / "v.mcap", name, parts), CAMERA)
+    greys = [30.0 * (k + 1) for k in range(6)][-len(parts) + first :]
+    assert [f.read().mean() for f in sequence] == pytest.approx(greys, abs=3.0)
+    assert [f.time_s - START_S for f in sequence] == pytest.approx(
+        [0.1 * k for k in range(first, len(parts))], abs=1e-6
+    )
+    expected = "2 of 5 pictures come before the first key picture of the video: left out"
+    assert sequence.notes == ((expected,) if lead else ())
+    last = pickle.loads(pickle.dumps(sequence.frames[-1]))
+    assert last.read().mean() == pytest.approx(180.0, abs=3.0)
+
+
+def test_a_compressed_video_of_another_format_is_refused_by_its_name(tmp_path: Path) -> None:
+    for name in ("vp9", "av1", ""):
+        with pytest.raises(RendezviewError, match=f"format '{name}' is not read: record h264"):
+            open_sequence(write_video(tmp_path / "v.mcap", name, [b"abc"]), CAMERA)
+    with pytest.raises(RendezviewError, match="1 of 1 pictures come before the first key"):
+        open_sequence(write_video(tmp_path / "v.mcap", "h264", stream("h264")[1:2]), CAMERA)
+
+
+def test_a_recording_that_was_cut_off_says_where(tmp_path: Path) -> None:
+    path = write_foxglove(tmp_path / "a.mcap", shots(count=1000), INFO)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(0.7 * len(whole))])
+    (note,) = open_sequence(path).notes
+    assert note.startswith(f"cut off at byte {int(0.7 * len(whole))}: ")
+    path.write_bytes(whole[:2000])
+    with pytest.raises(RendezviewError, match="it is cut off at byte 2000, before the first one"):
+        open_sequence(path)

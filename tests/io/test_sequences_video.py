@@ -6,6 +6,8 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from tests.io.small_videos import GREYS, TIMES_S
+from tests.io.small_videos import video as small_video
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -81,3 +83,25 @@ def test_a_video_shorter_than_it_said_names_where_it_ends(tmp_path):
     path.unlink()
     with pytest.raises(RendezviewError, match=r"v\.avi: not a video"):
         sequence.frames[0].read()
+
+
+@pytest.mark.parametrize("suffix", ["mkv", "mp4", "mov", "webm", "flv"])
+def test_frames_of_uneven_times_have_the_times_at_which_they_are_shown(tmp_path, suffix):
+    path = tmp_path / f"v.{suffix}"
+    path.write_bytes(small_video(suffix))
+    sequence = open_sequence(path, Camera(32, 32, 40.0, 40.0, 15.5, 15.5))
+    assert [frame.time_s for frame in sequence] == pytest.approx(TIMES_S)
+    assert sequence.notes == ("the frames come 0.04 to 1.46 s apart",)
+    assert [frame.read().mean() for frame in sequence] == pytest.approx(GREYS, abs=2.0)
+
+
+@pytest.mark.parametrize("suffix", ["avi", "mkv", "mp4", "mov"])
+def test_a_video_of_even_times_has_those_of_its_rate(tmp_path, suffix):
+    path = tmp_path / f"v.{suffix}"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (64, 48))
+    for index in range(40):
+        writer.write(np.full((48, 64, 3), 5 * index, dtype=np.uint8))
+    writer.release()
+    sequence = open_sequence(path, CAMERA)
+    assert [frame.time_s for frame in sequence] == pytest.approx([i / 30.0 for i in range(40)])
+    assert sequence.notes == ()

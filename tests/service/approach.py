@@ -40,9 +40,11 @@ def by_commands(folder: Path, model: Path) -> Outcome:
     command(folder, "track", model, "scene", "-o", "poses.csv", "--log", "track.jsonl",
             "--prior", "scene")  # fmt: skip
     fuse = ("--target", "client", "-o")
-    command(folder, "fuse", "laser.jsonl", "track.jsonl", *fuse, "far.jsonl")
+    beam = ("--model", model)
+    command(folder, "fuse", "laser.jsonl", "track.jsonl", *beam, *fuse, "far.jsonl")
     command(folder, "ring", "scene", "--track", "far.jsonl", *fuse, "ring.jsonl")
-    command(folder, "fuse", "laser.jsonl", "track.jsonl", "ring.jsonl", *fuse, "state.jsonl")
+    command(folder, "fuse", "laser.jsonl", "track.jsonl", "ring.jsonl", *beam, *fuse,
+            "state.jsonl")  # fmt: skip
     command(folder, "guide", "state.jsonl", "--shape", "vbar", *fuse, "guide.jsonl")
     logs = [read_json_lines(folder / f"{n}.jsonl") for n in ("track", "ring", "state", "guide")]
     told = Outcome(*({line["time_s"]: line for line in log} for log in logs))

@@ -12,7 +12,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,6 +35,7 @@ _PATIENT = {
     "RENDEZVIEW_SERVE_SPARE_WORKER": "false",
     "RENDEZVIEW_SERVE_FRAME_TIMEOUT_S": str(MOST_S),
     "RENDEZVIEW_SERVE_IDLE_S": str(2.0 * MOST_S),
+    "RENDEZVIEW_SERVE_LOG_WAIT_S": str(MOST_S),
 }
 
 
@@ -110,7 +110,12 @@ def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) ->
     started: list[Served] = []
 
     def start(*flags: str, given: bool = True, **environment: str) -> Served:
-        """Without ``given`` it has no model: it starts in half the time, but tracks nothing."""
+        """Without ``given`` it has no model: it starts in half the time, but tracks nothing.
+
+        A ``PYTHONPATH`` is searched first: its ``sitecustomize`` runs before the service.
+        """
+        places = environment.get("PYTHONPATH"), os.environ.get("PYTHONPATH")
+        environment["PYTHONPATH"] = os.pathsep.join(filter(None, places))
         folder = tmp_path_factory.mktemp("service")
         command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "serve"]
         if given:
@@ -139,9 +144,6 @@ def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) ->
 
         threading.Thread(target=drain, daemon=True).start()
         started.append(served)
-        while not any('"message": "ready"' in line for line in served.lines):
-            assert process.poll() is None, served.lines  # a first start compiles for minutes
-            time.sleep(0.02)
         return served
 
     yield start
@@ -266,3 +268,20 @@ def shoot() -> Callable[[Any, str], None]:
     named = os.environ.get("RENDEZVIEW_TEST_PICTURES")
     folder = Path(named) if named else None
     return lambda page, name: page_feed.shoot(page, folder, name)
+
+
+@pytest.fixture
+def sender(service, camera, tour) -> Iterator[Callable[..., page_feed.Sender]]:
+    opened: list[page_feed.Sender] = []
+
+    def start(name: str, url: str = service.url, **more: Any) -> page_feed.Sender:
+        images = [image for _, _, image in tour]
+        images += images[-2:0:-1]
+        request = {"prior": tour[0][1], "name": name, "idle_s": 600.0} | more
+        opened.append(page_feed.Sender(url, images, camera, **request))
+        opened[-1].start()
+        return opened[-1]
+
+    yield start
+    for one in opened:
+        one.stop()

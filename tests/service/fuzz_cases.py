@@ -9,6 +9,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from tests.service.hostile_pictures import hostile
 
 from rendezview.geometry.camera import Camera
 
@@ -44,10 +45,13 @@ class Cases:
             cv2.imencode(".png", np.zeros((120, 160), np.uint16))[1].tobytes(),
             cv2.imencode(".png", np.zeros((50, 60), np.uint8))[1].tobytes(),
         ]
+        self.hostile = [make() for make in hostile(noise, 60_000).values()]
 
     def frame(self) -> bytes:
-        """A frame that was good before something happened to it."""
+        """A frame that was good before something happened to it, or a hostile one."""
         rng = self.rng
+        if rng.random() < 0.05:
+            return self.hostile[rng.integers(len(self.hostile))]
         content = bytearray(self.good[rng.integers(len(self.good))])
         for _ in range(rng.integers(1, 4)):
             how = rng.integers(7)

@@ -70,10 +70,14 @@ def kill_tree(pid: int) -> None:
 
 class Gateway:
     def __init__(self, address: str, work: Path) -> None:
-        flags = ["--cluster", address, "--cluster-folder", str(work / "open")]
+        flags = ["--cluster", address, "--state", str(work / "open")]
         flags += ["--models", str(work / "models"), "--record", str(work / "logs"), "--port", "0"]
         command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "serve"]
-        settings = {"RENDEZVIEW_SERVE_RECORD_MODEL": "false", "RENDEZVIEW_SERVE_SPARE_SEATS": "0"}
+        settings = {
+            "RENDEZVIEW_SERVE_RECORD_MODEL": "false",
+            "RENDEZVIEW_SERVE_SPARE_SEATS": "0",
+            "RENDEZVIEW_SERVE_LOG_WAIT_S": "600",  # a busy machine's disk
+        }
         self.process = subprocess.Popen(
             [*command, *flags], stderr=subprocess.PIPE, text=True, env=os.environ | settings
         )

@@ -150,6 +150,19 @@ def test_nodes_gateways_and_models_change_under_a_session(
 
     cluster.gateways[0].kill()
     states += [_patient(cluster, 1, image, time_s) for time_s, _, image in tour[13:17]]
+
+    # The disk of the checkpoints fails: tracking goes on, and the reason is there until it works.
+    def health() -> dict[str, Any]:
+        return httpx.get(cluster.gateways[1].url + "readyz", timeout=MOST_S).json()
+
+    (cluster.work / "open").rename(cluster.work / "away")
+    states.append(_patient(cluster, 1, tour[17][2], tour[17][0]))
+    wait_until(lambda: health()["status"] == "degraded")
+    assert "session run cannot go on elsewhere" in health()["reasons"][0]
+    (cluster.work / "away").rename(cluster.work / "open")
+    states.append(_patient(cluster, 1, tour[18][2], tour[18][0]))
+    wait_until(lambda: health()["status"] == "ok")
+
     frames = [state["frame"] for state in states]
     assert frames == sorted(set(frames))
     assert all(state["recorded"] and state["pose"] is not None for state in states)

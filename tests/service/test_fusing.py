@@ -17,7 +17,7 @@ from tests.waiting import MOST_S, wait_until
 from websockets.sync.client import connect
 
 from rendezview.errors import RendezviewError
-from rendezview.fusion import Fusion, PoseMeasurement
+from rendezview.fusion import BeamSurface, Fusion, PoseMeasurement
 from rendezview.fusion.logs import LogContext, kind_of, read_record
 from rendezview_service.client import ServiceError, fused_pose_of_state, pose_of_state
 from rendezview_service.logs.replay import model_of, read_log, repeat
@@ -27,6 +27,14 @@ from rendezview_service.messages.messages import State, WatchState
 POSTED = {"ring": False}  # the ring's readings come as lines
 
 
+# What the drawn ranger's beam meets.
+PLANE = BeamSurface(RING.centre_m, RING.axis, 0.5)
+FUSION = {
+    "ring": RING,
+    "surfaces": [{"point_m": RING.centre_m, "normal": RING.axis, "relief_m": PLANE.relief_m}],
+}
+
+
 @pytest.fixture
 def sensors() -> Sensors:
     return Sensors()
@@ -34,7 +42,7 @@ def sensors() -> Sensors:
 
 @pytest.fixture
 def session(client, camera, tour):
-    opened = client.open(camera, prior=tour[0][1], fusion={"ring": RING}, sensors=POSTED)
+    opened = client.open(camera, prior=tour[0][1], fusion=FUSION, sensors=POSTED)
     yield opened
     with contextlib.suppress(ServiceError):
         opened.close()
@@ -52,7 +60,7 @@ def test_lines_read_for_the_service_are_those_of_the_command(sensors, tour):
 
 def test_a_state_is_what_the_filter_gives_of_the_same_words(session, sensors, tour):
     own = Fusion(None)
-    context = LogContext(RING)
+    context = LogContext(RING, (PLANE,))
     for k, (time_s, truth, image) in enumerate(tour[:8]):
         state = session.track(image, time_s)
         State.model_validate(state)

@@ -2,38 +2,43 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import json
 import os
+import struct
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from pydantic_core import to_json
-from tests.waiting import wait_until
+from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
+from rendezview_service.logs import log_folder
 from rendezview_service.logs.log_folder import mend_folder, part_path, remove_old
 from rendezview_service.logs.log_lock import folder_lock
 from rendezview_service.logs.log_repair import LogPart, join, mend
-from rendezview_service.logs.recording import LogWriter, RecordingOptions
+from rendezview_service.logs.recording import RECORDED, LogWriter, RecordingOptions
 from rendezview_service.logs.replay import model_of, read_log, repeat
 from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.tracker.tracking import SessionTracker, camera_message
 from rendezview_service.worker.worker import session_notes
 
 FRAMES = 30
+PATIENT = RecordingOptions(wait_s=MOST_S)
 PICTURE = np.random.default_rng(0).integers(0, 256, 400 * 400, np.uint8).tobytes()
 
 
-def _write(writer: LogWriter, first: int, count: int) -> None:
+def _write(writer: LogWriter, first: int, count: int, from_s: float = 1.7e9) -> None:
     for k in range(first, first + count):
-        state = {"frame": k, "time_s": 0.1 * k, "received_unix_s": 1.7e9 + k, "pose": None}
-        assert writer.write(state, json.dumps(state).encode(), PICTURE)
+        state = {"frame": k, "time_s": 0.1 * k, "received_unix_s": from_s + k, "pose": None}
+        assert writer.write(state, json.dumps(state).encode(), PICTURE) == RECORDED
 
 
 def _frames(path: Path) -> list[int]:
@@ -49,7 +54,7 @@ def _by_other_reader(path: Path) -> list[int]:
 @pytest.fixture
 def written(tmp_path, camera) -> tuple[Path, list[int]]:
     """A finished log, and where each frame ends in it."""
-    writer = LogWriter(tmp_path / "run.mcap", camera, {}, None)
+    writer = LogWriter(tmp_path / "run.mcap", camera, {}, None, PATIENT)
     ends = [writer.status.size_bytes]
     for k in range(FRAMES):
         _write(writer, k, 1)
@@ -104,6 +109,22 @@ def test_a_flipped_bit_costs_one_frame_at_most_and_the_old_file_stays(written):
         assert path.read_bytes() == content
 
 
+@pytest.mark.parametrize("swallowed", [3_000, 1_500_000])
+def test_a_flipped_bit_in_the_model_costs_no_frame(tmp_path, camera, swallowed):
+    """The model is full of what looks like chunks, with lengths that fit, up to over all frames."""
+    length = struct.pack("<Q", 40 + swallowed)
+    false = b"\x06" + length + bytes(24) + b"\1\0\0\0" + bytes(4) + struct.pack("<Q", swallowed)
+    model = b"\x06" + (false + bytes(3)) * 200
+    writer = LogWriter(tmp_path / "run.mcap", camera, {}, model, PATIENT)
+    _write(writer, 0, FRAMES)
+    writer.close()
+    content = bytearray(writer.path.read_bytes())
+    content[content.index(model) + 5000] ^= 8
+    writer.path.write_bytes(content)
+    assert _frames(writer.path) == list(range(FRAMES))
+    assert _by_other_reader(mend(writer.path).path) == list(range(FRAMES))
+
+
 @pytest.mark.parametrize("field", [1, 4, 8])
 def test_a_damaged_length_costs_its_frame_only(written, field):
     """Of the fifth frame's chunk: the reader finds the next chunk again."""
@@ -128,7 +149,7 @@ def test_logs_of_other_programs_and_open_logs_are_left_alone(tmp_path, camera):
     os.truncate(other, other.stat().st_size - 40)
     cut = tmp_path / "cut.mcap"
     for path in (cut, tmp_path / "open.mcap"):
-        own = LogWriter(path, camera, {}, None)
+        own = LogWriter(path, camera, {}, None, PATIENT)
         _write(own, 0, 3)
         if path == cut:
             left = cut.read_bytes()
@@ -159,7 +180,7 @@ def test_copies_of_a_repair_that_was_killed_are_removed(tmp_path):
 
 
 def test_two_writers_of_one_name_have_a_file_each(tmp_path, camera):
-    writers = [LogWriter(tmp_path / "run.mcap", camera, {}, None) for _ in range(3)]
+    writers = [LogWriter(tmp_path / "run.mcap", camera, {}, None, PATIENT) for _ in range(3)]
     assert [w.path.name for w in writers] == ["run.mcap", "run-2.mcap", "run-3.mcap"]
     for writer in writers:
         writer.close()
@@ -177,12 +198,12 @@ def test_a_log_in_parts_is_repeated_whole_and_sent_as_one_file(
         notes = session_notes("bench", request, "bumpy", model_path)
         notes |= {"log": "abc", "first_frame": str(first)}
         size = len(model_path.read_bytes()) + 300_000
-        options = RecordingOptions(part_bytes=size)
+        options = RecordingOptions(part_bytes=size, wait_s=MOST_S)
         writer = LogWriter(base, camera, notes, model_path.read_bytes(), options)
         for time_s, _, image in tour[first : first + 12]:
             state, _ = tracker.track(image, time_s, 1.7e9 + time_s)
             state["frame"] += first
-            assert writer.write(state, to_json(state), image.tobytes())
+            assert writer.write(state, to_json(state), image.tobytes()) == RECORDED
             if writer.path not in paths:
                 paths.append(writer.path)
         writer.close()
@@ -208,24 +229,75 @@ def test_a_log_in_parts_is_repeated_whole_and_sent_as_one_file(
 
 
 def test_old_logs_go_and_open_ones_stay(tmp_path, camera):
-    writers = [LogWriter(tmp_path / f"{k}.mcap", camera, {}, None) for k in range(4)]
+    now_s = time.time()
+    writers = [LogWriter(tmp_path / f"{k}.mcap", camera, {}, None, PATIENT) for k in range(4)]
     other = tmp_path / "other.mcap"
     other.write_bytes(b"\x89MCAP0\r\n")
     for k, writer in enumerate(writers):
-        _write(writer, 0, 2)
+        _write(writer, 0, 2, now_s - 1000.0 * (4 - k))
         if k != 0:
             writer.close()
-        os.utime(writer.path, (time.time() - 1000.0 * (4 - k),) * 2)
+        os.utime(writer.path, (0.0, 0.0))  # a copy may have any time of writing
     size = writers[1].path.stat().st_size
     with folder_lock(tmp_path):
-        assert remove_old(tmp_path, 1, 0.0) == []  # another service looks after it
-    assert remove_old(tmp_path, 0, 0.0) == []
-    assert [path.name for path in remove_old(tmp_path, 0, 2500.0)] == ["1.mcap"]
-    assert [path.name for path in remove_old(tmp_path, 2 * size, 0.0)] == ["2.mcap"]
+        assert remove_old(tmp_path, 1, 0.0, now_s) == []  # another service looks after it
+    assert remove_old(tmp_path, 0, 0.0, now_s) == []
+    assert [path.name for path in remove_old(tmp_path, 0, 2500.0, now_s)] == ["1.mcap"]
+    assert [path.name for path in remove_old(tmp_path, 2 * size, 0.0, now_s)] == ["2.mcap"]
     assert sorted(path.name for path in tmp_path.glob("*.mcap")) == [
         "0.mcap", "3.mcap", "other.mcap"
     ]  # fmt: skip
     writers[0].close()
+
+
+@pytest.mark.parametrize("runs", [False, True])
+def test_a_step_of_the_clock_removes_no_log(tmp_path, camera, monkeypatch, runs):
+    """Of two days, before the service starts or while it runs; what is old goes all the same.
+
+    The step is that of the module's own clock, which stands for the system's.
+    """
+    now_s = time.time()
+    for name, age_s in (("old", 7200.0), ("new", 10.0)):
+        writer = LogWriter(tmp_path / f"{name}.mcap", camera, {}, None, PATIENT)
+        _write(writer, 0, 2, now_s - age_s)
+        writer.close()
+    looks: list[float] = []
+    real = log_folder.remove_old
+
+    def look(*about: Any) -> list[Path]:
+        looks.append(about[-1])
+        return real(*about)
+
+    monkeypatch.setattr(log_folder, "remove_old", look)
+    monkeypatch.setattr(log_folder, "_REMOVE_EVERY_S", 0.05)
+
+    async def run() -> None:
+        keeping = asyncio.create_task(log_folder.keep_logs(tmp_path, 0, 3600.0))
+        if not runs:
+            _step(monkeypatch)
+        while len(looks) < 3:
+            await asyncio.sleep(0.01)
+        if runs:
+            _step(monkeypatch)
+        until = len(looks) + 5
+        while len(looks) < until:
+            await asyncio.sleep(0.01)
+        keeping.cancel()
+
+    asyncio.run(run())
+    assert [path.name for path in tmp_path.glob("*.mcap")] == ["new.mcap"]
+
+
+def _step(monkeypatch) -> None:
+    monkeypatch.setattr(log_folder, "time", _Stepped())
+
+
+class _Stepped:
+    monotonic = staticmethod(time.monotonic)
+
+    @staticmethod
+    def time() -> float:
+        return time.time() + 2.0 * 86_400.0
 
 
 def test_the_log_of_a_session_that_a_fault_broke_is_sent_whole(service, client, camera, tour):
@@ -242,5 +314,5 @@ def test_the_log_of_a_session_that_a_fault_broke_is_sent_whole(service, client, 
     state = wait_until(recorded)
     got = service.folder / "got.mcap.txt"
     got.write_bytes(session.log())
-    assert _by_other_reader(got) == [first["frame"], state["frame"]]
+    assert _by_other_reader(got) == [*range(first["frame"], state["frame"] + 1)]
     session.close()

@@ -14,6 +14,7 @@ from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
 from rendezview_service.client import ServiceError, ServiceTimeout
+from rendezview_service.hub.history import Past
 from rendezview_service.logs.replay import model_of, read_log, repeat
 from rendezview_service.messages.messages import EventList, History, State
 from rendezview_service.messages.model_messages import Geometry, RecordedList
@@ -60,9 +61,8 @@ def test_events_tell_of_phases_alarms_and_the_recording(taped) -> None:
     told = EventList.model_validate(events).events
     assert [event.number for event in told] == list(range(len(told)))
     kinds = [event.kind for event in told]
-    assert kinds[0] == "phase"
-    assert "tracking" in told[0].text
-    assert "recording" in kinds
+    assert kinds[:2] == ["recording", "phase"]
+    assert "tracking" in told[1].text
     assert any(e.kind == "alarm" and "less than 9.5 m" in e.text for e in told)
     assert EventList.model_validate(later).events[0].number == 2
     times = [event.unix_s for event in told]
@@ -87,6 +87,13 @@ def test_recordings_are_listed_and_looked_through(taped, service, client) -> Non
     history = History.model_validate(client.request("GET", f"{at}/history"))
     assert [s.frame for s in history.states] == [s["frame"] for s in states]
     assert history.states[3].pose.translation_m == states[3]["pose"]["translation_m"]
+    # Phases and the first alarm, as the session had them while it was open.
+    then = EventList.model_validate(taped[1]).events
+    for kind, count in (("phase", None), ("alarm", 1)):
+        both = [[(e.level, e.text) for e in of if e.kind == kind] for of in (then, history.events)]
+        assert both[0][:count] == both[1][:count] != []
+    assert history.events[0].unix_s == states[0]["received_unix_s"]
+    assert 0.0 < states[0]["received_unix_s"] - one.opened_unix_s < MOST_S
     thin = client.request("GET", f"{at}/history?limit=5")
     assert len(thin["states"]) <= 5
     answer = httpx.get(f"{service.url}{at[1:]}/images/4", timeout=MOST_S)
@@ -155,3 +162,13 @@ def test_errors_of_the_client_are_its_own() -> None:
         Client("http://127.0.0.1:9", token="two words")
     with Client("http://127.0.0.1:9") as client, pytest.raises(RendezviewError, match="running"):
         client.sessions()
+
+
+def test_the_newest_state_is_kept_however_fast_they_come() -> None:
+    past = Past(keep_s=300.0, rate_hz=30.0, image_hz=4.0)
+    for frame in range(4):
+        past.add(0.01 * frame, frame, b"%d" % frame)
+    assert past.states(-1.0, 0, 10) == [(0, b"0"), (3, b"3")]
+    assert [past.state(frame) for frame in range(4)] == [b"0", b"0", b"0", b"3"]
+    past.add(0.04, 4, b"4")
+    assert past.states(-1.0, 0, 10) == [(0, b"0"), (4, b"4")]

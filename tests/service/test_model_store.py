@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 
 from rendezview.errors import RendezviewError
@@ -25,6 +26,19 @@ def test_of_uploads_with_one_name_at_once_one_is_kept(model_path, tmp_path):
     assert len(refusals) == 7
     assert all("there is one already" in refusal for refusal in refusals)
     assert [path.name for path in tmp_path.iterdir()] == ["same.rvm"]
+
+
+def test_a_copy_that_a_cleaner_removes_is_made_again(model_path, tmp_path):
+    folder = tmp_path / "copies"
+    folder.mkdir()
+    path = tmp_path / "sent.rvm"
+    path.write_bytes(model_path.read_bytes())
+    stored = StoredModel("sent", path, True, folder)
+    copy = stored.copy
+    path.unlink()  # replaced meanwhile: the copy is the only one
+    shutil.rmtree(folder)
+    assert stored.copy == copy
+    assert copy.read_bytes() == model_path.read_bytes()
 
 
 def test_threads_share_one_model(model_path, tmp_path):

@@ -5,9 +5,12 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import resource
 import signal
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import httpx
@@ -32,6 +35,15 @@ def test_the_service_says_that_it_lives_and_is_ready(service):
         answer = httpx.get(service.url + path, timeout=MOST_S)
         assert answer.status_code == 200
         assert answer.json()["status"] == "ok"
+
+
+def test_it_says_that_it_serves_once_it_can_track(start_service):
+    served = start_service(given=False)  # returns with that line
+    assert httpx.get(served.url + "readyz", timeout=MOST_S).status_code == 200
+    starts = next(k for k, line in enumerate(served.lines) if "its page is at" in line)
+    assert served.url in served.lines[starts]
+    assert starts < next(k for k, line in enumerate(served.lines) if "serves at" in line)
+    served.stop()
 
 
 def test_metrics_count_frames_and_forget_sessions(service, client, camera, tour):
@@ -136,6 +148,22 @@ def _ends_in_order(served, sent, log, states):
     assert [frame.state for frame in read_log(log).frames()] == states
 
 
+def test_a_hung_worker_with_three_sessions_does_not_delay_the_end(start_service, camera, tour):
+    served = start_service()
+    with served.client() as client, ThreadPoolExecutor() as pool:
+        sessions = [client.open(camera, prior=tour[0][1]) for _ in range(3)]
+        for session in sessions:
+            session.track(tour[0][2], tour[0][0])
+        (worker,) = served.workers
+        os.kill(worker, signal.SIGSTOP)
+        answers = [pool.submit(s.track, tour[1][2], tour[1][0]) for s in sessions]
+        start_s = time.monotonic()
+        served.process.send_signal(signal.SIGTERM)
+        assert served.process.wait(MOST_S) == 0
+        assert time.monotonic() - start_s < 20.0  # 9 s on a quiet machine; one after the other: 100
+        assert all(isinstance(answer.exception(), RendezviewError) for answer in answers)
+
+
 def test_the_first_model_that_is_sent_warms_it_up(
     start_service, model_path, camera, tour, tmp_path
 ):
@@ -173,6 +201,21 @@ def test_a_training_runs_beside_and_its_model_tracks(client, camera, tmp_path):
     assert session.track(black, 0.0)["status"] == "empty"
     session.close()
     client.request("DELETE", "/v1/models/block")
+
+
+def test_a_training_into_a_full_folder_leaves_no_half_model(start_service, tmp_path):
+    models, mesh = tmp_path / "models", tmp_path / "block.stl"
+    trimesh.creation.box((2.0, 1.0, 0.6)).export(mesh)
+    served = start_service("--models", str(models), given=False)
+    with served.client() as client:
+        job = client.train("block", mesh, order=0, views=100, held_out=10)
+        wait_until(lambda: client.job(job["id"])["stage"])  # a process of its own
+        resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, (1000, 1000))
+        now = _ended(client, job)
+        assert now["state"] == "failed"
+        assert "cannot be written" in now["reason"]
+    assert [path for path in models.iterdir() if path.is_file()] == []
+    served.stop()
 
 
 def _ended(client, job):
@@ -263,19 +306,20 @@ def test_a_full_disk_is_seen_by_the_operator_and_tracking_goes_on(service, clien
     with service.full_disk():
         states = [track() for _ in range(3)]
         assert [state["recorded"] for state in states] == [False] * 3
+        assert "pending: " in states[0]["record"]
         assert {state["status"] for state in states} == {"ok"}
         recording = session.info()["recording"]
-        assert (recording["state"], recording["lost"]) == ("failed", 3)
+        assert (recording["state"], recording["pending"]) == ("failed", 3)
         assert "cannot be written" in recording["reason"]
         metrics = client.fetch("GET", "/metrics").decode()
         assert 'rendezview_log_failed{session="full"} 1.0' in metrics
-        assert 'rendezview_log_lost_states{session="full"} 3.0' in metrics
+        assert 'rendezview_log_pending_states{session="full"} 3.0' in metrics
         health = client.request("GET", "/healthz")
         assert (health["status"], health["recording_failures"]) == ("degraded", 1)
         assert "session full is not recorded" in health["reasons"][0]
     wait_until(lambda: track()["recorded"])  # a new file is tried every few seconds
     info = session.info()["recording"]
-    assert info["state"] == "on"
+    assert (info["state"], info["lost"]) == ("on", 0)
     assert info["name"].endswith("-2.mcap")
     assert service.states_reported("full", last="on", message="recording") == ["failed", "on"]
     session.close()

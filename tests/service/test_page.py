@@ -339,6 +339,22 @@ def test_what_is_ambiguous_is_not_called_lost(service, open_page) -> None:
     assert page.evaluate(script, lost)[1] == "LOST"
 
 
+def test_found_is_green_only_where_nothing_contradicts_it(service, open_page) -> None:
+    page = open_page(service.url)
+    script = """async (state) => (await import('/status.js')).verdict(state, 0)"""
+    state = {"pose": {}, "status": "ok", "reason": None, "confidence": 0.9876}
+    fused = {"status": "tracking", "reason": None, "protection": {"alarm": False}}
+    assert page.evaluate(script, state) == ["found", "FOUND", "confidence 0.988"]
+    assert page.evaluate(script, state | {"fused": fused})[0] == "found"
+    starting = fused | {"status": "starting", "reason": "1 of 3 poses agree"}
+    key, word, reason = page.evaluate(script, state | {"fused": starting})
+    assert (key, word) == ("unsure", "FOUND")
+    assert "fused state starting: 1 of 3 poses agree" in reason
+    alarm = fused | {"protection": {"alarm": True}}
+    key, _, reason = page.evaluate(script, state | {"fused": alarm})
+    assert (key, "contradicts" in reason) == ("unsure", True)
+
+
 def test_the_ellipsoid_is_that_of_drawn_poses(service, open_page) -> None:
     rng = np.random.default_rng(3)
     rotation = Rotation.from_rotvec([0.4, -1.1, 0.7])

@@ -2,108 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import threading
-import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.service.page_feed import SIZES, text_has, until, word_is
-from tests.waiting import MOST_S, wait_until
+from tests.service.page_feed import APPROACH, SIZES, text_has, until, word_is
 
-from rendezview.errors import RendezviewError
 from rendezview.io.camera_files import save_camera
-from rendezview_service.client import Client
 
 pytest.importorskip("playwright", reason="the page's tests want playwright")
-
-_STEP_S = 5.0  # between frames of the tour: a slow turn
-APPROACH = {
-    "port": {"centre_m": [-1.0, 0.0, 0.0], "axis": [-1.0, 0.0, 0.0]},
-    "corridor": {"half_angle_deg": 15.0, "radius_m": 0.3, "length_m": 12.0},
-    "keep_out_m": 6.0,
-    "limits": [{"quantity": "range_m", "least": 9.5}],
-    "plan": [
-        {"time_s": 0.0, "position_m": [-12.0, 0.0, 0.0]},
-        {"time_s": 200.0, "position_m": [-2.0, 0.0, 0.0]},
-    ],
-}
-
-
-class Sender(threading.Thread):
-    """Frames of the tour to a session, a few a second, until it is held."""
-
-    def __init__(self, url: str, images: list[np.ndarray], camera: Any, **request: Any) -> None:
-        super().__init__(daemon=True)
-        self.images, self.step_s = images, _STEP_S
-        self.image: np.ndarray | None = None  # sent in place of the tour's
-        self.state: dict[str, Any] = {}
-        self.count, self.time_s = 0, 0.0
-        self._url, self._camera, self._request = url, camera, request
-        self._going, self._done, self._opened = (threading.Event() for _ in range(3))
-        self._between = threading.Lock()
-
-    def run(self) -> None:
-        with Client(self._url, timeout_s=MOST_S, reconnect_s=0.0) as client:
-            session = client.open(self._camera, **self._request)
-            self._opened.set()
-            while not self._done.is_set():
-                if not self._going.wait(0.05):
-                    continue
-                with self._between:
-                    if not self._going.is_set():  # held between the two lines above
-                        continue
-                    image = self.images[self.count % len(self.images)]
-                    try:
-                        shown = image if self.image is None else self.image
-                        self.state = session.track(shown, self.time_s)
-                    except RendezviewError:
-                        return  # the service is gone
-                    self.count += 1
-                    self.time_s += self.step_s
-                time.sleep(0.15)
-            with contextlib.suppress(RendezviewError):
-                session.close()
-
-    def send(self, count: int = 1) -> dict[str, Any]:
-        """The state after some more frames; they go on."""
-        assert self._opened.wait(MOST_S)
-        wanted = self.count + count
-        self._going.set()
-        wait_until(lambda: self.count >= wanted)
-        return self.state
-
-    def hold(self) -> dict[str, Any]:
-        """No more frames for now; the last state."""
-        self._going.clear()
-        with self._between:
-            return self.state
-
-    def stop(self) -> None:
-        """The session ends."""
-        self._done.set()
-        self.join(MOST_S)
-
-
-@pytest.fixture
-def sender(service, camera, tour) -> Iterator[Callable[..., Sender]]:
-    opened: list[Sender] = []
-
-    def start(name: str, url: str = service.url, **more: Any) -> Sender:
-        images = [image for _, _, image in tour]
-        images += images[-2:0:-1]
-        request = {"prior": tour[0][1], "name": name, "idle_s": 600.0} | more
-        opened.append(Sender(url, images, camera, **request))
-        opened[-1].start()
-        return opened[-1]
-
-    yield start
-    for one in opened:
-        one.stop()
 
 
 def test_found_with_the_numbers_of_an_approach(service, sender, open_page, shoot) -> None:
@@ -219,6 +128,10 @@ def test_a_session_that_ends_and_others_at_a_glance(service, sender, open_page, 
     one.stop()
     word_is(page, "ENDED")
     shoot(page, "ended")
+    page.reload()
+    word_is(page, "ENDED")
+    text_has(page, "#reason", "session ending has ended: closed by a request")
+    text_has(page, "#link", "session ended")
     page.click("#strip button:has-text('other')")
     until(page, "location.hash === '#other'")
     word_is(page, "FOUND")
@@ -298,6 +211,7 @@ def test_a_recording_is_looked_back_at(service, client, sender, open_page, shoot
     word_is(page, "FOUND")
     one.hold()
     third = client.session("viewed").history()[2]
+    since_s = third["received_unix_s"] - client.session("viewed").info()["created_unix_s"]
     one.stop()
     page.keyboard.press("r")
     text_has(page, "#recordings-list", "viewed-")
@@ -306,10 +220,15 @@ def test_a_recording_is_looked_back_at(service, client, sender, open_page, shoot
     assert look.bounding_box()["x"] + look.bounding_box()["width"] < SIZES["phone"][0]
     page.click("#recordings-list tr:has-text('viewed-') button:has-text('Look')")
     until(page, "document.getElementById('frame-note').textContent === 'frame 0'")
+    # Before any step: the camera in space, and what happened.
+    text_has(page, "#space-scale", "camera position")
+    text_has(page, "#events", "phase: tracking (ok, frame 0)")
+    text_has(page, "#events", "alarm: range")
     page.keyboard.press("ArrowRight")
     page.keyboard.press("ArrowRight")
     until(page, f"document.getElementById('frame-note').textContent === 'frame {third['frame']}'")
     text_has(page, "#approach", f"{third['approach']['range_m']:.3f}")
+    text_has(page, "#when", f"T+00:{int(since_s // 60):02d}:{int(since_s % 60):02d}")
     until(page, "document.querySelectorAll('#plots canvas').length === 8")
     shoot(page, "recording")
     with page.expect_download() as waiting:
@@ -329,6 +248,7 @@ def test_models_are_sent_from_the_page(service, client, open_page, shoot, model_
     page.click("#model-send")
     text_has(page, "#jobs", "wrong")
     page.set_input_files("#model-file", model_path)
+    assert page.input_value("#model-name") == "wrong"  # as it was typed
     page.fill("#model-name", "sent")
     page.click("#model-send")
     text_has(page, "#models-note", "sent is here")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -19,12 +18,14 @@ from rendezview.errors import RendezviewError
 from rendezview.io.sequences import open_sequence
 from rendezview_service.logs.log_file import records
 from rendezview_service.logs.log_repair import mend
-from rendezview_service.logs.recording import LogWriter, RecordingOptions
+from rendezview_service.logs.recording import RECORDED, LogWriter, RecordingOptions
 from rendezview_service.logs.replay import model_of, read_log, repeat
 from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.tracker.tracking import SessionTracker, camera_message
 from rendezview_service.viewers.runs import moments
 from rendezview_service.worker.worker import session_notes
+
+PATIENT = RecordingOptions(wait_s=MOST_S)
 
 
 @pytest.fixture
@@ -42,12 +43,12 @@ def recorded(tmp_path, refining_model, model_path, camera, tour, request_of):
     follower = SessionTracker("bench", refining_model, request_of)
     notes = session_notes("bench", request_of, "bumpy", model_path)
     path = tmp_path / "run.mcap"
-    writer = LogWriter(path, camera, notes, model_path.read_bytes(), RecordingOptions())
+    writer = LogWriter(path, camera, notes, model_path.read_bytes(), PATIENT)
     states = []
     for time_s, _, image in tour:
         state, _ = follower.track(image, time_s, 1.7e9 + time_s)
         state["recorded"] = True
-        assert writer.write(state, to_json(state), image.tobytes())
+        assert writer.write(state, to_json(state), image.tobytes()) == RECORDED
         states.append(state)
     yield path, writer, states
     writer.close()
@@ -161,41 +162,6 @@ def _replay(*arguments: object) -> str:
     )
     assert done.returncode == 0, done.stderr
     return done.stderr
-
-
-def test_a_full_disk_is_told_and_recording_resumes(tmp_path, camera, tour, monkeypatch):
-    """By the process' own limit of a file's size, which fails as a full disk does."""
-    from rendezview_service.logs import recording
-
-    monkeypatch.setattr(recording, "_RETRY_S", MOST_S)
-    content = np.random.default_rng(0).integers(0, 256, camera.width * camera.height, np.uint8)
-    writer = LogWriter(tmp_path / "run.mcap", camera, {}, None)
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    outcomes = []
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, before[1]))
-    try:
-        for k in range(12):
-            outcomes.append(_write(writer, k, content.tobytes()))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    told = writer.status
-    assert outcomes[0]
-    assert not outcomes[-1]
-    assert told.state == "failed"
-    assert "cannot be written" in told.reason
-    assert told.lost == outcomes.count(False)
-    writer._retry_at = 0.0  # as if that time had passed
-    assert _write(writer, 12, content.tobytes())
-    assert writer.status.state == "on"
-    writer.close()
-    kept = [_messages(path)["/rendezview/state"] for path in sorted(tmp_path.glob("*.mcap"))]
-    frames = sorted(state["frame"] for states in kept for state in states)
-    assert frames == [k for k, fine in enumerate([*outcomes, True]) if fine]
-
-
-def _write(writer: LogWriter, k: int, content: bytes) -> bool:
-    state = {"frame": k, "time_s": 0.1 * k, "received_unix_s": 1.7e9 + k, "pose": None}
-    return writer.write(state, json.dumps(state).encode(), content)
 
 
 def test_the_log_of_a_running_session_is_a_whole_file(client, camera, tour, tmp_path):

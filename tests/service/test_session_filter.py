@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.service.sensors import Sensors, plain
 
 from rendezview.geometry.pose import Pose
+from rendezview.sensors.beam import BeamMesh
 from rendezview.sensors.observation import Observation, Status
 from rendezview_service.messages.fusion_messages import FusionRequest
 from rendezview_service.messages.messages import ObservationMessage, State
@@ -74,3 +75,21 @@ def test_a_message_is_one_object_or_one_a_line():
     assert split_records(b'{"a": 1}\n\n{"b": 2}\n') == [{"a": 1}, {"b": 2}]
     assert split_records(b'{\n "a": {\n  "b": 1\n }\n}') == [{"a": {"b": 1}}]
     assert split_records('{"a": "\u2028"}'.encode()) == [{"a": "\u2028"}]
+
+
+def test_a_rangers_beam_is_cast_on_the_mesh_of_the_model(tour):
+    truth = tour[0][1]
+    inverse = truth.inverse()
+    spot = inverse.apply(np.array([0.0, 0.0, 20.0]))  # of a beam along the boresight
+    sides = np.linalg.svd((inverse.rotation @ [0.0, 0.0, 1.0])[None])[2][1:]  # across it
+    corners = spot + 40.0 * np.array([sides[0], sides[1], -sides[0] - sides[1]])
+    one = SessionFilter(FusionRequest(), mesh=BeamMesh(corners, np.array([[0, 1, 2]])))
+    for k in range(5):
+        one.track(_observed(float(k), truth))
+    line = json.dumps({"time_s": 4.5, "range_m": 20.01, "sigma_m": 0.01}).encode()
+    (read,) = one.check("laser", line, 4.5)
+    verdict, state = one.take("laser", read)
+    assert (verdict["accepted"], verdict["reason"]) == (True, None)
+    assert state["pose"]["translation_m"][2] - truth.translation_m[2] == pytest.approx(
+        0.01, abs=5e-3
+    )

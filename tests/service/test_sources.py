@@ -18,6 +18,8 @@ from tests.io.bags import START_S, Shot, write_foxglove, write_ros1, write_ros2
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.sequences import BopSceneWriter, open_sequence
 from rendezview_service.hub.source_process import open_apart
 from rendezview_service.hub.sources import SourceFrame, open_source
 
@@ -172,3 +174,15 @@ def _kill_children() -> None:
         command = Path(f"/proc/{pid}/cmdline").read_bytes()
         if b"source_process" in command:
             os.kill(pid, signal.SIGSEGV)
+
+
+def test_what_is_odd_about_a_source_comes_with_it(tmp_path: Path) -> None:
+    narrow = Camera(64, 48, 6000.0, 6000.0, 31.5, 23.5)  # of 0.6 degrees
+    with BopSceneWriter(tmp_path / "scene", narrow) as writer:
+        writer.add(0, np.zeros((48, 64), np.uint8), Pose(np.eye(3), [0.0, 0.0, 9.0]), 0.0)
+    source = open_apart(str(tmp_path / "scene"), None)
+    try:
+        assert source.notes == open_sequence(tmp_path / "scene").notes
+        assert any("the field of view is 0.6" in note for note in source.notes)
+    finally:
+        source.close()

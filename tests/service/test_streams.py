@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import socket
 import struct
 import time
 from types import SimpleNamespace
@@ -14,7 +15,8 @@ import pytest
 from tests.waiting import MOST_S, wait_until
 from websockets.sync.client import connect
 
-from rendezview_service.client import ServiceError, pose_of_state
+from rendezview.errors import RendezviewError
+from rendezview_service.client import Client, ServiceError, pose_of_state
 from rendezview_service.hub.inputs import SessionInput
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.sessions import Session
@@ -200,3 +202,14 @@ def test_watchers_that_go_are_forgotten(session):
         with connect(url):
             wait_until(lambda: session.info()["watchers"] == 1)
         wait_until(lambda: session.info()["watchers"] == 0)
+
+
+def test_a_stream_waits_as_long_for_its_handshake_as_its_client_waits_for_an_answer():
+    """A service that is busy answers late: within the client's limit, not within another one."""
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"http://127.0.0.1:{silent.getsockname()[1]}"
+        with Client(url, timeout_s=0.5) as client:
+            start_s = time.monotonic()
+            with pytest.raises(RendezviewError, match="does not open"):
+                client.session("any").stream()
+            assert 0.4 < time.monotonic() - start_s < 8.0  # the library's own limit is 10 s

@@ -202,6 +202,23 @@ def test_the_orbit_message_is_read_by_another_reader(tmp_path):
     assert (states[0].frame, states[0].center) == ("RSW_ROTATING", "TARGET")
 
 
+def test_covariances_of_the_orbit_message_are_read_by_another_reader(tmp_path):
+    rng = np.random.default_rng(8)
+    times, roots = np.arange(4) * 2.5, rng.standard_normal((4, 6, 6))
+    spreads = roots @ roots.transpose(0, 2, 1)
+    path = tmp_path / "path.oem"
+    path.write_text(
+        orbit_message(
+            datetime(2021, 5, 4, 12, tzinfo=UTC), times, np.ones((4, 3)), np.ones((4, 3)),
+            frame="RSW_ROTATING", covariances=spreads,
+        )
+    )  # fmt: skip
+    found = list(OrbitEphemerisMessage.open(path).covariances)
+    np.testing.assert_allclose([1e6 * c.matrix for c in found], spreads, rtol=1e-8)
+    assert [c.epoch.isot[17:20] for c in found] == ["00.", "02.", "05.", "07."]
+    assert {c.frame for c in found} == {"RSW_ROTATING"}
+
+
 def test_the_attitude_message_keeps_its_signs_and_its_sense():
     turns = Rotation.from_rotvec(np.linspace(0.0, 6.0, 40)[:, None] * [0.0, 0.0, 1.0])
     text = attitude_message(

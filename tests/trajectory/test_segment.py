@@ -1,5 +1,7 @@
 """Segments fitted to clouds of known paths."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -134,6 +136,23 @@ def test_covariance_of_the_place_covers_errors_that_all_frames_share():
         miss = segment.places([100.0])[0] - first[50]
         squares.append(miss @ np.linalg.solve(segment.place_covariance(100.0), miss))
     assert 1.0 < np.mean(squares) < 6.0
+
+
+@pytest.mark.parametrize("shape", [Shape.CIRCULAR, Shape.SPIRAL, Shape.DRIFT])
+def test_covariance_of_the_state_is_that_of_fits_drawn_from_the_parameters(shape):
+    rng = np.random.default_rng(12)
+    segment = fitted(refined(circle(rng)[1], rng), shape, mean_motion_rad_s=N)
+    root = np.linalg.cholesky(segment.covariance + 1e-30 * np.eye(len(segment.parameters)))
+    drawn = []
+    for _ in range(2000):
+        turned = segment.parameters + root @ rng.standard_normal(len(segment.parameters))
+        other = replace(segment, parameters=turned)
+        drawn.append([*other.places(70.0)[0], *other.velocity(70.0)])
+    expected = segment.state_covariance(70.0)
+    sigmas = np.sqrt(np.diag(expected))
+    scatter = np.cov(np.transpose(drawn)) / np.outer(sigmas, sigmas)
+    np.testing.assert_allclose(scatter, expected / np.outer(sigmas, sigmas), atol=0.12)
+    np.testing.assert_allclose(expected[:3, :3], segment.place_covariance(70.0), rtol=1e-9)
 
 
 def test_a_carrier_takes_the_forced_part_of_a_path():

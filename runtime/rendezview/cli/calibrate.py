@@ -19,13 +19,14 @@ from rendezview.calibration.as_built import (
 from rendezview.calibration.as_built.picture import shape_picture
 from rendezview.calibration.board import Chessboard
 from rendezview.calibration.one_camera import CharucoBoard, calibrate_camera
+from rendezview.cli.inputs import given_sequence
 from rendezview.cli.progress import say
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
-from rendezview.io.camera_files import load_camera, save_camera
+from rendezview.io.camera_files import save_camera
 from rendezview.io.files import check_place, make_folder
 from rendezview.io.results import read_results
-from rendezview.io.sequences import Sequence, open_sequence
+from rendezview.io.sequences import Sequence
 from rendezview.io.sequences.images import write_png
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
@@ -164,7 +165,7 @@ def shape(
     mounted = () if parts is None else Target.load(parts).parts
     if parts is not None and not mounted:
         raise RendezviewError(f"{parts}: no [[parts]]: name those that may be mounted aside")
-    sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
+    sequence = given_sequence(scene, camera, obj_id)
     if frames < 1 or not len(sequence):
         raise RendezviewError(f"{scene}: calibration needs frames")
     cameras = {frame.camera for frame in sequence}

@@ -26,6 +26,8 @@ from rendezview.fusion.logs import (
 from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
 from rendezview.io.files import check_place
+from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview.sensors.beam import BeamMesh, BeamSurface
 from rendezview.sensors.observation import Status
 from rendezview.sensors.run import Line, Summary, run
 
@@ -55,6 +57,10 @@ def fuse(
             help="JSON list of surfaces a ranger's beam can hit; default: near the ring's plane."
         ),
     ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(help="View model: a ranger's beam is cast on its mesh."),
+    ] = None,
     options: Annotated[
         Path | None, typer.Option(help="JSON file of options, as docs/fusion.md lists them.")
     ] = None,
@@ -79,9 +85,7 @@ def fuse(
     if output.resolve() in [path.resolve() for _, path in named]:
         raise RendezviewError(f"{output}: the state must not overwrite a log")
     ring = find_target(target).docking_ring if target else None
-    context = LogContext(
-        ring, read_surfaces(surfaces) if surfaces else (), _mounts(mount or [], names)
-    )
+    context = LogContext(ring, _surfaces(surfaces, model), _mounts(mount or [], names))
     fusion = Fusion(_options(options) if options else FusionOptions())
     read = [read_log(path, name, context) for name, path in named]
     measurements = merged(read)
@@ -111,6 +115,21 @@ def _options(path: Path) -> FusionOptions:
     for warning in ignored:
         say(f"{path}: {warning.message}")
     return read
+
+
+def _surfaces(surfaces: Path | None, model: Path | None) -> tuple[BeamSurface, ...] | BeamMesh:
+    """What a ranger's beam may meet."""
+    if surfaces is not None:
+        return read_surfaces(surfaces)
+    if model is None:
+        return ()
+    mesh = ViewModel.load(model).beam_mesh()
+    if mesh is None:
+        raise RendezviewError(
+            f"{model}: it carries no mesh that stands still (it has joints, or was trained by an "
+            "older version): name --surfaces instead"
+        )
+    return mesh
 
 
 def _mounts(texts: list[str], names: list[str]) -> dict[str, Pose]:

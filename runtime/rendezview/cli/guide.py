@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from rendezview.cli.progress import say
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
-from rendezview.io.ccsds import Names, attitude_message, orbit_message
+from rendezview.io.ccsds import Names, attitude_message, epoch_of, orbit_message
 from rendezview.io.files import atomic_write_text, read_text
 from rendezview.trajectory import (
     Correction,
@@ -84,8 +85,22 @@ ChaserFile = Annotated[
 ]
 OemFile = Annotated[Path | None, typer.Option(help="Fitted path, CCSDS OEM (KVN).")]
 AemFile = Annotated[Path | None, typer.Option(help="Fitted attitude, CCSDS AEM (KVN).")]
-Epoch = Annotated[str, typer.Option(help="UTC of time 0, for OEM and AEM.")]
-FIRST_EPOCH = "2000-01-01T12:00:00"
+Epoch = Annotated[
+    str | None,
+    typer.Option(help="UTC of time 0, for OEM and AEM; times since 1970 need none."),
+]
+
+
+def first_epoch(text: str | None, times_s: Sequence[float], wanted: bool) -> datetime:
+    """UTC of time 0; says what was assumed if a message is wanted.
+
+    Raises:
+        RendezviewError: as `epoch_of`.
+    """
+    epoch, words = epoch_of(text, times_s)
+    if words is not None and wanted:
+        say(words)
+    return epoch
 
 
 @dataclass(slots=True)
@@ -96,6 +111,7 @@ class Guide:
     chaser: Slerp | None = None
     times_s: list[float] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
+    covariances: list[Array] = field(default_factory=list)
     attitude_times_s: list[float] = field(default_factory=list)
     attitudes: list[Array] = field(default_factory=list)
     last: Report | None = None
@@ -154,6 +170,7 @@ class Guide:
             self.times_s.append(time_s)
             place = report.segment.places(time_s)[0]
             self.states.append(np.concatenate([place, report.segment.velocity(time_s)]))
+            self.covariances.append(report.segment.state_covariance(time_s))
         if isinstance(report.spin, Spin):
             self.attitude_times_s.append(time_s)
             self.attitudes.append(report.spin.at(time_s)[0][0])
@@ -192,7 +209,13 @@ class Guide:
                 )
             states = np.array(self.states)
             text = orbit_message(
-                epoch, self.times_s, states[:, :3], states[:, 3:], frame=path_frame, names=names
+                epoch,
+                self.times_s,
+                states[:, :3],
+                states[:, 3:],
+                frame=path_frame,
+                covariances=np.array(self.covariances),
+                names=names,
             )
             atomic_write_text(oem, text)
         if aem is not None:

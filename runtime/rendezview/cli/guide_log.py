@@ -11,7 +11,6 @@ import numpy as np
 import typer
 
 from rendezview.cli.guide import (
-    FIRST_EPOCH,
     AemFile,
     ChaserFile,
     Epoch,
@@ -19,12 +18,12 @@ from rendezview.cli.guide import (
     OemFile,
     PlanFile,
     ShapeName,
+    first_epoch,
 )
 from rendezview.cli.progress import ProgressBar, say
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.bundled import find_target
-from rendezview.io.ccsds import parse_epoch
 from rendezview.io.files import check_place
 from rendezview.io.results import read_json_lines
 from rendezview.sensors.run import Line, run
@@ -60,7 +59,7 @@ def guide(
     chaser: ChaserFile = None,
     oem: OemFile = None,
     aem: AemFile = None,
-    epoch: Epoch = FIRST_EPOCH,
+    epoch: Epoch = None,
 ) -> None:
     """Fit the path of a log of poses, and say the correction back to a plan.
 
@@ -70,7 +69,6 @@ def guide(
     check_place(output, "the reports")
     if plan is None and shape is None:
         raise RendezviewError("a --plan or a --shape is needed: what path is flown?")
-    moment = parse_epoch(epoch)
     name, centre_m = "target", np.zeros(3)
     if target is not None:
         found = find_target(target)
@@ -78,6 +76,7 @@ def guide(
             raise RendezviewError(f"{target}: this target has no docking_ring: leave --target out")
         name, centre_m = found.name, found.docking_ring.centre_m
     poses = list(_poses(log))
+    moment = first_epoch(epoch, [seen.time_s for seen in poses[:1]], bool(oem or aem))
     guided = Guide.of(centre_m, plan, shape, chaser, True)
 
     def lines() -> Iterator[Line]:

@@ -7,6 +7,7 @@ need ``rendezview[training]``. Only the one that is called is imported, so that 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Callable
@@ -15,9 +16,10 @@ from typing import Any
 
 import typer
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, without_cache
 
 GROUP = "rendezview.commands"
+_OTHER_OPENCV = ("opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless")
 _INTERRUPTED = "rendezview: interrupted"
 
 # In the order of a first use. The help shows these without importing the commands.
@@ -38,7 +40,9 @@ _SUMMARIES = {
     "replay": "Repeat a recorded run bit for bit, or mend its log.",
     "rrd": "Convert a run into a recording for the Rerun viewer.",
     "evaluate": "Compare results with the truth of their scene.",
-    "campaign": "Measure a model on random simulated frames.",
+    "assess": "Say how accurate a model is on its craft, on simulated frames.",
+    "fly": "Fly to a target's port in a closed loop, and report the contact.",
+    "campaign": "The former name of assess.",
     "show": "Draw any file that rendezview writes.",
     "export": "Print a model's decision trees, or write flight code: C99, ONNX.",
 }
@@ -94,16 +98,36 @@ def _root(version: bool = typer.Option(False, "--version", help="Print the versi
     """Where a spacecraft is relative to another one, from a single camera and a CAD model."""
 
 
+def tell_of_other_opencv() -> None:
+    """A line on packages that hold another ``cv2`` in the same folder."""
+    for name in _OTHER_OPENCV:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            version = metadata.version(name)
+            print(
+                f"rendezview: {name} {version} and opencv-python-headless overwrite each other "
+                f"(both are cv2): pip uninstall {name}, then pip install --force-reinstall "
+                "opencv-python-headless",
+                file=sys.stderr,
+            )
+
+
 def main() -> None:
     """Run a command: exit 0; 1 for what the user can fix, in one line; 2 for usage."""
     arguments = sys.argv[1:]
     if arguments[:1] == ["--version"]:
         print(f"rendezview {metadata.version('rendezview')}")
         return
+    tell_of_other_opencv()
     try:
         make_app(next((a for a in arguments if not a.startswith("-")), None))()
     except RendezviewError as error:
         print(f"rendezview: {error}", file=sys.stderr)
+        sys.exit(1)
+    except RuntimeError as error:
+        words = without_cache(error)
+        if words is None:
+            raise
+        print(f"rendezview: {words}", file=sys.stderr)
         sys.exit(1)
     except MemoryError as error:
         print(f"rendezview: not enough memory ({error})", file=sys.stderr)

@@ -1,7 +1,7 @@
 """A progress bar for long work, shown only on a terminal; lines of JSON where a program asks.
 
 With ``RENDEZVIEW_PROGRESS=json`` in the environment each step is a line on stderr:
-``{"stage": "views", "done": 3, "total": 10}``.
+``{"stage": "views", "done": 3, "total": 10}``; what is odd about the inputs: ``{"doubt": "…"}``.
 """
 
 from __future__ import annotations
@@ -25,6 +25,11 @@ def outcome_words(outcomes: Counter[Status], good: Status) -> str:
     """The counts of all outcomes but the good one: `` (3 lost, 1 empty)``, or nothing."""
     others = ", ".join(f"{n} {status}" for status, n in outcomes.most_common() if status != good)
     return f" ({others})" if others else ""
+
+
+def as_json() -> bool:
+    """Whether a program reads the lines."""
+    return os.environ.get("RENDEZVIEW_PROGRESS") == "json"
 
 
 def say(text: str) -> None:
@@ -56,7 +61,7 @@ class ProgressBar:
             disable=not console.is_terminal,
         )
         self._tasks: dict[str, int] = {}
-        self._as_json = os.environ.get("RENDEZVIEW_PROGRESS") == "json"
+        self._as_json = as_json()
 
     def __enter__(self) -> Self:
         self._progress.start()

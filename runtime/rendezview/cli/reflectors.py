@@ -13,6 +13,7 @@ import numpy as np
 import typer
 
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
+from rendezview.cli.inputs import say_once
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
@@ -255,8 +256,7 @@ def _pairs(
         live = live_frames(places[0], seen_by, say)
         return pair_up_live(live, mode or Mode.SINGLE, invert), readings
     sequences = [open_sequence(place, seen_by) for place in places]
-    for note in dict.fromkeys(note for sequence in sequences for note in sequence.notes):
-        say(note)
+    say_once(*(note for sequence in sequences for note in sequence.notes))
     if rate is not None:
         sequences = [with_rate(sequence, rate) for sequence in sequences]
     # Black dots do not shine: no picture shows them lit and none dark.

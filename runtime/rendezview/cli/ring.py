@@ -14,13 +14,12 @@ import numpy as np
 import typer
 from typer.core import TyperGroup
 
+from rendezview.cli.inputs import given_sequence
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
-from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write_text, check_place, make_folder
 from rendezview.io.results import JsonLinesWriter, json_line, read_json_lines
-from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.frame import Frame
 from rendezview.io.sequences.images import write_png
 from rendezview.io.target import DockingRing
@@ -127,9 +126,7 @@ def find(
                 "--prior-axis and --range-m"
             )
         prior = priors_of_poses(track, known)
-    sequence = open_sequence(frames, load_camera(camera) if camera else None)
-    for note in sequence.notes:
-        say(note)
+    sequence = given_sequence(frames, camera)
     if overlay:
         make_folder(overlay)
     readings = follow(
@@ -186,9 +183,7 @@ def size(
     Example: rendezview ring size flyaround --camera camera.yaml --ranges laser.jsonl -o size.json
     """
     check_place(output, "the size")
-    sequence = open_sequence(frames, load_camera(camera) if camera else None)
-    for note in sequence.notes:
-        say(note)
+    sequence = given_sequence(frames, camera)
     echo_of = read_echoes(read_json_lines(ranges), str(ranges))
     with ProgressBar() as bar, JsonLinesWriter(log) if log else nullcontext() as writer:
         done, advance = count(1), bar.stage("frames", len(sequence))

@@ -140,9 +140,7 @@ def track(
         motion = MotionOptions(
             angular_acceleration=float(np.deg2rad(angular)), linear_acceleration=linear
         )
-    plain = StereoTracker.of_target(
-        loaded, lights, TrackerOptions(motion=motion, calibration_error=True)
-    )
+    plain = StereoTracker.of_target(loaded, lights, TrackerOptions(motion=motion))
     tracker: Sensor[Sequence[Spots], StereoObservation] = plain
     if multiplex > 0.0:
         tracker = MultiplexedTracker(plain, multiplex * np.arange(len(names)))

@@ -12,7 +12,6 @@ import typer
 
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
 from rendezview.cli.guide import (
-    FIRST_EPOCH,
     AemFile,
     ChaserFile,
     Epoch,
@@ -20,15 +19,16 @@ from rendezview.cli.guide import (
     OemFile,
     PlanFile,
     ShapeName,
+    first_epoch,
 )
+from rendezview.cli.inputs import given_sequence
 from rendezview.cli.progress import ProgressBar, say, say_summary
+from rendezview.cli.where import At, Box, Boxes, Mask, given_regions
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
-from rendezview.io.camera_files import load_camera
-from rendezview.io.ccsds import parse_epoch
 from rendezview.io.files import check_place, read_json
 from rendezview.io.pose_log import poses_by_frame
-from rendezview.io.sequences import Sequence, open_sequence
+from rendezview.io.sequences import Sequence
 from rendezview.sensors.appearance import SilhouetteOptions, Threshold, ViewModel
 from rendezview.sensors.appearance.following import follow, record, result_row
 from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
@@ -94,6 +94,10 @@ def track(
     obj_id: Annotated[
         int | None, typer.Option(help="Which object of a BOP scene is the target.")
     ] = None,
+    box: Box = None,
+    boxes: Boxes = None,
+    mask: Mask = None,
+    at: At = None,
     video: Annotated[
         Path | None,
         typer.Option(help="Frames with the result drawn over them (.webm, .mp4, .avi or .gif)."),
@@ -103,7 +107,7 @@ def track(
     chaser: ChaserFile = None,
     oem: OemFile = None,
     aem: AemFile = None,
-    epoch: Epoch = FIRST_EPOCH,
+    epoch: Epoch = None,
 ) -> None:
     """Recognise and track a target through a sequence of frames.
 
@@ -111,16 +115,17 @@ def track(
     Example: rendezview track hubble.rvm approach -o poses.csv --log log.jsonl --prior scene
     """
     _check_places(output, log, video, model, oem, aem, plan, chaser)
-    moment = parse_epoch(epoch)
+    first_epoch(epoch, [], False)  # a wrong one is said before the frames are opened
     loaded = ViewModel.load(model)
-    sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
-    for note in sequence.notes:
-        say(note)
+    sequence = given_sequence(scene, camera, obj_id)
+    times_s = [frame.time_s for frame in sequence.frames[:1] if frame.time_s is not None]
+    moment = first_epoch(epoch, times_s, bool(oem or aem))
     others = None if prior is None or not prior.endswith(".jsonl") else Path(prior)
     expected = None if others is None else poses_by_frame(others, lambda *known: known)
     first = _prior(prior, sequence, loaded) if others is None else None
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)
+    where, first_where = given_regions(sequence, obj_id, box, boxes, mask, at)
     integrity = _integrity(integrity_risk, alarm_attitude_deg, alarm_position_m)
     levels = Levels()
     compile_ahead("track")
@@ -138,6 +143,8 @@ def track(
         sketch=sketch,
         integrity=integrity,
         expected=expected,
+        where=where,
+        first_where=first_where,
         watch=drawn.watch if drawn else None,
     )
 

@@ -4,8 +4,8 @@ from rendezview.fusion.fusion import Estimate, Fusion
 from rendezview.fusion.options import FusionOptions, MotionOptions, SensorOptions
 from rendezview.fusion.state import FilterState, predict
 from rendezview.fusion.trust import Trust, Verdict
+from rendezview.sensors.beam import BeamMesh, BeamSurface
 from rendezview.sensors.measurement import (
-    BeamSurface,
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
@@ -16,6 +16,7 @@ from rendezview.sensors.measurement import (
 )
 
 __all__ = [
+    "BeamMesh",
     "BeamSurface",
     "Estimate",
     "FilterState",

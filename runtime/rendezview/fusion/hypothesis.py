@@ -16,7 +16,13 @@ from rendezview.fusion.models import Forecast, forecasts
 from rendezview.fusion.options import FusionOptions, MotionOptions
 from rendezview.fusion.state import FilterState, predict, sensor_options, with_slot
 from rendezview.fusion.trust import Trust, after_reading, judge
-from rendezview.fusion.update_kernels import compared, corrected, jitter_step, white_share
+from rendezview.fusion.update_kernels import (
+    compared,
+    corrected,
+    jitter_step,
+    renewed,
+    white_share,
+)
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
@@ -24,6 +30,9 @@ from rendezview.sensors.measurement import Measurement, PoseMeasurement
 # drawn white errors: 0.7 and 0.8 after 100 readings, 0.8 and 1.0 after 200
 _SHARE_FIRST, _SHARE_LAST, _JITTER_FIRST, _JITTER_LAST = 8.0, 40.0, 4.0, 30.0
 _LEAST_SHARE, _MOST_SHARE = 0.05, 4.0  # Source: by construction, twice the reported σ
+# Ratio of two σ: slower changes are those of range and time, which biases follow. Source:
+# fusion-approach and fusion-faults: 1 restarts a camera 10 σ off, 0.7 to 0.9 are alike
+_SAME_SIGMA = 0.8
 _LEAST_JITTER, _MOST_JITTER = 3e-5, 2e-2  # rad. Source: by construction, 0.002° and 1.1°
 
 
@@ -65,7 +74,9 @@ def look(state: FilterState, measurement: Measurement, options: FusionOptions) -
     if isinstance(meanings, str):
         return meanings
     best: Found | None = None
+    given = state
     for forecast in meanings:
+        state = _with_new_bias(given, measurement.sensor, forecast)
         fits, total, peak, nis, innovation, logs, across, lowers, whites = compared(
             state.deviations, state.covariances, state.weights, forecast.design, forecast.noise,
             forecast.residual,
@@ -77,6 +88,24 @@ def look(state: FilterState, measurement: Measurement, options: FusionOptions) -
             comparison = logs, across, lowers, whites
             best = Found(state, forecast, total, peak, nis, innovation, comparison)
     return best or "its covariance cannot be used"
+
+
+def _with_new_bias(state: FilterState, sensor: str, forecast: Forecast) -> FilterState:
+    """The state beside a reading of quite another σ than the last: its bias is new in part.
+
+    A sensor that sees other things at once, such as nearer parts, says so by its σ. What is kept
+    of the bias is the ratio of both.
+    """
+    last = state.sigmas.get(sensor)
+    if last is None or forecast.other_edge:
+        return state
+    kept = np.minimum(forecast.sigmas, last) / np.maximum(forecast.sigmas, last)
+    if kept.min() > _SAME_SIGMA:
+        return state
+    deviations, covariances = renewed(
+        state.deviations, state.covariances, state.slots[sensor].start, kept
+    )
+    return state._replace(deviations=deviations, covariances=covariances)
 
 
 def mixture(outliers: float, log_likelihood: float, chance: float) -> float:
@@ -119,7 +148,9 @@ def _taken(found: Found, measurement: Measurement, motion: MotionOptions) -> Fil
         state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
         state.covariances, state.weights, logs, across, lowers, whites,
     )  # fmt: skip
-    white, readings = state.white, state.readings
+    white, readings, sigmas = state.white, state.readings, state.sigmas
+    if not forecast.other_edge:
+        sigmas = {**sigmas, name: forecast.sigmas}
     if forecast.teaches:
         count = readings.get(name, 0)
         gained = white_share(forecast.shares, forecast.root, weights, lowers, whites)
@@ -137,7 +168,7 @@ def _taken(found: Found, measurement: Measurement, motion: MotionOptions) -> Fil
     return state._replace(
         rotation=rotation, place_m=place, rate=rate, velocity=velocity,
         deviations=deviations, covariances=covariances, weights=weights, white=white,
-        readings=readings, jitter=jitter, jitter_readings=taught, pose_s=pose_s,
+        readings=readings, sigmas=sigmas, jitter=jitter, jitter_readings=taught, pose_s=pose_s,
     )  # fmt: skip
 
 

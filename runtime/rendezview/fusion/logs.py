@@ -25,8 +25,8 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.files import StrPath, checked, read_json
 from rendezview.io.results import read_json_lines
 from rendezview.io.target import DockingRing
+from rendezview.sensors.beam import BeamMesh, BeamSurface
 from rendezview.sensors.measurement import (
-    BeamSurface,
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
@@ -47,7 +47,7 @@ class LogContext:
     """Data that the lines of a log lack."""
 
     ring: DockingRing | None = None  # for rings, and for ranges unless a surface is given
-    surfaces: tuple[BeamSurface, ...] = ()  # that a ranger's beam may meet
+    surfaces: tuple[BeamSurface, ...] | BeamMesh = ()  # that a ranger's beam may meet
     mounts: Mapping[str, Pose] = field(default_factory=dict)  # sensor_from_camera by name
 
 
@@ -169,8 +169,8 @@ def read_mount(path: StrPath) -> Pose:
 def _check_known(kind: str, where: str, context: LogContext) -> None:
     if kind == "range" and not context.surfaces and context.ring is None:
         raise RendezviewError(
-            f"{where}: a range needs the surfaces it can hit: give --surfaces, or --target "
-            f"with a docking ring ({_SERVED})"
+            f"{where}: a range needs the surfaces it can hit: give --model, --surfaces, or "
+            f"--target with a docking ring ({_SERVED})"
         )
     if kind == "ring" and context.ring is None:
         raise RendezviewError(

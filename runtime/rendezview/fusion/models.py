@@ -24,6 +24,7 @@ from rendezview.fusion.state import (
 from rendezview.fusion.update_kernels import with_bias
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
+from rendezview.sensors.beam import BeamMesh, Met
 from rendezview.sensors.measurement import (
     Measurement,
     PoseMeasurement,
@@ -31,11 +32,6 @@ from rendezview.sensors.measurement import (
     RingMeasurement,
 )
 
-# σ of the place by which a spot must lie within its surface. Source: normal distribution, 95 %
-_INSIDE = 2.0
-# Cosine of beam and surface normal below which a range is not used. Source: by construction, 3°: 1
-# mm of relief is 2 cm of range
-_GRAZING = 0.05
 # Of another edge than the ring's, beside the ring's own errors: σ of its bearing (rad), range
 # (relative) and axis (rad). Source: ring's edge at docking-ring radii of 0.8 to 1.2
 _OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD = 0.01, 0.3, 0.03
@@ -53,6 +49,7 @@ class Forecast:
     noise: Array  # (k, k) covariance of the white noise
     root: Array  # (k, k) of the whole covariance that the sensor reports
     shares: Array  # (k,) white share of it
+    sigmas: Array  # (k,) of the reading
     teaches: bool = True  # the shares are learnt from it
     log_prior: float = 0.0
     other_edge: bool = False
@@ -78,7 +75,7 @@ def _forecast(
     """With the bias's columns; None where the covariance cannot be used."""
     slot = state.slots[measurement.sensor]
     start = slot.start + bias
-    fits, design, noise, root = with_bias(
+    fits, design, noise, root, sigmas = with_bias(
         motion, whole, shares, start, state.deviations.shape[1]
     )  # fmt: skip
     if not fits:
@@ -87,7 +84,7 @@ def _forecast(
         moving = state.velocity - np.cross(state.rate, state.place_m)
         speed = motion[:, :3] @ (state.rotation @ state.rate) + motion[:, 3:6] @ moving
         design[:, slot.lateness] = -late_s * speed
-    return Forecast(residual, design, noise, root, shares, teaches, log_prior, bias > 0)
+    return Forecast(residual, design, noise, root, shares, sigmas, teaches, log_prior, bias > 0)
 
 
 def _pose(state: FilterState, measurement: PoseMeasurement, sensor: SensorOptions) -> Forecast:
@@ -160,39 +157,42 @@ def _range(
     state: FilterState, measurement: RangeMeasurement, sensor: SensorOptions
 ) -> list[Forecast] | str:
     beam, rotation = measurement.direction, state.rotation
-    origin = -rotation @ state.place_m - measurement.origin_m  # of the target, from the ranger
-    place = (state.weights[:, None, None] * state.covariances[:, 3:6, 3:6]).sum(axis=0)
-    reason = "no surface"
-    for surface in measurement.surfaces:
-        normal, arm = rotation @ surface.normal, rotation @ surface.point_m
-        slant = float(normal @ beam)
-        if abs(slant) < _GRAZING:
-            reason = "the beam grazes the surface"
-            continue
-        distance = float(normal @ (arm + origin)) / slant
-        if not distance > 0.0:
-            reason = "the surface would be behind the ranger"
-            continue
-        if surface.inner_m > 0.0 or surface.outer_m < math.inf:
-            spot = distance * beam - origin - arm
-            from_point = float(np.sqrt(spot @ spot))
-            # Only where the spot is on it with confidence.
-            margin_m = _INSIDE * float(np.sqrt(place.diagonal().max()))
-            if not surface.inner_m + margin_m <= from_point <= surface.outer_m - margin_m:
-                reason = f"the beam may miss the surface: {from_point:.2g} m from its middle"
-                continue
-        motion = np.zeros((1, 6))
-        # d(n·(q − o)/(n·d)), with n and q = R (point − p) turned by θ: n × (q − o − distance d)
-        # and q × n over n·d, together n × (−o − distance d).
-        away = origin - distance * beam
-        motion[0, :3] = so3.hat(normal) @ (away + rotation @ state.place_m) / slant
-        motion[0, 3:] = -(normal @ rotation) / slant
-        whole = np.array([[measurement.sigma_m**2 + surface.relief_m**2]])
-        white = measurement.sigma_m**2 / whole[0]
-        residual = np.array([measurement.range_m - distance])
-        found = _forecast(
-            state, measurement, residual, motion, whole, white, sensor.late_s,
-            teaches=False,
-        )  # fmt: skip
-        return reason if found is None else [found]
+    start_m = state.place_m + rotation.T @ measurement.origin_m  # target frame
+    met = _met(state, measurement, start_m)
+    if isinstance(met, str):
+        return met
+    normal = rotation @ met.normal
+    slant = float(normal @ beam)
+    # d(n·(q − o)/(n·d)), with n and q = R (point − p) turned by θ: n × (q − o − distance d)
+    # and q × n over n·d, together −n × (o + distance d).
+    away = measurement.origin_m + met.distance_m * beam
+    motion = np.zeros((1, 6))
+    motion[0, :3] = -so3.hat(normal) @ away / slant
+    motion[0, 3:] = -met.normal / slant
+    whole = np.array([[measurement.sigma_m**2 + met.relief_m**2]])
+    white = measurement.sigma_m**2 / whole[0]
+    residual = np.array([measurement.range_m - met.distance_m])
+    found = _forecast(
+        state, measurement, residual, motion, whole, white, sensor.late_s, teaches=False
+    )
+    return "its covariance cannot be used" if found is None else [found]
+
+
+def _met(state: FilterState, measurement: RangeMeasurement, start_m: Array) -> Met | str:
+    """What the beam meets: the first of the planes that it certainly hits, or the mesh."""
+    surfaces, reason = measurement.surfaces, "no surface"
+    # Where depth is hardly known yet, no innovation shows that the beam met a thin part.
+    if isinstance(surfaces, BeamMesh) and not state.confirmed:
+        return "a range on the mesh waits until poses agree"
+    beam = state.rotation.T @ measurement.direction
+    pose = (state.weights[:, None, None] * state.covariances[:, :6, :6]).sum(axis=0)
+    # Of the spot, by attitude and place: R⁻¹ turns by −R⁻¹ θ.
+    arm = measurement.origin_m + measurement.range_m * measurement.direction
+    slope = np.hstack([state.rotation.T @ so3.hat(arm), np.eye(3)])
+    spread = slope @ pose @ slope.T
+    for surface in (surfaces,) if isinstance(surfaces, BeamMesh) else surfaces:
+        met = surface.met(start_m, beam, spread)
+        if not isinstance(met, str):
+            return met
+        reason = met
     return reason

@@ -62,6 +62,7 @@ class FilterState(NamedTuple):
     fading: Array  # (n - 18, 2) how fast each bias is forgotten: 1/s, and per ln of the range
     white: Mapping[str, Array]  # white share of each sensor's variance, by component
     readings: Mapping[str, int]  # number of readings that taught it
+    sigmas: Mapping[str, Array]  # σ of each sensor's last reading, by component
     jitter: float  # σ of the first jitter, rad
     jitter_readings: int = 0
     pose_s: float = -math.inf  # time of the last pose
@@ -149,7 +150,7 @@ def begin(
     return FilterState(
         measurement.time_s, rotation, -rotation.T @ away, turning, moving, np.zeros((count, n)),
         covariances, np.full(count, 1.0 / count), slots, fading, {measurement.sensor: white}, {},
-        motion.jitters[0], 0, measurement.time_s,
+        {measurement.sensor: np.sqrt(whole.diagonal())}, motion.jitters[0], 0, measurement.time_s,
     )  # fmt: skip
 
 

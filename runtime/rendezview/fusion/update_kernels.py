@@ -21,7 +21,7 @@ _LEAST_PROBABILITY = 1e-5  # of a model, so that it can return. Source: by const
 @njit(cache=True, nogil=True, error_model="numpy")
 def with_bias(
     motion: Array, whole: Array, shares: Array, start: int, count: int
-) -> tuple[bool, Array, Array, Array]:
+) -> tuple[bool, Array, Array, Array, Array]:
     """A measurement's slope by every state and its noise, split from its covariance.
 
     Args:
@@ -31,14 +31,16 @@ def with_bias(
         start, count: index of the bias, number of states.
 
     Returns:
-        Whether the covariance is positive; (k, n) slope; (k, k) white covariance; (k, k) A.
+        Whether the covariance is positive; (k, n) slope; (k, k) white covariance; (k, k) A;
+        (k,) σ.
     """
     k = len(whole)
     root = square_root(whole)
-    design, noise = np.zeros((k, count)), np.zeros((k, k))
+    design, noise, sigmas = np.zeros((k, count)), np.zeros((k, k)), np.empty(k)
     fits = True
     for i in range(k):
         fits = fits and root[i, i] > 0.0
+        sigmas[i] = math.sqrt(max(whole[i, i], 0.0))
         for j in range(motion.shape[1]):
             design[i, j] = motion[i, j]
         for j in range(i + 1):
@@ -46,7 +48,27 @@ def with_bias(
         for j in range(k):
             for c in range(min(i, j) + 1):
                 noise[i, j] += root[i, c] * shares[c] * root[j, c]
-    return fits, design, noise, root
+    return fits, design, noise, root, sigmas
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def renewed(deviations: Array, covariances: Array, start: int, kept: Array) -> tuple[Array, Array]:
+    """Deviations and covariances after some biases, of variance 1, lost memory in part.
+
+    Args:
+        start: index of the first of k biases.
+        kept: (k,) correlation of each bias with what it was.
+    """
+    x, p = deviations.copy(), covariances.copy()
+    for m in range(len(x)):
+        for i in range(len(kept)):
+            b = start + i
+            x[m, b] *= kept[i]
+            for j in range(x.shape[1]):
+                p[m, b, j] *= kept[i]
+                p[m, j, b] *= kept[i]
+            p[m, b, b] += 1.0 - kept[i] ** 2
+    return x, p
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

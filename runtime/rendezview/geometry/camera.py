@@ -7,7 +7,8 @@ of the top-left pixel, so the picture spans -0.5 … width - 0.5.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -63,6 +64,8 @@ class Camera:
     distortion: tuple[float, ...] = ()  # k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [τx τy]]]]
     lens_model: LensModel = LensModel.OPENCV
     bit_depth: int | None = None  # of pictures with 16-bit levels; None: from the picture file
+    # What a reader of its file questions, one sentence each: see `rendezview.io.plausible`.
+    doubts: tuple[str, ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -91,8 +94,26 @@ class Camera:
                 f"(k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [τx τy]]]]), not {distortion}"
             )
         object.__setattr__(self, "distortion", distortion)
+        object.__setattr__(self, "doubts", tuple(self.doubts))
         if self.bit_depth is not None and self.bit_depth not in BIT_DEPTHS:
             raise ValueError(f"bit_depth must be one of {BIT_DEPTHS}, not {self.bit_depth}")
+
+    @classmethod
+    def from_matrix(
+        cls,
+        matrix: npt.ArrayLike,
+        size: Sequence[int],
+        distortion: Sequence[float] = (),
+        lens_model: LensModel = LensModel.OPENCV,
+    ) -> Camera:
+        """The camera of a (3, 3) matrix K, or its nine numbers row by row, and (width, height) px.
+
+        Raises:
+            ValueError: not [fx 0 cx; 0 fy cy; 0 0 1]; the message names what it looks like.
+        """
+        fx, fy, cx, cy = intrinsics_of(matrix)
+        width, height = size
+        return cls(width, height, fx, fy, cx, cy, tuple(distortion), lens_model)
 
     @classmethod
     def from_fov(cls, width: int, height: int, horizontal_fov_rad: float) -> Camera:
@@ -231,6 +252,36 @@ class Camera:
             error_px = np.abs(self._distort(xy) - distorted) * (self.fx, self.fy)
         xy[~(error_px < _UNDISTORT_ERROR_PX).all(axis=1)] = np.nan
         return xy
+
+
+def intrinsics_of(matrix: npt.ArrayLike) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy of a (3, 3) matrix K, or of its nine numbers row by row.
+
+    Raises:
+        ValueError: not [fx 0 cx; 0 fy cy; 0 0 1]; the message names what it looks like.
+    """
+    try:
+        given = np.asarray(matrix, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError("a camera matrix must be numbers: [fx 0 cx; 0 fy cy; 0 0 1]") from None
+    if given.size != 9 or not np.isfinite(given).all():
+        raise ValueError(f"has {given.size} numbers, needs the 9 finite ones of a 3 × 3 matrix")
+    k = given.reshape(3, 3)
+    if not k[:2].any():
+        raise ValueError("all zero: this camera is not calibrated. Calibrate it")
+    skewed = abs(k[0, 1]) > 1e-6 * abs(k[0, 0])
+    if skewed or k[1, 0] != 0.0 or k[2].tolist() != [0.0, 0.0, 1.0]:
+        if k[2, 2] == 1.0 and not k[:2, 2].any() and k[2, :2].any():
+            why = "it is transposed, as MATLAB and column by column; transpose it"
+        elif k[2, 2] == -1.0:
+            why = "it is of OpenGL, which looks along −z; give OpenCV's, with cx and cy positive"
+        elif k[2, 2] not in (0.0, 1.0) and not k[2, :2].any() and not skewed:
+            why = f"it is scaled; divide it by its last number, {k[2, 2]:g}"
+        else:
+            why = "calibrate without skew"
+        listed = given.ravel().tolist()
+        raise ValueError(f"must be [fx 0 cx; 0 fy cy; 0 0 1] (no skew), not {listed}: {why}")
+    return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 import numpy.typing as npt
@@ -73,6 +74,28 @@ class Pose:
         rotation = Rotation.from_quat(quat[[1, 2, 3, 0]]).as_matrix()
         return cls(rotation, np.asarray(translation_m, dtype=np.float64))
 
+    @classmethod
+    def from_matrix(cls, matrix: npt.ArrayLike) -> Pose:
+        """Pose of a (4, 4) or (3, 4) matrix [R t], which is exact or rounded to a few digits.
+
+        Raises:
+            ValueError: another shape or last row, or R is no rotation; a scaled or transposed
+                matrix is named.
+        """
+        given = np.asarray(matrix, dtype=np.float64)
+        if given.shape not in ((4, 4), (3, 4)):
+            raise ValueError(f"a pose's matrix must be (4, 4) or (3, 4), not {given.shape}")
+        if len(given) == 4 and given[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+            turned = "; it is transposed" if given[:, 3].tolist() == [0.0, 0.0, 0.0, 1.0] else ""
+            raise ValueError(f"the last row must be 0 0 0 1, not {given[3].tolist()}{turned}")
+        return cls(nearest_rotation(given[:3, :3]), given[:3, 3])
+
+    def as_matrix(self) -> Array:
+        """(4, 4) matrix [R t; 0 1]."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation_m
+        return matrix
+
     @property
     def quat_wxyz(self) -> Array:
         """(4,) unit quaternion of the rotation, scalar first, w ≥ 0.
@@ -93,8 +116,14 @@ class Pose:
             "translation_m": self.translation_m.tolist(),
         }
 
-    def __matmul__(self, other: Pose) -> Pose:
-        """Chain: ``a_from_b @ b_from_c`` is ``a_from_c``."""
+    @overload
+    def __matmul__(self, other: Pose) -> Pose: ...
+    @overload
+    def __matmul__(self, other: npt.ArrayLike) -> Array: ...
+    def __matmul__(self, other: Pose | npt.ArrayLike) -> Pose | Array:
+        """Chain: ``a_from_b @ b_from_c`` is ``a_from_c``; with points (..., 3), `apply`."""
+        if not isinstance(other, Pose):
+            return self.apply(other)
         return Pose(
             self.rotation @ other.rotation,
             self.rotation @ other.translation_m + self.translation_m,
@@ -106,7 +135,21 @@ class Pose:
 
     def apply(self, points_m: npt.ArrayLike) -> Array:
         """Points (..., 3) in the *from* frame → the same points in the *to* frame."""
-        return np.asarray(points_m) @ self.rotation.T + self.translation_m
+        points = np.asarray(points_m)
+        if points.ndim == 0 or points.shape[-1] != 3:
+            raise ValueError(f"points_m must be (..., 3), not {points.shape}")
+        return points @ self.rotation.T + self.translation_m
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all numbers are equal; use `angle_to` and distances for nearness."""
+        if not isinstance(other, Pose):
+            return NotImplemented
+        return np.array_equal(self.rotation, other.rotation) and np.array_equal(
+            self.translation_m, other.translation_m
+        )
+
+    def __hash__(self) -> int:
+        return hash((*self.rotation.ravel().tolist(), *self.translation_m.tolist()))
 
     def angle_to(self, other: Pose) -> float:
         """Angle of the rotation between the two, radians in [0, π]."""

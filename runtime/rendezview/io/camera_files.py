@@ -12,9 +12,11 @@ The content of a file decides its kind, not its name:
 - BOP ``camera.json``: ``fx fy cx cy width height``, and ``distCoeffs`` in our own files.
 - SPEED ``camera.json``: ``fx``, ``fy`` in metres, pixel pitch ``ppx``, ``ppy`` in metres, size
   ``Nu`` × ``Nv``; SPEED+ also has ``cameraMatrix`` and ``distCoeffs``, which take precedence.
+- Those of other programs: `camera_peers`.
 
 In all kinds, ``roi`` and ``binning`` say which part of the calibrated picture the images are, as in
-ROS, and ``bit_depth`` how many bits of 16-bit levels are used.
+ROS, and ``bit_depth`` how many bits of 16-bit levels are used. ``checked: true`` says that numbers
+that are questioned are meant: `plausible`.
 
 SPEED's principal point is (Nu/2, Nv/2), as in its own projection code and in
 SPEED+'s ``cameraMatrix``. Both are used unchanged: SPEED+'s matrix is for OpenCV, whose pixel (0,
@@ -26,15 +28,18 @@ Measured from the corner of the picture, it would be half a pixel less: 0.2 mrad
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera, LensModel
+from rendezview.geometry.camera import Camera, LensModel, intrinsics_of
 from rendezview.io.calibration_yaml import parse_yaml
+from rendezview.io.camera_peers import keys_of_text, translated
 from rendezview.io.files import StrPath, atomic_write_text, parse_json, read_text
+from rendezview.io.plausible import CHECKED, questioned
 
 _MATRIX_KEYS = (
     "camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k", "M1", "M", "intrinsic_matrix",
@@ -45,17 +50,24 @@ _DISTORTION_KEYS = (
 )  # fmt: skip
 _WIDTH_KEYS = ("image_width", "image_Width", "imageWidth", "width", "Nu")
 _HEIGHT_KEYS = ("image_height", "image_Height", "imageHeight", "height", "Nv")
-_POLYNOMIALS = ("plumb_bob", "rational_polynomial", "thin_prism", "tilted", "radtan", "opencv")
+_POLYNOMIALS = (
+    "plumb_bob", "rational_polynomial", "thin_prism", "tilted", "radtan", "radial-tangential",
+    "opencv",
+)  # fmt: skip
 _FISHEYES = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "opencv_fisheye")
 _LIMIT_BYTES = 4_000_000  # a video given by mistake is not read whole. Source: a chosen limit
 
 
-def load_camera(path: StrPath) -> Camera:
+def load_camera(path: StrPath, size: Callable[[], tuple[int, int]] | None = None) -> Camera:
     """Read a camera file; its content decides its kind.
 
     OpenCV YAML, XML and JSON; ROS ``CameraInfo`` YAML; Kalibr YAML; SPEED and SPEED+
-    ``camera.json``; BOP ``camera.json``. The camera is that of the images: ``roi`` and ``binning``
-    are applied.
+    ``camera.json``; BOP ``camera.json``; files of other programs (`camera_peers`). The camera is
+    that of the images: ``roi`` and ``binning`` are applied.
+
+    Args:
+        path: the file.
+        size: gives (width, height), px, of the images, if the file has none (``cam_K.txt``).
 
     Raises:
         RendezviewError: missing, not a camera file, an unknown lens model, or
@@ -68,17 +80,26 @@ def load_camera(path: StrPath) -> Camera:
             f"{path}: not a camera file (no keys in it): give an OpenCV or ROS YAML file, "
             f"or a BOP or SPEED camera.json"
         )
-    return camera_from_keys(data, str(path))
+    return camera_from_keys(data, str(path), size)
 
 
-def camera_from_keys(data: dict[Any, Any], where: str) -> Camera:
+def camera_from_keys(
+    data: dict[Any, Any], where: str, size: Callable[[], tuple[int, int]] | None = None
+) -> Camera:
     """The camera in the content of a camera file or of a recorded message.
 
     Raises:
         RendezviewError: not one of a camera, of an unknown lens model, or impossible numbers.
     """
     try:
-        return _imaged(data, _calibrated(_only_camera(data)))
+        keys = translated(_only_camera(data))
+        if size is not None and not any(_find(keys, k) for k in (_WIDTH_KEYS, ("resolution",))):
+            keys = {**keys, **dict(zip(("width", "height"), size(), strict=True))}
+        checked = data.get(CHECKED, False)
+        if not isinstance(checked, bool):
+            raise ValueError(f"{CHECKED}: must be true or false, not {checked!r}")
+        unless = None if checked else f"{CHECKED}: true in the file"
+        return _imaged(keys, questioned(_calibrated(keys), unless))
     except ValueError as error:
         raise RendezviewError(f"{where}: {error}: correct the camera file") from error
 
@@ -110,6 +131,12 @@ def _opencv_matrix(matrix: npt.NDArray[Any]) -> str:
 
 
 def _parse(text: str, where: str) -> Any:
+    try:
+        known = keys_of_text(text)
+    except ValueError as error:
+        raise RendezviewError(f"{where}: {error}: correct the camera file") from error
+    if known is not None:
+        return known
     start = text.lstrip()[:1]
     if start == "{":
         return parse_json(text, where)
@@ -130,9 +157,12 @@ def _parse(text: str, where: str) -> Any:
 
 
 def _xml_value(element: ElementTree.Element) -> Any:
-    """Children as a dict; text as numbers if all of it is numbers, else unchanged."""
+    """Children as a dict, of one name as a list; text as numbers if all of it is, else as it is."""
     if len(element):
-        return {child.tag: _xml_value(child) for child in element}
+        named: dict[str, list[Any]] = {}
+        for child in element:
+            named.setdefault(child.tag, []).append(_xml_value(child))
+        return {tag: found if len(found) > 1 else found[0] for tag, found in named.items()}
     text = (element.text or "").strip()
     try:
         numbers = [float(word) for word in text.split()]
@@ -158,23 +188,13 @@ def _calibrated(data: dict[Any, Any]) -> Camera:
     size_keys = _find(data, _WIDTH_KEYS), _find(data, _HEIGHT_KEYS)
     matrix_key = _find(data, _MATRIX_KEYS)
     if matrix_key is not None:
-        matrix = _numbers(data[matrix_key], matrix_key)
-        if len(matrix) != 9:
-            raise ValueError(
-                f"{matrix_key}: has {len(matrix)} numbers, needs the 9 of a 3 × 3 matrix"
-            )
-        fx, skew, cx, below, fy, cy, *last = matrix
-        if abs(skew) > 1e-6 * abs(fx) or below != 0.0 or last != [0.0, 0.0, 1.0]:
-            raise ValueError(
-                f"{matrix_key}: must be [fx 0 cx; 0 fy cy; 0 0 1] (no skew), not {matrix}: "
-                f"calibrate without skew"
-            )
+        numbers = _numbers(data[matrix_key], matrix_key)
+        try:
+            fx, fy, cx, cy = intrinsics_of(numbers)
+        except ValueError as error:
+            raise ValueError(f"{matrix_key}: {error}") from None
     elif "intrinsics" in data:
         fx, fy, cx, cy = _counted(data, "intrinsics", 4)
-        if data.get("camera_model", "pinhole") != "pinhole":
-            raise ValueError(
-                f"camera_model: {data['camera_model']!r} is not supported: calibrate with pinhole"
-            )
     elif "ppx" in data or "ppy" in data:
         fx = _number(data, "fx") / _positive(data, "ppx")
         fy = _number(data, "fy") / _positive(data, "ppy")
@@ -190,7 +210,8 @@ def _calibrated(data: dict[Any, Any]) -> Camera:
         width, height = map(int, _counted(data, "resolution", 2))
     elif size_keys[0] is None or size_keys[1] is None:
         raise ValueError(
-            "the image size is missing: add image_width and image_height (pixels) to the file"
+            "the image size is missing: add image_width and image_height (pixels) to the file, or "
+            "put it beside the images as cam_K.txt if it is a matrix alone"
         )
     else:
         width, height = (_whole(data, key) for key in size_keys if key is not None)

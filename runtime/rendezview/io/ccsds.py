@@ -2,7 +2,8 @@
 
 Orbit Ephemeris Message 2.0 (CCSDS 502.0-B-2) and Attitude Ephemeris Message 1.0 (504.0-B-1). The
 orbit message describes the chaser about the target: ``CENTER_NAME`` is the target. Lengths
-in the file are kilometres, as the standard requires.
+in the file are kilometres, as the standard requires. Covariances follow in the form that version
+3.0 (502.0-B-3) shares with 2.0.
 """
 
 from __future__ import annotations
@@ -17,6 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
+
+_UNIX, _J2000 = datetime(1970, 1, 1, tzinfo=UTC), datetime(2000, 1, 1, 12, tzinfo=UTC)
+DATED_S = 3e8  # s; later times are dates since 1970, not a duration: 9.5 years. Source: chosen
+_FIRST_YEAR, _LAST_YEAR = 1957, 2200  # Source: Sputnik; a typing error is further away
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +47,33 @@ def parse_epoch(text: str) -> datetime:
         raise RendezviewError(
             f"--epoch must be a UTC date and time such as 2031-05-04T12:00:00, not {text!r}"
         ) from None
-    return (epoch if epoch.tzinfo else epoch.replace(tzinfo=UTC)).astimezone(UTC)
+    moment = (epoch if epoch.tzinfo else epoch.replace(tzinfo=UTC)).astimezone(UTC)
+    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:
+        raise RendezviewError(f"--epoch: the year {moment.year} is no date of a spacecraft")
+    return moment
+
+
+def epoch_of(text: str | None, times_s: Sequence[float]) -> tuple[datetime, str | None]:
+    """The UTC date of time 0 of a sequence, and what a user should know of it.
+
+    Without ``--epoch``, times since 1970, as ROS and MCAP stamp pictures, count from there, and
+    others from J2000.
+
+    Raises:
+        RendezviewError: the epoch is none, or contradicts times since 1970.
+    """
+    dated = bool(times_s) and times_s[0] > DATED_S
+    if text is None:
+        if dated:
+            return _UNIX, None
+        return _J2000, f"no --epoch: OEM and AEM take {_stamp(_J2000, 0.0)[:19]} as time 0"
+    epoch = parse_epoch(text)
+    if dated and epoch != _UNIX:
+        raise RendezviewError(
+            f"--epoch {text}: the times of the sequence are dates themselves, from "
+            f"{_stamp(_UNIX, times_s[0])[:19]} on: leave --epoch out"
+        )
+    return epoch, None
 
 
 def orbit_message(
@@ -52,6 +83,7 @@ def orbit_message(
     velocities_m_s: Array,
     *,
     frame: str,
+    covariances: Array | None = None,
     names: Names | None = None,
     created: datetime | None = None,
 ) -> str:
@@ -59,6 +91,7 @@ def orbit_message(
 
     Args:
         frame: ``REF_FRAME``: ``RSW_ROTATING`` for Hill's frame, else a name the reader knows.
+        covariances: (N, 6, 6) of place, m, and velocity, m/s, in that frame.
 
     Raises:
         ValueError: no states, times that do not rise, or values that are not finite.
@@ -83,6 +116,14 @@ def orbit_message(
     for time_s, state in zip(times, states, strict=True):
         numbers = " ".join(f"{value / 1000.0:.12e}" for value in state)
         lines.append(f"{_stamp(epoch, time_s)} {numbers}")
+    if covariances is not None:
+        lines += ["", "COVARIANCE_START"]
+        _, spreads = _checked(times, np.asarray(covariances).reshape(len(times), 36))
+        for time_s, spread in zip(times, spreads.reshape(-1, 6, 6), strict=True):
+            lines.append(f"EPOCH = {_stamp(epoch, time_s)}")
+            for row in range(6):  # km², km²/s, km²/s²; the lower triangle
+                lines.append(" ".join(f"{1e-6 * n:.9e}" for n in spread[row, : row + 1]))
+        lines.append("COVARIANCE_STOP")
     return "\n".join(lines) + "\n"
 
 
@@ -142,7 +183,12 @@ def _head(names: Names, created: datetime | None) -> list[str]:
 
 
 def _stamp(epoch: datetime, time_s: float) -> str:
-    moment = epoch + timedelta(seconds=float(time_s))
+    try:
+        moment = epoch + timedelta(seconds=float(time_s))
+    except OverflowError:
+        raise RendezviewError(
+            f"a time of {time_s:.6g} s is no date: give times in seconds"
+        ) from None
     return re.sub(r"\+00:00$", "", moment.isoformat(timespec="microseconds"))
 
 

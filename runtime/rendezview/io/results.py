@@ -69,6 +69,11 @@ def write_results(path: StrPath, rows: Iterable[ResultRow]) -> None:
     atomic_write_text(path, "\n".join(lines) + "\n")
 
 
+def partial(path: Path) -> Path:
+    """Where a file is until it is complete."""
+    return path.with_name(f"{path.name}.partial")
+
+
 def read_results(path: StrPath) -> list[ResultRow]:
     """Read a BOP results CSV, of this package or another.
 
@@ -80,8 +85,11 @@ def read_results(path: StrPath) -> list[ResultRow]:
     reader = csv.reader(read_text(path, "BOP results (CSV)").splitlines())
     rows: list[ResultRow] = []
     try:
-        header = tuple(cell.strip() for cell in next(reader, []))
-        if header != HEADER:
+        first = next(reader, [])
+        header = tuple(cell.strip() for cell in first)
+        if len(first) == len(HEADER) and all(cell.isdigit() for cell in header[:3]):
+            rows.append(_row(first))  # BOP's files have a header, some peers' have none
+        elif header != HEADER:
             raise RendezviewError(
                 f"{path}: line 1: the header must be {','.join(HEADER)}, not "
                 f"{','.join(header)[:80]!r}: these are not BOP results"
@@ -146,7 +154,7 @@ class JsonLinesWriter:
 
     def __init__(self, path: StrPath) -> None:
         self.path = Path(path)
-        self.partial_path = self.path.with_name(self.path.name + ".partial")
+        self.partial_path = partial(self.path)
         if self.path.exists() and not self.path.is_file():
             raise RendezviewError(f"{self.path}: is no regular file: give the name of a file")
         try:
@@ -187,14 +195,18 @@ class JsonLinesWriter:
                 self._file.close()
             raise write_error(self.path, error) from error
 
-    def keep(self) -> None:
-        """`close` if a line was written, else leave no file; also for interrupted work."""
-        if self._written:
+    def keep(self, ended: bool = True) -> None:
+        """`close` if a line was written, else leave no file.
+
+        Work that has not ``ended`` keeps its partial name.
+        """
+        if self._written and ended:
             self.close()
             return
         with contextlib.suppress(OSError):
             self._file.close()
-        self.partial_path.unlink(missing_ok=True)
+        if not self._written:
+            self.partial_path.unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
         return self

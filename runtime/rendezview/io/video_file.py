@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import check_place
-from rendezview.io.sequences.decoding import quiet_opencv
+from rendezview.io.sequences.quiet import quiet_opencv
 
 Picture = npt.NDArray[np.uint8]
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import DockingRing
+from rendezview.sensors.beam import BeamMesh, BeamSurface
 
 # Source: by construction
 _ROUNDING = 1e-9  # of the largest variance: the rounding of a covariance written to a file
@@ -152,40 +153,11 @@ class RingMeasurement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BeamSurface:
-    """A plane of the target that a ranger's beam may hit, with its extent and roughness.
-
-    Raises:
-        ValueError: no unit normal, or a length is negative.
-    """
-
-    point_m: Array  # (3,) target frame
-    normal: Array  # (3,) unit, target frame
-    relief_m: float = 0.0  # σ of the real surface about the plane; a bias while the spot stays
-    inner_m: float = 0.0  # from the point to where it begins: a nozzle in its middle
-    outer_m: float = math.inf  # from the point to where it ends
-
-    def __post_init__(self) -> None:
-        point, normal = (np.array(v, dtype=np.float64) for v in (self.point_m, self.normal))
-        if point.shape != (3,) or not np.isfinite(point).all():
-            raise ValueError(f"point_m must be three finite numbers, not {self.point_m}")
-        if normal.shape != (3,) or not 0.0 < float(np.linalg.norm(normal)) < math.inf:
-            raise ValueError(f"normal must be a vector (3,), not {self.normal}")
-        if not (0.0 <= self.relief_m < math.inf and 0.0 <= self.inner_m < self.outer_m):
-            raise ValueError(
-                f"relief_m must not be negative, outer_m beyond inner_m: {self.relief_m}, "
-                f"{self.inner_m}, {self.outer_m}"
-            )
-        object.__setattr__(self, "point_m", point)
-        object.__setattr__(self, "normal", normal / np.linalg.norm(normal))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class RangeMeasurement:
     """A distance along a beam to the target.
 
-    Of several surfaces the filter uses the first that the spot hits with certainty. Where there is
-    none, the range cannot be used: end the list with an unbounded surface of large relief.
+    Of several planes the filter uses the first that the spot hits with certainty. Where there is
+    none, the range cannot be used: end the list with an unbounded plane of large relief.
 
     Raises:
         ValueError: a number is not finite, the range or σ not positive, no direction, no surface.
@@ -195,7 +167,7 @@ class RangeMeasurement:
     sensor: str
     range_m: float
     sigma_m: float
-    surfaces: tuple[BeamSurface, ...]
+    surfaces: tuple[BeamSurface, ...] | BeamMesh  # what the beam may meet
     origin_m: Array = field(default_factory=lambda: np.zeros(3))  # (3,) camera frame
     direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # (3,) unit
 

@@ -6,7 +6,10 @@ from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
 from typing import Any
 
+import numpy as np
+
 from rendezview.geometry.pose import Array, Pose
+from rendezview.io.results import json_value
 from rendezview.io.target import DockingRing
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
@@ -43,7 +46,7 @@ class Status(StrEnum):
     COASTING = "coasting"  # no accepted measurement: the rates carry the state on
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Observation:
     """The result of one sensor on one frame: a pose with its covariance, or the reason for none.
 
@@ -78,6 +81,27 @@ class Observation:
             raise ValueError(f"{sensor}: an observation without a time cannot be fused")
         taken = PoseMeasurement(self.time_s, sensor, self.pose, self.covariance)
         return taken if mount is None else taken.in_camera(mount)
+
+    @property
+    def range_m(self) -> float | None:
+        """Distance of the target's origin from the camera; None without a pose."""
+        return None if self.pose is None else float(np.linalg.norm(self.pose.translation_m))
+
+    def as_dict(self) -> dict[str, Any]:
+        """`record` in the types that JSON has."""
+        values: dict[str, Any] = json_value(self.record())
+        return values
+
+    def __repr__(self) -> str:
+        """A line: what a person wants to know of it."""
+        known = {
+            "reason": self.reason,
+            "time_s": self.time_s,
+            "range_m": None if self.range_m is None else round(self.range_m, 6),
+            "confidence": None if self.confidence is None else round(self.confidence, 4),
+        }
+        said = "".join(f", {name}={value!r}" for name, value in known.items() if value is not None)
+        return f"{type(self).__name__}({self.status.value!r}{said})"
 
     def record(self) -> dict[str, Any]:
         """The observation as its line of JSON: the same in logs, service and results."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from rendezview.errors import RendezviewError
-from rendezview.io.results import JsonLinesWriter, ResultRow, json_line, write_results
+from rendezview.io.results import JsonLinesWriter, ResultRow, json_line, partial, write_results
 from rendezview.sensors.observation import Observation, Status
 
 FrameT_co = TypeVar("FrameT_co", covariant=True)
@@ -102,8 +102,9 @@ def run(
 ) -> Summary:
     """Take every step of a run and write it as it comes.
 
-    An exception or Ctrl-C in the middle leaves log and results of all steps so far, and a log
-    that cannot be written does not take the poses with it.
+    Ctrl-C ends a run: log and results have all steps so far. After an exception they have them
+    too, but keep names that end in ``.partial``. A log that cannot be written does not take the
+    poses with it.
 
     Args:
         lines: the steps.
@@ -117,6 +118,7 @@ def run(
     """
     summary = Summary()
     writer = JsonLinesWriter(log) if log else None
+    ended = False
     try:
         for line in lines:
             if line.status is not None:
@@ -131,11 +133,20 @@ def run(
                 print(json_line(line.record))
             if progress and line.status is not None:
                 progress(summary.total)
+        ended = True
+    except KeyboardInterrupt:
+        ended = True
+        raise
+    except RendezviewError as error:
+        kept = [str(partial(path)) for path in (log, results) if path is not None]
+        if not kept or not summary.outcomes:
+            raise
+        raise RendezviewError(f"{error}; the steps so far are in {' and '.join(kept)}") from error
     finally:
         try:
             if writer:
-                writer.keep()
+                writer.keep(ended)
         finally:
             if results is not None and summary.outcomes:
-                write_results(results, summary.rows)
+                write_results(results if ended else partial(results), summary.rows)
     return summary

@@ -80,22 +80,38 @@ class Segment:
 
     def velocity(self, time_s: float) -> Array:
         """(3,) m/s at a time."""
-        step = 1e-4 * max(self.end_s - self.start_s, 1e-3)
+        step = self._step_s
         after, before = self.places([time_s + step, time_s - step])
         return np.asarray((after - before) / (2.0 * step))
 
     def place_covariance(self, time_s: float) -> Array:
         """(3, 3) m² of the place at a time, within the segment or beyond."""
-        times = np.array([time_s])
-        lever = np.empty((3, len(self.parameters)))
+        lever = self._lever(np.array([time_s]))[0]
+        return np.asarray(lever @ self.covariance @ lever.T)
+
+    def state_covariance(self, time_s: float) -> Array:
+        """(6, 6) of place, m, and velocity, m/s, at a time, within the segment or beyond."""
+        step = self._step_s
+        at, after, before = self._lever(np.array([time_s, time_s + step, time_s - step]))
+        lever = np.vstack([at, (after - before) / (2.0 * step)])
+        return np.asarray(lever @ self.covariance @ lever.T)
+
+    @property
+    def _step_s(self) -> float:
+        """Of differences in time."""
+        return 1e-4 * max(self.end_s - self.start_s, 1e-3)
+
+    def _lever(self, times_s: Array) -> Array:
+        """(N, 3, P) change of the places by the parameters."""
+        lever = np.empty((len(times_s), 3, len(self.parameters)))
         sigmas = np.sqrt(np.diag(self.covariance))
         for j, sigma in enumerate(sigmas):
             step = np.zeros(len(sigmas))
             step[j] = 1e-3 * sigma + 1e-15
-            ahead = self._shape_places(self.parameters + step, times)
-            behind = self._shape_places(self.parameters - step, times)
-            lever[:, j] = (ahead - behind)[0] / (2.0 * step[j])
-        return np.asarray(lever @ self.covariance @ lever.T)
+            ahead = self._shape_places(self.parameters + step, times_s)
+            behind = self._shape_places(self.parameters - step, times_s)
+            lever[:, :, j] = (ahead - behind) / (2.0 * step[j])
+        return lever
 
     def _shape_places(self, parameters: Array, times_s: Array) -> Array:
         out = np.empty((len(times_s), 3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -75,6 +76,10 @@ def serve(
     rerun: Annotated[
         int | None, typer.Option(help="Port of a live stream for Rerun; no tokens.")
     ] = None,
+    ros: Annotated[
+        str | None,
+        typer.Option(help="Zenoh router that takes poses for ROS 2, such as tcp/127.0.0.1:7447."),
+    ] = None,
     tokens: Annotated[
         Path | None, typer.Option(help="Tokens (TOML): who may read, track, admin.")
     ] = None,
@@ -91,9 +96,16 @@ def serve(
         str | None,
         typer.Option(help="Address of a Ray cluster that tracks: be one of its gateways."),
     ] = None,
-    cluster_folder: Annotated[
-        Path | None, typer.Option(help="With --cluster: folder of open sessions, on all nodes.")
+    state: Annotated[
+        Path | None,
+        typer.Option(help="Folder of open sessions, which go on after a restart; see the docs."),
     ] = None,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check", help="Check files, folders, clock, ports and models; do not serve."
+        ),
+    ] = False,
     settings: Annotated[
         Path | None, typer.Option(help="Any of these and more, in a TOML file; see the docs.")
     ] = None,
@@ -127,6 +139,7 @@ def serve(
         "port": port,
         "foxglove_port": foxglove,
         "rerun_port": rerun,
+        "ros_endpoint": ros,
         "tokens_file": tokens,
         "open_to_all": open_to_all,
         "tls_certificate": tls_certificate,
@@ -134,13 +147,19 @@ def serve(
         "workers": workers,
         "models_folder": models,
         "cluster": cluster,
-        "cluster_folder": cluster_folder,
+        "state_folder": state,
     }
     loaded = load_settings(settings, flags)
+    if check:
+        from rendezview_service.cli.check import check as is_well
+
+        raise typer.Exit(0 if is_well(loaded, model) else 1)
     console = Console(stderr=True)
 
-    def tell(address: str) -> None:
-        console.print(f"rendezview serves at {address}", highlight=False, soft_wrap=True)
+    def say(said: str, address: str) -> None:
+        console.print(f"rendezview {said} {address}", highlight=False, soft_wrap=True)
+
+    tell = functools.partial(say, "serves at")
 
     if loaded.cluster is not None:
         _be_gateway(loaded, bool(model or source), tell)
@@ -148,16 +167,16 @@ def serve(
     service = Service(loaded, model, source, speed)
     compile_ahead("serve")
     set_up_logging(loaded.log_level)
-    run(service, tell)
+    run(service, tell, functools.partial(say, "starts; its page is at"))
 
 
 def _be_gateway(settings: Settings, has_own: bool, tell: Callable[[str], None]) -> None:
     from rendezview_service.json_logging import set_up_logging
     from rendezview_service.server import run_gateway
 
-    if has_own or None in (settings.models_folder, settings.cluster_folder):
+    if has_own or None in (settings.models_folder, settings.state_folder):
         raise RendezviewError(
-            "a gateway has no model or source of its own: give --models and --cluster-folder, "
+            "a gateway has no model or source of its own: give --models and --state, "
             "folders that all nodes share"
         )
     for name, value in _OF_RAY.items():

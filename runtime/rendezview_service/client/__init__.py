@@ -1,12 +1,14 @@
 """The client of the pose service."""
 
-from rendezview_service.client.connection import (
-    Client,
-    SessionClient,
+from rendezview_service.client.connection import Client, SessionClient
+from rendezview_service.client.messages import (
+    Frame,
+    ServiceError,
+    ServiceTimeout,
+    StateDict,
     fused_pose_of_state,
     pose_of_state,
 )
-from rendezview_service.client.messages import Frame, ServiceError, ServiceTimeout, StateDict
 from rendezview_service.client.stream import StreamClient
 
 __all__ = [

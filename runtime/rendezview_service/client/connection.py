@@ -22,6 +22,7 @@ from http.client import (
     HTTPException,
     HTTPResponse,
     HTTPSConnection,
+    IncompleteRead,
     RemoteDisconnected,
 )
 from pathlib import Path
@@ -32,29 +33,22 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera, LensModel
+from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.io.files import read_bytes
+from rendezview.io.files import read_bytes, read_text
 from rendezview.io.results import json_line
-from rendezview_service.client.messages import Frame, ServiceError, StateDict, frame_content
+from rendezview_service.client.messages import (
+    Frame,
+    ServiceError,
+    StateDict,
+    camera_message,
+    frame_content,
+)
 from rendezview_service.client.stream import StreamClient
 
 _PAUSE_S = 0.2  # s, between attempts to connect. Source: chosen
 _FITS_HEADER = re.compile(r"[\x21-\x7e]+")
 _IDLE_S = 30.0  # s; the service may have closed an idle connection. Source: chosen
-
-
-def pose_of_state(state: StateDict) -> Pose | None:
-    """camera_from_target of a state; None without a pose."""
-    pose = state["pose"]
-    return None if pose is None else Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
-
-
-def fused_pose_of_state(state: StateDict) -> Pose | None:
-    """camera_from_target by all sensors, from a state or the answer to sensor lines."""
-    fused = state.get("fused")
-    pose = None if fused is None else fused["pose"]
-    return None if pose is None else Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
 
 
 class Client:
@@ -90,7 +84,7 @@ class Client:
             raise RendezviewError(f"{url}: {'a token has no spaces' if known else what}")
         self._url = parts
         assert parts.hostname is not None
-        self._reconnect_s = reconnect_s
+        self._reconnect_s, self._timeout_s = reconnect_s, timeout_s
         self._reached = False
         self._tls = _tls(certificate) if parts.scheme == "https" else None
         self._connection: HTTPConnection = (
@@ -110,6 +104,7 @@ class Client:
         model: str | None = None,
         prior: Pose | None = None,
         sun_camera: npt.ArrayLike | None = None,
+        roi: npt.ArrayLike | None = None,
         trees: bool = True,
         name: str | None = None,
         record: bool | None = None,
@@ -121,6 +116,8 @@ class Client:
         """Open a session; the service has defaults for all arguments. Use it in a ``with``.
 
         Args:
+            roi: where the target is until there is a pose: a box (4,) x, y, width, height, px, a
+                place on it (2,), or that and its range (3,) x, y, m.
             idle_s: without a frame for longer, the service ends the session (60 s).
             fusion: data on sensors, as in `FusionRequest`: ``ring`` (a `DockingRing`),
                 ``reflectors`` (each a `Reflector`), ``surfaces``, ``mounts`` (a `Pose` by sensor
@@ -136,17 +133,12 @@ class Client:
         if idle_s is not None:
             request["idle_s"] = idle_s
         if camera is not None:
-            names = ("width", "height", "fx", "fy", "cx", "cy")
-            request["camera"] = {n: getattr(camera, n) for n in names}
-            request["camera"]["distortion"] = list(camera.distortion)
-            if camera.lens_model is not LensModel.OPENCV:
-                request["camera"]["lens_model"] = camera.lens_model
-            if camera.bit_depth is not None:
-                request["camera"]["bit_depth"] = camera.bit_depth
+            request["camera"] = camera_message(camera)
         if prior is not None:
             request["prior"] = prior.as_dict()
-        if sun_camera is not None:
-            request["sun_camera"] = np.asarray(sun_camera, dtype=np.float64).tolist()
+        for key, numbers in (("sun_camera", sun_camera), ("roi", roi)):
+            if numbers is not None:
+                request[key] = np.asarray(numbers, dtype=np.float64).tolist()
         given = {"fusion": fusion, "sensors": sensors, "approach": approach}
         request |= {key: json.loads(json_line(value)) for key, value in given.items() if value}
         info = self.request("POST", "/v1/sessions", json.dumps(request).encode())
@@ -168,9 +160,22 @@ class Client:
         info: dict[str, Any] = self.request("PUT", f"/v1/models/{quote(name)}", content, kind)
         return info
 
-    def train(self, name: str, mesh: Path | str, unit: str = "m", **options: int) -> dict[str, Any]:
-        """Upload a mesh and train a model of it; the `JobInfo`."""
-        query = {"model": name, "file": Path(mesh).name, "unit": unit} | options
+    def train(
+        self,
+        name: str,
+        mesh: Path | str,
+        unit: str | None = None,
+        camera: Path | str | None = None,
+        **options: int,
+    ) -> dict[str, Any]:
+        """Upload a mesh and train a model of it, for a camera (file); the `JobInfo`.
+
+        Without a unit it is that of the file, else metres.
+        """
+        query: dict[str, object] = {"model": name, "file": Path(mesh).name, **options}
+        query |= {} if unit is None else {"unit": unit}
+        if camera is not None:
+            query["camera"] = read_text(camera, "a camera file")
         path = f"/v1/jobs?{urlencode(query)}"
         content = read_bytes(mesh, "a mesh file")
         job: dict[str, Any] = self.request("POST", path, content, "application/octet-stream")
@@ -211,6 +216,8 @@ class Client:
     ) -> bytes:
         """Send one request; the bytes of its answer. Errors as in `request`."""
         headers = self._headers if body is None else self._headers | {"Content-Type": kind}
+        if method == "POST":  # received twice, it is done once
+            headers = headers | {"Idempotency-Key": secrets.token_hex(16)}
         try:
             response, content = self._send_again(method, path, body, headers)
         except (OSError, HTTPException, ValueError) as error:
@@ -229,21 +236,20 @@ class Client:
     def _send_again(
         self, method: str, path: str, body: bytes | memoryview | None, headers: dict[str, str]
     ) -> tuple[HTTPResponse, bytes]:
-        """An answer, from a new connection if the old one was closed."""
+        """An answer, from a new connection if the old one was closed.
+
+        An idle connection may be closed meanwhile, or the service may start again. What was
+        perhaps received does no harm a second time: `fetch` gives a POST its key.
+        """
         until_s = time.monotonic() + (self._reconnect_s if self._reached else 0.0)
         while True:
-            sent = self._connection.sock is not None
+            used = self._connection.sock is not None
             try:
                 response = self._send(method, path, body, headers)
                 content = response.read()
-            except (ConnectionError, RemoteDisconnected):
-                # An idle connection may be closed meanwhile, or the service may start again. What
-                # was perhaps received is sent twice only where that does no harm.
-                refused = self._connection.sock is None
+            except (ConnectionError, RemoteDisconnected, IncompleteRead):
                 self._connection.close()
-                if not (refused or _may_repeat(method, path)):
-                    raise
-                if not sent or refused:
+                if not used:
                     if time.monotonic() > until_s:
                         raise
                     time.sleep(_PAUSE_S)
@@ -279,6 +285,11 @@ class Client:
     def reconnect_s(self) -> float:
         """For how long a connection that broke off is opened again."""
         return self._reconnect_s
+
+    @property
+    def timeout_s(self) -> float:
+        """The limit of one answer, and of opening a stream."""
+        return self._timeout_s
 
     @property
     def tls(self) -> ssl.SSLContext | None:
@@ -332,7 +343,7 @@ class SessionClient:
         """A WebSocket for frames and states, for high frame rates."""
         url = self.client.stream_url(self.name, "stream")
         client = self.client
-        return StreamClient(url, client.headers, client.tls, client.reconnect_s)
+        return StreamClient(url, client.headers, client.tls, client.reconnect_s, client.timeout_s)
 
     def state(self) -> StateDict:
         """The last state."""
@@ -368,11 +379,6 @@ class SessionClient:
         except RendezviewError:
             if kind is None:
                 raise
-
-
-def _may_repeat(method: str, path: str) -> bool:
-    """Whether a request that was received twice does no harm; frames: their time must rise."""
-    return method != "POST" or "/frames?time_s=" in path
 
 
 def _tls(certificate: Path | str | None) -> ssl.SSLContext:

@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera, LensModel
+from rendezview.geometry.pose import Pose
 
 Frame = npt.NDArray[np.uint8] | bytes  # (H, W) grey levels, or the bytes of a PNG or JPEG file
 StateDict = dict[str, Any]
@@ -36,3 +38,28 @@ def frame_content(frame: Frame) -> tuple[bytes | memoryview, str]:
             f"a frame must be (height, width) grey levels of 8 bit, not {image.shape} {image.dtype}"
         )
     return np.ascontiguousarray(image).reshape(-1).data, "application/octet-stream"
+
+
+def camera_message(camera: Camera) -> dict[str, Any]:
+    """The camera as its `CameraMessage`; what the service takes for granted is left out."""
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    message: dict[str, Any] = {name: getattr(camera, name) for name in names}
+    message["distortion"] = list(camera.distortion)
+    if camera.lens_model is not LensModel.OPENCV:
+        message["lens_model"] = camera.lens_model
+    if camera.bit_depth is not None:
+        message["bit_depth"] = camera.bit_depth
+    return message
+
+
+def pose_of_state(state: StateDict) -> Pose | None:
+    """camera_from_target of a state; None without a pose."""
+    pose = state["pose"]
+    return None if pose is None else Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
+
+
+def fused_pose_of_state(state: StateDict) -> Pose | None:
+    """camera_from_target by all sensors, from a state or the answer to sensor lines."""
+    fused = state.get("fused")
+    pose = None if fused is None else fused["pose"]
+    return None if pose is None else Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])

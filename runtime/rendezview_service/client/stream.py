@@ -37,17 +37,19 @@ class StreamClient:
         headers: dict[str, str],
         tls: ssl.SSLContext | None = None,
         reconnect_s: float = 10.0,
+        timeout_s: float = 30.0,
     ) -> None:
         """Open the stream.
 
         Args:
             reconnect_s: for how long a connection that broke off is opened again.
+            timeout_s: of each attempt to open it.
 
         Raises:
             RendezviewError: it does not open.
         """
         self._url, self._headers, self._tls = url, headers, tls
-        self._reconnect_s = reconnect_s
+        self._reconnect_s, self._timeout_s = reconnect_s, timeout_s
         self._lock = threading.Lock()
         self._closed = False
         self._socket = self._open()
@@ -66,6 +68,7 @@ class StreamClient:
                 compression=None,
                 max_size=None,
                 ssl=self._tls,
+                open_timeout=self._timeout_s,
             )
             return opening.__enter__()  # left by `close`
         except Exception as error:

@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 import ray
+from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -21,7 +22,7 @@ from rendezview.errors import RendezviewError
 from rendezview_service.cluster.heartbeat import Heartbeats
 from rendezview_service.cluster.orchestrator import NAMESPACE, join
 from rendezview_service.cluster.tunnel import packed
-from rendezview_service.http.answers import fault, fault_of
+from rendezview_service.http.answers import KEY_HEADER, fault, fault_of
 from rendezview_service.http.app import page_files
 from rendezview_service.http.security import Guard, Right, Token
 from rendezview_service.hub.inputs import Full
@@ -74,6 +75,7 @@ class Gateway:
             await send({"type": "http.response.start", "status": status, "headers": headers})
             await send({"type": "http.response.body", "body": body})
         elif scope["path"] == "/metrics":
+            await self._health(True)
             text = Response(self._metrics.text(), 200, None, "text/plain; version=0.0.4")
             await text(scope, receive, send)
         else:
@@ -139,7 +141,10 @@ class Gateway:
             reasons.append(_NO_ORCHESTRATOR)
         if not slots and not reasons:
             reasons.append("no slot is ready: the cluster's nodes start")
-        health = {"status": "ok" if slots else "not ready", "reasons": reasons, "seats": slots}
+        reasons += [reason for slot in slots for reason in slot["reasons"]]
+        self._metrics.faults.set(len(reasons))
+        status = ("degraded" if reasons else "ok") if slots else "not ready"
+        health = {"status": status, "reasons": reasons, "seats": slots}
         return _json(health, bool(slots) or of_itself)
 
     async def _open(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
@@ -147,7 +152,8 @@ class Gateway:
             request = json.loads(body or b"{}")
         except ValueError:
             raise RendezviewError("the body is not JSON") from None
-        name, slot = await self._orchestrator.open.remote(request)
+        key = Headers(scope=scope).get(KEY_HEADER)
+        name, slot = await self._orchestrator.open.remote(request, key)
         self._slots[name] = slot
         status, headers, info = await self._info(scope, name)
         return 201 if status == 200 else status, headers, info

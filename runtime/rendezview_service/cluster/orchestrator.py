@@ -46,8 +46,8 @@ class Orchestrator:
     def __init__(self, settings: dict[str, Any]) -> None:
         self._settings = Settings.model_validate(settings)
         set_up_logging(self._settings.log_level)
-        assert self._settings.cluster_folder is not None
-        self._folder = self._settings.cluster_folder
+        assert self._settings.state_folder is not None
+        self._folder = self._settings.state_folder
         self._folder.mkdir(parents=True, exist_ok=True)
         self._service = Service(self._settings, shares_models=True)  # models only: not started
         self._app = make_routes(self._service)
@@ -62,6 +62,7 @@ class Orchestrator:
         self._models: dict[str, Path] = {}  # of the open sessions, files by name
         self._warm: set[tuple[str, Path]] = set()  # slots that have read a model
         self._expects: dict[str, list[str]] = {}  # sessions that a slot is ready for
+        self._reasons: dict[str, list[str]] = {}  # what is wrong at a slot
         self._busy: dict[str, asyncio.Task[None]] = {}  # slots and sessions
         self._looking: asyncio.Task[None] | None = None
 
@@ -146,7 +147,7 @@ class Orchestrator:
                     self._asked.add(slot)
                     return
             changes = self._changes[slot]
-            held = await asyncio.wait_for(actor.held.remote(), _ANSWER_S)
+            held, reasons = await asyncio.wait_for(actor.held.remote(), _ANSWER_S)
         except (ray.exceptions.RayError, ValueError, TimeoutError):
             self._asked.add(slot)
             for name in self._forget(slot):
@@ -156,6 +157,7 @@ class Orchestrator:
         if changes != self._changes[slot]:
             return
         self._ready.add(slot)
+        self._reasons[slot] = reasons
         if held is None:
             for name in [n for n, s in self._held.items() if s == slot]:
                 del self._held[name]
@@ -185,6 +187,7 @@ class Orchestrator:
         self._ready.discard(slot)
         self._warm = {known for known in self._warm if known[0] != slot}
         self._expects.pop(slot, None)
+        self._reasons.pop(slot, None)
         names = [n for n, s in self._held.items() if s == slot]
         for name in names:
             del self._held[name]
@@ -205,14 +208,25 @@ class Orchestrator:
 
         return sorted(free, key=cost)
 
-    async def open(self, request: dict[str, Any]) -> tuple[str, str]:
-        """Open a session; its name and slot.
+    async def open(self, request: dict[str, Any], key: str | None) -> tuple[str, str]:
+        """Open a session, once for a key; its name and slot.
 
         Raises:
             RendezviewError, Full, NotReady: as `Service.open`.
         """
-        self._must_know()
         asked = SessionRequest.model_validate(request)
+
+        async def opened() -> str:
+            return await self._open(asked)
+
+        name = await self._service.once.do(key, asked.model_dump_json(), opened)
+        slot = await self.where(name, None)
+        if slot is None:
+            raise NotReady("the session has ended meanwhile: open another one")
+        return name, slot
+
+    async def _open(self, asked: SessionRequest) -> str:
+        self._must_know()
         name = asked.id or f"s-{secrets.token_hex(4)}"
         stored = self._service.model_named(asked.model)
         async with self._lock(name):
@@ -224,7 +238,8 @@ class Orchestrator:
                 raise Full
             copy = await asyncio.to_thread(lambda: stored.copy)
             named = asked.model_copy(update={"id": name, "model": stored.name})
-            return name, await self._placed(named, copy, None, resumes=False)
+            await self._placed(named, copy, None, resumes=False)
+            return name
 
     async def where(self, name: str, dead: str | None) -> str | None:
         """The slot of a session; None if it is not open.
@@ -332,6 +347,7 @@ class Orchestrator:
                 "process": self._processes[slot],
                 "session": held.get(slot),
                 "warm": all((slot, copy) in self._warm for copy in used),
+                "reasons": self._reasons.get(slot, []),
             }
             for slot in sorted(self._ready & set(self._nodes))
         ]

@@ -17,22 +17,20 @@ from starlette.types import Message, Scope
 from rendezview_service.cluster.heartbeat import Beacon
 from rendezview_service.cluster.tunnel import Sockets, exchange
 from rendezview_service.http.app import make_routes
-from rendezview_service.hub.checkpoint import (
-    checkpoint_path,
-    read_checkpoint,
-    write_checkpoint,
-)
+from rendezview_service.hub.checkpoint import checkpoint_path, read_checkpoint
 from rendezview_service.hub.model_store import BY_HASH
 from rendezview_service.hub.model_store import SUFFIX as RVM
 from rendezview_service.hub.service import Service
-from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.worker_requests import sight_of
 from rendezview_service.json_logging import set_up_logging
 from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.settings import Settings
 
 # Of a slot, whatever the cluster's settings say.
-_OWN = {"workers": 1, "spare_worker": False, "foxglove_port": None, "rerun_port": None}
+_OWN = {
+    "workers": 1, "spare_worker": False, "foxglove_port": None, "rerun_port": None,
+    "ros_endpoint": None,
+}  # fmt: skip
 
 
 class Gone(LookupError):
@@ -45,8 +43,8 @@ class Slot:
     def __init__(self, settings: dict[str, Any]) -> None:
         self._settings = Settings.model_validate(settings | _OWN)
         set_up_logging(self._settings.log_level)
-        assert self._settings.cluster_folder is not None
-        self._folder = self._settings.cluster_folder
+        assert self._settings.state_folder is not None
+        self._folder = self._settings.state_folder
         self._service = Service(self._settings, shares_models=True)
         self._app = make_routes(self._service)
         self._sockets = Sockets(self._app)
@@ -98,35 +96,26 @@ class Slot:
         assert asked.model is not None
         self._service.models.know(asked.model, Path(copy))
         path = checkpoint_path(self._folder, asked.id)
-
-        def keep(session: Session) -> None:
-            if self._held == session.id:
-                write_checkpoint(path, session.checkpoint())
-
         self._held = asked.id
-        resumed = read_checkpoint(path) if resumes else None
         try:
-            await self._service.open(asked, resumed, keep)
+            await self._service.open(asked, read_checkpoint(path) if resumes else None)
         except BaseException:
             self._held = None
             raise
         return asked.id
 
-    async def held(self) -> str | None:
-        """The session that it has. The checkpoint of one that has ended is removed."""
-        name = self._held
-        if name is not None and not self._service.has(name):
-            checkpoint_path(self._folder, name).unlink(missing_ok=True)
+    async def held(self) -> tuple[str | None, list[str]]:
+        """The session that it has, and what is wrong. The checkpoint of an ended one goes first."""
+        if self._held is not None and not self._service.has(self._held):
             self._held = None
-        return self._held
+        return self._held, self._service.health().reasons
 
     async def let_go(self, name: str) -> None:
         """End a session here, so that another slot continues it."""
         session = self._service.sessions.get(name)
         if session is not None:
-            session.keep()
             self._held = None
-            await self._service.close(session, "another node continues it")
+            await self._service.close(session, "another node continues it", goes_on=True)
 
     async def http(self, session: str, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
         """The answer to a request about the session.

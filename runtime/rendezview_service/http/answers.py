@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import math
 import re
+from collections.abc import Callable
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -15,8 +17,9 @@ from starlette.responses import Response
 
 from rendezview.errors import RendezviewError
 from rendezview_service.http.security import Right
-from rendezview_service.hub.inputs import Answer, Full
+from rendezview_service.hub.inputs import Answer, Barred, Full
 from rendezview_service.hub.lease import Taken
+from rendezview_service.hub.model_store import NameTaken
 from rendezview_service.hub.service import Service
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.worker_pool import NotReady
@@ -27,8 +30,8 @@ FAULTS: dict[int | str, dict[str, Any]] = {
     code: {"model": Fault} for code in (400, 401, 403, 404, 409, 413, 422, 429, 503)
 }
 JSON = "application/json"
-SENDER_HEADER = "X-Sender"
-_LONGEST_SENDER = 64  # characters. Source: a chosen limit
+SENDER_HEADER, KEY_HEADER = "X-Sender", "Idempotency-Key"
+_LONGEST_KEY = 128  # characters. Source: a chosen limit
 
 
 def service_of(connection: HTTPConnection) -> Service:
@@ -54,7 +57,10 @@ def session_of(connection: HTTPConnection, name: str) -> Session:
     Raises:
         HTTPException: 404.
     """
-    session = service_of(connection).sessions.get(name)
+    service = service_of(connection)
+    session = service.sessions.get(name)
+    if session is None and name in service.ended:
+        raise HTTPException(404, f"session {name} has ended: {service.ended[name]}")
     if session is None:
         raise HTTPException(
             404, f"session {name[:80]!r}: there is none with this id: see /v1/sessions"
@@ -88,37 +94,57 @@ async def pieces_of(request: Request, most: int) -> list[bytes]:
     return parts
 
 
-async def track(session: Session, pieces: list[bytes], time_s: float | None, sender: str) -> Answer:
+async def track(
+    session: Session, pieces: list[bytes], time_s: float | None, sender: str, key: str | None
+) -> Answer:
     """The answer of the session's tracker to a frame.
 
     Raises:
         Full: too many frames wait.
         Taken: another sender has the session.
+        Barred: one of its inputs ended a process.
+        RendezviewError: the key belongs to another request.
     """
-    future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
 
-    def answer(result: Answer) -> None:
-        if not future.done():
-            future.set_result(result)
+    def put(answer: Callable[[Answer], None]) -> None:
+        session.queue(session.input(pieces, time_s, answer, sender=sender, key=key))
 
-    session.queue(session.input(pieces, time_s, answer, sender=sender))
-    return await future
+    about = "frame", time_s, sum(map(len, pieces))
+    return await session.once.do(key, about, lambda: _answered(put))
 
 
-async def measure(session: Session, sensor: str, content: bytes) -> Answer:
+async def measure(session: Session, sensor: str, content: bytes, key: str | None) -> Answer:
     """The answer of the session's filter to lines of another sensor.
 
     Raises:
         Full: too many wait.
+        Barred: as for frames.
+        RendezviewError: the key belongs to another request.
     """
+
+    def put(answer: Callable[[Answer], None]) -> None:
+        session.measure(session.input((content,), None, answer, sensor=sensor))
+
+    return await session.once.do(key, (sensor, content), lambda: _answered(put))
+
+
+async def _answered(put: Callable[[Callable[[Answer], None]], None]) -> Answer:
+    """The answer to an input that ``put`` gives to its session."""
     future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-
-    def answer(result: Answer) -> None:
-        if not future.done():
-            future.set_result(result)
-
-    session.measure(session.input((content,), None, answer, sensor=sensor))
+    put(lambda result: None if future.done() else future.set_result(result))
     return await future
+
+
+def key_of(connection: HTTPConnection) -> str | None:
+    """The key with which a request may be repeated.
+
+    Raises:
+        HTTPException: 422, it is too long.
+    """
+    key = connection.headers.get(KEY_HEADER)
+    if key is not None and not 0 < len(key) <= _LONGEST_KEY:
+        raise HTTPException(422, f"{KEY_HEADER}: use 1 to {_LONGEST_KEY} characters")
+    return key
 
 
 def sensor_name(name: object) -> str:
@@ -138,9 +164,9 @@ def sensor_name(name: object) -> str:
 
 def sender_of(connection: HTTPConnection) -> str:
     """Who sends frames: the header ``X-Sender``, or else the caller's machine."""
-    named = connection.headers.get(SENDER_HEADER, "")[:_LONGEST_SENDER]
+    named = connection.headers.get(SENDER_HEADER, "")
     if named:
-        return f"named {named}"
+        return f"named {hashlib.sha256(named.encode()).hexdigest()}"
     return f"at {connection.client.host}" if connection.client else "unknown"
 
 
@@ -173,12 +199,16 @@ def fault_of(error: Exception) -> Response | None:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])
             return fault(422, f"{where}: {first['msg']}")
+        case NameTaken():
+            return fault(409, str(error))
         case RendezviewError():
             return fault(422, str(error))
         case Full():
             return fault(
                 429, "too many requests wait, or too many sessions are open: try again later"
             )
+        case Barred():
+            return fault(429, str(error), {"Retry-After": f"{math.ceil(error.left_s)}"})
         case NotReady():
             return fault(503, str(error))
         case Taken():
@@ -197,7 +227,7 @@ def answer_errors(app: FastAPI) -> None:
         return answer
 
     for kind in (
-        HTTPException, RequestValidationError, RendezviewError, Full, NotReady, Taken,
+        HTTPException, RequestValidationError, RendezviewError, Full, Barred, NotReady, Taken,
         ClientDisconnect,
     ):  # fmt: skip
         app.add_exception_handler(kind, handler)

@@ -90,7 +90,9 @@ def make_routes(service: Service) -> FastAPI:
     async def metrics(request: Request) -> Response:
         """Metrics for Prometheus."""
         needs(request, Right.READ)
-        return Response(service_of(request).metrics.text(), 200, None, "text/plain; version=0.0.4")
+        service = service_of(request)
+        service.metrics.faults.set(len(service.health().reasons))
+        return Response(service.metrics.text(), 200, None, "text/plain; version=0.0.4")
 
     if PAGE.is_dir():
         app.mount("/", page_files(), name="page")

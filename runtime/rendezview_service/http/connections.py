@@ -1,4 +1,4 @@
-"""HTTP connections of a bounded number, with bounded heads, that may not wait for ever.
+"""Connections of a bounded number, with bounded heads, that may not wait or be unread for ever.
 
 uvicorn has no limits for a request that is not complete yet; these come before any token.
 """
@@ -6,31 +6,49 @@ uvicorn has no limits for a request that is not complete yet; these come before 
 from __future__ import annotations
 
 import asyncio
+import socket
+import struct
 from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+from rendezview_service.hub.clock import Timer
 
 HEAD_S = 10.0  # s, for the first line and the headers of a request. Source: chosen
+ABORT = "rendezview.abort"  # key of a request's scope: closes its connection, for a reason
+_READ_S = 10.0  # s, in which an answer that waits for its reader … Source: chosen
+_LEAST_READ = 50_000  # … must become shorter by so many bytes. Source: chosen, a slow radio link
+_MOST_UNREAD = 100_000_000  # bytes of all answers that wait for their readers. Source: chosen
+_ROOM_S = 0.05  # s, that too many connections are borne, for their heads. Source: chosen
+_CLOSE_S = 1.0  # s, for the other side's part of a WebSocket's end. Source: chosen
 MOST_HEAD = 65_536  # bytes of them. Source: a chosen limit, four times that of most servers
 
 
 class BoundedProtocol(HttpToolsProtocol):
     """A connection that is closed if its request's head is slow or long.
 
-    With too many connections, the one that has waited longest without a request is closed.
+    With too many connections, those that have waited longest without a request are closed: first
+    those that have sent none to its end. With too many bytes that nobody reads, the one that has
+    the most.
     """
 
     most = 1000
-    _waiting: dict[BoundedProtocol, None]  # without a request in progress, in order of time
+    # Without a request in progress, in order of time: that have sent none to its end, and others.
+    _strangers: dict[BoundedProtocol, None]
+    _known: dict[BoundedProtocol, None]
+    _unread: set[BoundedProtocol]  # whose answers wait for their readers
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A connection; perhaps another one must make room."""
         self._head_bytes: int | None = 0  # None: no head is being received
-        self._head_timer: asyncio.TimerHandle | None = None
+        self._head_timer: Timer | None = None
+        self._read_timer: Timer | None = None
+        self._has_read = False
         super().connection_made(transport)
+        self._strangers[self] = None
         self._await_head()
-        if len(self.connections) > self.most:
-            next(iter(self._waiting)).abort()
+        self._limit()
 
     def data_received(self, data: bytes) -> None:
         """Bytes of a request."""
@@ -54,41 +72,124 @@ class BoundedProtocol(HttpToolsProtocol):
             raise ValueError("the head is too long")  # answered with 400
         self._stop_waiting()
         super().on_headers_complete()
+        scope: dict[str, Any] = self.scope  # type: ignore[assignment]
+        scope[ABORT] = lambda reason: self.abort()
+
+    def pause_writing(self) -> None:
+        """An answer waits for its reader."""
+        super().pause_writing()
+        self._unread.add(self)
+        self._await_reader()
+        while sum(map(_unread_bytes, self._unread)) > _MOST_UNREAD:
+            max(self._unread, key=_unread_bytes).abort()
+
+    def resume_writing(self) -> None:
+        """It is read."""
+        super().resume_writing()
+        self._unread.discard(self)
+        self._has_read = True
 
     def on_response_complete(self) -> None:
         """The answer is sent; the connection may be used again."""
         super().on_response_complete()
-        if self._head_bytes is None and not self.transport.is_closing():
-            self._waiting[self] = None
+        if self.transport.is_closing():  # when the rest is read
+            self._await_reader()
+        idle = self._head_bytes is None and self.cycle.response_complete
+        if idle and not self.transport.is_closing():
+            (self._strangers if self.cycle.more_body else self._known)[self] = None
+            self._limit()
+
+    def timeout_keep_alive_handler(self) -> None:
+        """Without a request for long; perhaps the last answer is not read either."""
+        if not self.transport.is_closing():
+            self.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The end of the connection."""
         self._stop_waiting()
+        self._stop_reading()
         super().connection_lost(exc)
 
     def abort(self) -> None:
-        """Close the connection without an answer."""
+        """Close the connection without an answer; the system keeps nothing that is unread."""
+        if _unread_bytes(self):
+            connection = self.transport.get_extra_info("socket")
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self.connections.discard(self)
         self._stop_waiting()
+        self._stop_reading()
         self.transport.abort()
+
+    def _limit(self) -> None:
+        """Close what is too much, after a moment for the heads that have come and are not read."""
+        if len(self.connections) > self.most:
+            self.loop.call_later(_ROOM_S, self._make_room, self.most)
+        self._make_room(2 * self.most)
+
+    def _make_room(self, most: int) -> None:
+        while len(self.connections) > most and (waiting := self._strangers or self._known):
+            next(iter(waiting)).abort()
 
     def _await_head(self) -> None:
         self._head_bytes = 0
-        self._waiting[self] = None
         self._start_timer()
 
     def _start_timer(self) -> None:
         if self._head_timer is None:
-            self._head_timer = self.loop.call_later(HEAD_S, self.abort)
+            self._head_timer = Timer(HEAD_S, self.abort)
+
+    def _await_reader(self) -> None:
+        """See that somebody reads, as long as something is unread."""
+        if self._read_timer is not None:
+            return
+        self._has_read, before = False, _unread_bytes(self)
+
+        def check() -> None:
+            self._read_timer, left = None, _unread_bytes(self)
+            if left and not self._has_read and before - left < _LEAST_READ:
+                self.abort()
+            elif left:
+                self._await_reader()
+
+        self._read_timer = Timer(_READ_S, check)
+
+    def _stop_reading(self) -> None:
+        self._unread.discard(self)
+        if self._read_timer is not None:
+            self._read_timer.cancel()
+            self._read_timer = None
 
     def _stop_waiting(self) -> None:
         self._head_bytes = None
-        self._waiting.pop(self, None)
+        self._strangers.pop(self, None)
+        self._known.pop(self, None)
         if self._head_timer is not None:
             self._head_timer.cancel()
             self._head_timer = None
 
 
+def _unread_bytes(connection: BoundedProtocol) -> int:
+    size: int = connection.transport.get_write_buffer_size()
+    return size
+
+
+class BoundedSocket(WebSocketsSansIOProtocol):
+    """A WebSocket that is gone soon after its end, whatever the other side does."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """A connection that was one for requests."""
+        super().connection_made(transport)
+        self.close_timeout = _CLOSE_S
+
+    def send_keepalive_ping(self) -> None:
+        """Ask whether the other side is there; a pause of the service is not its silence."""
+        super().send_keepalive_ping()
+        if self.pong_timer is not None and self.ping_timeout is not None:
+            self.pong_timer.cancel()
+            self.pong_timer = Timer(self.ping_timeout, self.keepalive_timeout)  # type: ignore[assignment]
+
+
 def bounded(most: int) -> type[BoundedProtocol]:
     """The protocol with its number of connections and its own record of them."""
-    members: dict[str, Any] = {"most": most, "_waiting": {}}
+    members: dict[str, Any] = {"most": most, "_strangers": {}, "_known": {}, "_unread": set()}
     return type("Bounded", (BoundedProtocol,), members)

@@ -9,8 +9,10 @@ from fastapi.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
-from rendezview_service.http.answers import FAULTS, JSON, body_of, needs, service_of
+from rendezview.errors import RendezviewError
+from rendezview_service.http.answers import FAULTS, JSON, body_of, key_of, needs, service_of
 from rendezview_service.http.security import Right
+from rendezview_service.hub.jobs import Job
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.messages.message_parts import Name
 from rendezview_service.messages.model_messages import (
@@ -37,7 +39,7 @@ async def list_models(request: Request) -> ModelList:
     needs(request, Right.READ)
     store = service_of(request).models
     found = [stored for name in store.names() if (stored := store.get(name)) is not None]
-    return ModelList(models=[await run_in_threadpool(_info, stored) for stored in found])
+    return ModelList(models=[await run_in_threadpool(_listed, stored) for stored in found])
 
 
 @router.get("/models/{name}")
@@ -65,15 +67,12 @@ async def put_model(request: Request, name: Name, replace: bool = False) -> Mode
     """
     needs(request, Right.ADMIN)
     service = service_of(request)
+    service.models.path_for(name, replace)  # refuses before the body is read
     present = service.models.get(name)
-    if present is not None and not (replace and present.own):
-        raise HTTPException(
-            409, f"model {name}: there is one already: choose another name, or ?replace=true"
-        )
     content = await body_of(request, service.settings.model_bytes)
     stored = await run_in_threadpool(service.models.add, name, content, replace)
     if present is not None:
-        service.release(present)
+        service.release()
     return await run_in_threadpool(_info, stored)
 
 
@@ -86,7 +85,7 @@ async def delete_model(request: Request, name: str) -> None:
     if service.uses(stored):
         raise HTTPException(409, f"model {stored.name}: a session uses it: close the session first")
     service.models.remove(stored.name)
-    service.release(stored)
+    service.release()
 
 
 @router.get("/jobs")
@@ -103,7 +102,13 @@ async def add_job(
     file: Annotated[
         str, Query(max_length=200, description="name of the mesh file; its suffix gives the format")
     ],
-    unit: Annotated[Literal["m", "cm", "mm", "in", "ft"], Query()] = "m",
+    unit: Annotated[
+        Literal["m", "cm", "mm", "in", "ft"] | None,
+        Query(description="default: as the file says, else m; a size that is odd is a warning"),
+    ] = None,
+    camera: Annotated[
+        str | None, Query(max_length=16_000, description="content of the flight camera's file")
+    ] = None,
     order: Annotated[int | None, Query(ge=0, le=4)] = None,
     views: Annotated[int | None, Query(ge=100, le=1_000_000)] = None,
     held_out: Annotated[int | None, Query(ge=10, le=100_000)] = None,
@@ -115,35 +120,39 @@ async def add_job(
     mesh = await body_of(request, service.settings.mesh_bytes)
     if not mesh:
         raise HTTPException(422, "the mesh is empty: send the file as the body")
-    numbers = {"order": order, "views": views, "held-out": held_out, "seed": seed}
-    options = {"unit": str(unit)} | {k: str(v) for k, v in numbers.items() if v is not None}
-    return service.jobs.add(model, file, mesh, options).info()
+    given = {"unit": unit, "order": order, "views": views, "held-out": held_out, "seed": seed}
+    options = {name: str(value) for name, value in given.items() if value is not None}
+
+    async def added() -> str:
+        return service.jobs.add(model, file, mesh, options, camera).id
+
+    job_id = await service.once.do(key_of(request), (model, file, len(mesh)), added)
+    return _job(request, job_id).info()
 
 
 @router.get("/jobs/{job_id}")
 async def get_job(request: Request, job_id: str) -> JobInfo:
     """A training job and its progress."""
     needs(request, Right.READ)
-    job = service_of(request).jobs.get(job_id)
-    if job is None:
-        raise HTTPException(
-            404, f"training {job_id[:80]!r}: there is none with this id: see /v1/jobs"
-        )
-    return job.info()
+    return _job(request, job_id).info()
 
 
 @router.delete("/jobs/{job_id}")
 async def cancel_job(request: Request, job_id: str) -> JobInfo:
     """Cancel a training job; a finished one does not change."""
     needs(request, Right.ADMIN)
-    jobs = service_of(request).jobs
-    job = jobs.get(job_id)
+    job = _job(request, job_id)
+    await service_of(request).jobs.cancel(job)
+    return job.info()
+
+
+def _job(request: Request, job_id: str) -> Job:
+    job = service_of(request).jobs.get(job_id)
     if job is None:
         raise HTTPException(
             404, f"training {job_id[:80]!r}: there is none with this id: see /v1/jobs"
         )
-    await jobs.cancel(job)
-    return job.info()
+    return job
 
 
 def _stored(request: Request, name: str) -> StoredModel:
@@ -153,6 +162,14 @@ def _stored(request: Request, name: str) -> StoredModel:
             404, f"model {name[:80]!r}: there is none with this name: see /v1/models"
         )
     return stored
+
+
+def _listed(stored: StoredModel) -> ModelInfo:
+    """A model that cannot be read is listed with the reason."""
+    try:
+        return stored.info
+    except (RendezviewError, OSError) as error:
+        return ModelInfo(name=stored.name, loaded=False, error=str(error))
 
 
 def _info(stored: StoredModel) -> ModelInfo:

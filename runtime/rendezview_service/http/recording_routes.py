@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
@@ -13,6 +14,7 @@ from rendezview.errors import RendezviewError
 from rendezview_service.http.answers import FAULTS, JSON, needs, service_of
 from rendezview_service.http.security import Right
 from rendezview_service.hub.session_defaults import approach_of
+from rendezview_service.hub.session_events import events_of
 from rendezview_service.logs.log_repair import LogPart, join
 from rendezview_service.logs.recordings import Recording
 from rendezview_service.messages.approach_messages import ApproachRequest
@@ -34,9 +36,15 @@ async def list_recordings(request: Request) -> RecordedList:
 async def get_history(
     request: Request, name: str, limit: Annotated[int, Query(ge=1, le=20_000)] = 2000
 ) -> Response:
-    """States of a log, evenly thinned to at most ``limit``."""
+    """States of a log, evenly thinned to at most ``limit``, and the events in these."""
     recording = await _recording(request, name)
-    return Response(await run_in_threadpool(recording.history, limit), 200, None, JSON)
+
+    def answer() -> bytes:
+        history = recording.history(limit)
+        events = [event.model_dump(mode="json") for event in events_of(history["states"])]
+        return json.dumps(history | {"events": events}).encode()
+
+    return Response(await run_in_threadpool(answer), 200, None, JSON)
 
 
 @router.get("/{name}/images/{frame}", response_class=Response)

@@ -20,11 +20,13 @@ from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import checked, read_text
-from rendezview_service.http.bodies import Bodies
+from rendezview_service.http.budgets import Bodies, Budget, Share, watched
+from rendezview_service.http.connections import ABORT
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.rate_limit import TokenBucket
 from rendezview_service.messages.messages import Fault
@@ -34,6 +36,8 @@ log = logging.getLogger("rendezview_service")
 
 SUBPROTOCOL, TOKEN_SUBPROTOCOL = "rendezview", "token."
 _FITS_SOCKET = re.compile(r"[\w!#$%&'*+\-.^`|~]+", re.ASCII)  # RFC 9110, 5.6.2
+_ALWAYS = ("/healthz", "/readyz", "/metrics")  # are answered however much there is to do
+_MOST_DOWNLOADS = 8  # each has the index of a log in memory: 15 MB an hour. Source: chosen
 _MOST_CALLERS = 10_000  # whose request rates are remembered. Source: a chosen limit
 _PAGE_POLICY = (
     "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; "
@@ -129,6 +133,10 @@ class Guard:
         self._hosts.add(socket.gethostname().lower())
         self._any_address = settings.host in ("0.0.0.0", "::")
         self._bodies = Bodies(settings)
+        # The rest of the connections is for those without a request, and for health and metrics.
+        self._requests = Budget(settings.connections // 2, "requests")
+        self._sockets = Budget(settings.connections // 4, "WebSockets")
+        self._downloads = Budget(_MOST_DOWNLOADS, "downloads of logs")
         self._callers: OrderedDict[str, TokenBucket] = OrderedDict()  # least recent first
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -138,23 +146,39 @@ class Guard:
             return
         headers = Headers(scope=scope)
         refusal = self._refusal(scope, headers)
+        budget, share = self._sockets, Share(scope.get("state", {}).get("caller", "?"))
+        if scope["type"] == "http":
+            budget = self._downloads if scope["path"].endswith("/log") else self._requests
+        if refusal is None and scope["path"] not in _ALWAYS:
+            try:
+                budget.enter(share)
+            except HTTPException as full:
+                refusal = full.status_code, str(full.detail)
         if refusal is not None:
             await _refuse(scope, receive, send, *refusal)
             self._metrics.requests.labels(str(refusal[0])).inc()
             return
-        if scope["type"] == "websocket":
-            _audit(scope, "opened")
-            await self._app(scope, receive, send)
-            return
+        try:
+            if scope["type"] == "websocket":
+                _audit(scope, "opened")
+                await self._app(scope, *watched(share, receive, send))
+            else:
+                await self._request(scope, receive, send, share)
+        finally:
+            budget.leave(share)
 
+    async def _request(self, scope: Scope, receive: Receive, send: Send, share: Share) -> None:
         async def with_headers(message: Any) -> None:
             if message["type"] == "http.response.start":
+                share.end = scope.get(ABORT)
+                share.moved_on()
                 self._metrics.requests.labels(str(message["status"])).inc()
                 _audit(scope, message["status"])
                 message["headers"] = [*message["headers"], *HEADERS]
+            share.moved(len(message.get("body", b"")))
             await send(message)
 
-        body = self._bodies.received(scope, receive)
+        body = self._bodies.received(scope, receive, share)
         try:
             await self._app(scope, body, with_headers)
         finally:
@@ -235,7 +259,7 @@ def _token(headers: Headers) -> str | None:
 def _is_open(scope: Scope) -> bool:
     """The page's files and the health checks need no token."""
     path = scope["path"]
-    if path in ("/healthz", "/readyz"):
+    if path in _ALWAYS[:2]:
         return True
     closed = path.startswith("/v1/") or path in ("/metrics", "/openapi.json", "/v1")
     return not closed and scope["type"] == "http"
@@ -269,7 +293,7 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, error
         await send({"type": "websocket.close", "code": 1008, "reason": error})
         return
     body = Fault(error=error, status=status).model_dump_json().encode()
-    extra = [(b"retry-after", b"1")] if status == 429 else []
+    extra = [(b"retry-after", b"1")] if status in (429, 503) else []
     if status == 401:
         extra = [(b"www-authenticate", b"Bearer")]
     start = {

@@ -18,6 +18,7 @@ from rendezview_service.http.answers import (
     body_of,
     fault,
     frame_time,
+    key_of,
     measure,
     needs,
     pieces_of,
@@ -29,6 +30,8 @@ from rendezview_service.http.answers import (
 )
 from rendezview_service.http.security import Right
 from rendezview_service.hub.session_defaults import approach_of
+from rendezview_service.hub.session_info import info_of
+from rendezview_service.logs.log_file import is_own
 from rendezview_service.logs.log_repair import join
 from rendezview_service.messages.approach_messages import ApproachRequest
 from rendezview_service.messages.fusion_messages import Marks, Measured
@@ -79,22 +82,27 @@ async def list_sessions(request: Request) -> SessionList:
     """All sessions."""
     needs(request, Right.READ)
     sessions = service_of(request).sessions.values()
-    return SessionList(sessions=[session.info() for session in sessions])
+    return SessionList(sessions=[info_of(session) for session in sessions])
 
 
 @router.post("", status_code=201)
 async def open_session(request: Request, asked: SessionRequest) -> SessionInfo:
-    """Open a session: a camera and a target."""
+    """Open a session: a camera and a target. With an ``Idempotency-Key`` it may be repeated."""
     needs(request, Right.TRACK)
-    session = await service_of(request).open(asked)
-    return session.info()
+    service = service_of(request)
+
+    async def opened() -> str:
+        return (await service.open(asked)).id
+
+    name = await service.once.do(key_of(request), asked.model_dump_json(), opened)
+    return info_of(session_of(request, name))
 
 
 @router.get("/{name}")
 async def get_session(request: Request, name: str) -> SessionInfo:
     """The present state of a session."""
     needs(request, Right.READ)
-    return session_of(request, name).info()
+    return info_of(session_of(request, name))
 
 
 @router.delete("/{name}", status_code=204)
@@ -114,10 +122,10 @@ async def post_frame(request: Request, name: str, time_s: float | None = None) -
     needs(request, Right.TRACK)
     session = session_of(request, name)
     at_s = frame_time(time_s)
-    pieces = await pieces_of(request, service_of(request).settings.frame_bytes)
+    pieces = await pieces_of(request, session.frame_bytes)
     if not any(pieces):
         raise HTTPException(422, "the frame is empty: send a PNG, a JPEG or grey bytes")
-    answer = await track(session, pieces, at_s, sender_of(request))
+    answer = await track(session, pieces, at_s, sender_of(request), key_of(request))
     if answer.status != 200:
         return fault(answer.status, answer.error)
     return Response(answer.body, 200, None, JSON)
@@ -154,7 +162,7 @@ async def post_measurements(
     sensor_name(sensor)
     settings = service_of(request).settings
     content = await body_of(request, min(settings.measurement_bytes, settings.frame_bytes))
-    answer = await measure(session, sensor, content)
+    answer = await measure(session, sensor, content, key_of(request))
     if answer.status != 200:
         return fault(answer.status, answer.error)
     return Response(answer.body, 200, None, JSON)
@@ -276,7 +284,7 @@ async def get_log(request: Request, name: str) -> Response:
     parts = session_of(request, name).log.parts
     if not parts:
         raise HTTPException(404, "this session is not recorded")
-    joined = await run_in_threadpool(join, [part for part in parts if part.path.exists()])
+    joined = await run_in_threadpool(join, [part for part in parts if is_own(part.path)])
     headers = {
         "Content-Disposition": f'attachment; filename="{parts[0].path.name}"',
         "Content-Length": str(joined.length),

@@ -26,7 +26,7 @@ from rendezview_service.http.answers import (
     session_of,
 )
 from rendezview_service.http.security import SUBPROTOCOL, Right
-from rendezview_service.hub.inputs import Answer, Full
+from rendezview_service.hub.inputs import Answer, Barred, Full
 from rendezview_service.hub.lease import Taken
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
@@ -112,10 +112,17 @@ def _take(session: Session, content: bytes, answer: Answering, sender: str) -> N
         answer(Answer(422, b"", f"time_s: must be within ±1e10, not {time_s}"))
         return
     picture = memoryview(content)[_TIME.size :]  # copied once, to the worker
+    if len(picture) > session.frame_bytes:
+        answer(Answer(413, b"", f"the frame is too long: send at most {session.frame_bytes} bytes"))
+        return
     try:
         session.replace(session.input((picture,), time_s, answer, sender=sender))
+    except RendezviewError as error:
+        answer(Answer(422, b"", str(error)))
     except Taken as taken:
         answer(Answer(409, b"", str(taken)))
+    except Barred as barred:
+        answer(Answer(429, b"", str(barred)))
 
 
 def _take_lines(session: Session, settings: Settings, text: str, answer: Answering) -> None:
@@ -144,6 +151,8 @@ def _take_lines(session: Session, settings: Settings, text: str, answer: Answeri
         session.measure(session.input((content,), None, answer, sensor=sensor))
     except Full:
         answer(Answer(429, b"", "too many lines wait or arrive per second: try again later"))
+    except Barred as barred:
+        answer(Answer(429, b"", str(barred)))
 
 
 @router.websocket("/{name}/watch")

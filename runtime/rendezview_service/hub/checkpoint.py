@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
+import os
+import threading
+import time
 from pathlib import Path
+from typing import ClassVar
 
 from pydantic import BaseModel, ConfigDict
 
-from rendezview.io.files import atomic_write_text
+from rendezview.errors import RendezviewError
+from rendezview.io.files import atomic_write_text, make_folder, write_error
+from rendezview_service.logs.log_lock import NO_LOCKS, lock
 from rendezview_service.messages.messages import SessionRequest
 
+log = logging.getLogger("rendezview_service")
+
 SUFFIX = ".session.json"
+_WAIT_S = 0.25  # s, that an answer waits for the disk. Source: chosen
 
 
 class Tracked(BaseModel):
@@ -37,6 +48,7 @@ class Checkpoint(BaseModel):
     log_base: Path | None
     log_paths: list[Path]
     fused: bool  # other sensors have sent lines
+    last_key: str | None = None  # of the last frame's request
 
 
 def checkpoint_path(folder: Path, session: str) -> Path:
@@ -61,3 +73,118 @@ def read_checkpoint(path: Path) -> Checkpoint | None:
         return Checkpoint.model_validate_json(path.read_bytes())
     except FileNotFoundError:
         return None
+
+
+def kept_in(folder: Path) -> list[Checkpoint]:
+    """All checkpoints of a folder; the log has the errors of those that cannot be read."""
+    found = []
+    for path in sorted(folder.glob(f"*{SUFFIX}")):
+        try:
+            kept = read_checkpoint(path)
+        except (OSError, ValueError) as error:
+            log.warning("checkpoint not read", extra={"path": str(path), "reason": str(error)})
+        else:
+            found += [] if kept is None else [kept]
+    return found
+
+
+def lock_state(folder: Path) -> int:
+    """Keep other services from a folder, as long as the descriptor that it returns is open.
+
+    Raises:
+        RendezviewError: another service has it, or it cannot be written to.
+    """
+    make_folder(folder)
+    try:
+        file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+        ours = lock(file)
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise write_error(folder, error) from error
+        ours = True
+    if not ours:
+        raise RendezviewError(f"{folder}: another service has its state there: choose another one")
+    return file
+
+
+class CheckpointKeeper:
+    """Writes the checkpoints of one session, in a thread of its own: the newest one only.
+
+    A disk that is slow or full delays one answer a little, and no more of any session until it
+    works again.
+    """
+
+    _late: ClassVar[set[CheckpointKeeper]] = set()  # whose disk has kept an answer waiting
+
+    def __init__(self, path: Path) -> None:
+        """Nothing is written yet."""
+        self._path = path
+        self._change = threading.Condition()
+        self._newest: Checkpoint | None = None  # that is not written yet
+        self._asked = self._done = 0
+        self._asked_s = 0.0
+        self._error: str | None = None
+        self._ending = self._removing = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def reason(self) -> str | None:
+        """Why the newest checkpoint is not there; None: it is."""
+        with self._change:
+            waits_s = time.monotonic() - self._asked_s
+            if self._done == self._asked or (self._error is None and waits_s < _WAIT_S):
+                return self._error
+            return self._error or f"{self._path}: the disk has not answered for {waits_s:.0f} s"
+
+    def keep(self, checkpoint: Checkpoint) -> None:
+        """Replace the checkpoint; wait for that, unless the disk is late or failing already."""
+        with self._change:
+            in_time = self._done == self._asked and self._error is None and not self._late
+            if self._done == self._asked:
+                self._asked_s = time.monotonic()
+            self._newest = checkpoint
+            self._asked += 1
+            self._change.notify_all()
+            if in_time:
+                self._change.wait_for(lambda: self._done == self._asked, _WAIT_S)
+                if self._done != self._asked:
+                    self._late.add(self)
+
+    def end(self, *, remove: bool = False) -> bool:
+        """No other follows; whether all is done. If it is not yet, ask again.
+
+        Args:
+            remove: the session has ended, and its checkpoint goes.
+        """
+        with self._change:
+            self._ending, self._removing = True, remove
+            self._change.notify_all()
+        self._thread.join(_WAIT_S)
+        return self.is_ended
+
+    @property
+    def is_ended(self) -> bool:
+        """Whether all is done."""
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while True:
+            with self._change:
+                self._change.wait_for(lambda: self._newest or self._ending)
+                newest, asked, self._newest = self._newest, self._asked, None
+            if self._removing:
+                with contextlib.suppress(OSError):
+                    self._path.unlink(missing_ok=True)
+            if newest is None or self._removing:
+                self._late.discard(self)
+                return
+            error = None
+            try:
+                write_checkpoint(self._path, newest)
+            except (OSError, RendezviewError) as failed:
+                error = str(failed)
+            with self._change:
+                self._done, self._error = asked, error
+                self._late.discard(self)
+                self._change.notify_all()

@@ -13,6 +13,17 @@ class Full(Exception):
     """No room: too many frames wait, or there are too many sessions."""
 
 
+class Barred(Exception):
+    """An input of the session ended its worker's process: none is taken for a while."""
+
+    def __init__(self, left_s: float) -> None:
+        super().__init__(
+            "a frame or a line of this session ended the tracker's process: nothing is taken from "
+            f"it for another {left_s:.0f} s. Send frames that a common program has written"
+        )
+        self.left_s = left_s
+
+
 @dataclass(slots=True, eq=False)
 class Answer:
     """The answer to a frame or to sensor lines, or the reason why there is none."""
@@ -33,6 +44,7 @@ class SessionInput:
     answer: Callable[[Answer], None]
     sensor: str | None = None  # the sensor of these lines; None: a frame
     sender: str = ""  # of a frame
+    key: str | None = None  # of a frame; see `Once`
     waited_s: float = 0.0  # between the session's previous input and this one
     shows_last: bool = False  # it has no bytes: the last frame goes to watchers who missed it
 

@@ -41,6 +41,7 @@ class Job:
     stage: str | None = None
     progress: float | None = None
     reason: str | None = None
+    warnings: list[str] = field(default_factory=list)
     created_unix_s: float = field(default_factory=time.time)
     started_s: float | None = None
     ended_s: float | None = None
@@ -63,6 +64,7 @@ class Job:
             stage=self.stage,
             progress=self.progress,
             reason=self.reason,
+            warnings=list(self.warnings),
             created_unix_s=self.created_unix_s,
             elapsed_s=elapsed_s,
         )
@@ -94,11 +96,19 @@ class Jobs:
         """A job by its id."""
         return self._jobs.get(job_id)
 
-    def add(self, model: str, file_name: str, mesh: bytes, options: dict[str, str]) -> Job:
+    def add(
+        self,
+        model: str,
+        file_name: str,
+        mesh: bytes,
+        options: dict[str, str],
+        camera: str | None = None,
+    ) -> Job:
         """Queue a training of an uploaded mesh.
 
         Args:
             file_name: only its suffix is used.
+            camera: content of a camera file, of any kind that `load_camera` reads.
             options: of ``rendezview train``: unit, order, views, held-out, seed.
 
         Raises:
@@ -120,6 +130,10 @@ class Jobs:
         target = folder / f"{model}{suffix}"
         target.write_bytes(mesh)
         arguments = [str(target), "-o", str(folder / path.name)]
+        if camera is not None:
+            given = folder / "camera"
+            given.write_text(camera, encoding="utf-8")
+            options = options | {"camera": str(given)}
         for name, value in options.items():
             arguments += [f"--{name}", value]
         job = Job(secrets.token_hex(6), model, folder, arguments)
@@ -183,8 +197,8 @@ class Jobs:
                 self._over(job, JobState.FAILED)
             else:
                 made = job.folder / f"{job.model}.rvm"
-                await asyncio.to_thread(shutil.copyfile, made, self._store.path_for(job.model))
-                await asyncio.to_thread(self._store.found, job.model)
+                content = await asyncio.to_thread(made.read_bytes)
+                await asyncio.to_thread(self._store.add, job.model, content)
                 self._over(job, JobState.DONE)
         except TimeoutError:
             _kill(job)
@@ -217,12 +231,16 @@ class Jobs:
 
 def _progress(job: Job, line: str) -> str:
     """Take a line of progress. Any other line is returned: it may be the reason of a failure."""
+    line = line.replace(str(job.folder) + os.sep, "")
     try:
         progress = json.loads(line)
+        if "doubt" in progress:
+            job.warnings.append(str(progress["doubt"]))
+            return ""
         job.stage = str(progress["stage"])
         job.progress = float(progress["done"]) / max(float(progress["total"]), 1.0)
     except (ValueError, KeyError, TypeError):
-        return line.removeprefix("rendezview: ").replace(str(job.folder) + os.sep, "")
+        return line.removeprefix("rendezview: ")
     return ""
 
 

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+import time
+
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    ProcessCollector,
+    generate_latest,
+)
 
 from rendezview_service.messages.messages import Recording, RecordingState
 
@@ -15,6 +24,12 @@ class Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
+        ProcessCollector(registry=self.registry)
+        self.faults = Gauge(
+            "rendezview_faults", "Reasons in /healthz; 0: all is well.", registry=self.registry
+        )
+        clock = Gauge("rendezview_unix_seconds", "The service's clock.", registry=self.registry)
+        clock.set_function(time.time)
         one = ["session"]
         self.frames = Counter(
             "rendezview_frames", "Frames tracked.", ["session", "status"], registry=self.registry
@@ -52,7 +67,16 @@ class Metrics:
             "rendezview_log_failed", "1 while a log cannot be written.", one, registry=self.registry
         )
         self.log_lost = Gauge(
-            "rendezview_log_lost_states", "States not in the log.", one, registry=self.registry
+            "rendezview_log_lost_states", "States in no file.", one, registry=self.registry
+        )
+        self.log_pending = Gauge(
+            "rendezview_log_pending_states",
+            "States that wait for the disk.",
+            one,
+            registry=self.registry,
+        )
+        self.log_faults = Gauge(
+            "rendezview_log_faults", "Faults of a log's files.", one, registry=self.registry
         )
         self.measurements = Counter(
             "rendezview_measurements",
@@ -109,6 +133,8 @@ class SessionMetrics:
         self._all.log_bytes.labels(self._name).set(now.size_bytes)
         self._all.log_failed.labels(self._name).set(now.state is RecordingState.FAILED)
         self._all.log_lost.labels(self._name).set(now.lost)
+        self._all.log_pending.labels(self._name).set(now.pending)
+        self._all.log_faults.labels(self._name).set(now.faults)
 
     def remove(self) -> None:
         """Forget the session."""
@@ -119,6 +145,7 @@ class SessionMetrics:
         every = (
             self._all.drops, self._all.refused, self._all.latency, self._all.track,
             self._all.log_bytes, self._all.log_failed, self._all.log_lost,
+            self._all.log_pending, self._all.log_faults,
         )  # fmt: skip
         for metric in every:
             metric.remove(self._name)  # no error if there is none

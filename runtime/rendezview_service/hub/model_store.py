@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
+import os
 import re
 import shutil
 import tempfile
@@ -31,6 +32,10 @@ BY_HASH = "by-hash"  # folder of copies that several services share
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
+class NameTaken(RendezviewError):
+    """A model has this name already."""
+
+
 class StoredModel:
     """One model file, read on first use, by whichever thread is first."""
 
@@ -46,6 +51,9 @@ class StoredModel:
         self.own = own
         self._copies = copies
         self._read: tuple[ViewModel, Path] | None = None
+        self._held: int | None = (
+            None  # descriptor of its copy; it can be read when its name is gone
+        )
         self._lock = threading.Lock()
 
     @property
@@ -60,12 +68,19 @@ class StoredModel:
 
     @property
     def copy(self) -> Path:
-        """The copy of its file that is named by its hash.
+        """The copy of its file that is named by its hash; made again if a cleaner removed it.
 
         Raises:
             RendezviewError: the file is not a model, or is gone.
         """
-        return self._loaded()[1]
+        copy = self._loaded()[1]
+        if self._held is not None and not copy.exists():
+            make_folder(copy.parent)
+            content = os.pread(self._held, os.fstat(self._held).st_size, 0)
+            with atomic_write(copy, durable=False) as file:
+                file.write(content)
+            log.warning("a model's copy was removed, and is made again", extra={"copy": str(copy)})
+        return copy
 
     @property
     def sha256(self) -> str:
@@ -90,6 +105,8 @@ class StoredModel:
                     copy.unlink()
                     said = str(error).replace(str(copy), str(self.path))
                     raise RendezviewError(said) from None
+                self._held = os.open(copy, os.O_RDONLY)
+                weakref.finalize(self, os.close, self._held)
             return self._read
 
     @cached_property
@@ -117,38 +134,36 @@ class StoredModel:
 class ModelStore:
     """Models by name. Uploads may come from several threads."""
 
-    def __init__(self, folder: Path, copies: Path | None = None) -> None:
-        """The models in a folder.
+    def __init__(
+        self, folder: Path | None, state: Path | None = None, *, shared: bool = False
+    ) -> None:
+        """The models in a folder; None: a temporary one.
 
         Args:
-            copies: folder of the files named by their hash, which several services share and
-                nobody empties; None: a temporary one.
+            state: folder of the one with the files named by their hash; None: a temporary one.
+            shared: several services share it, and nobody empties it.
 
         Raises:
             RendezviewError: the folder cannot be made.
         """
-        make_folder(folder)
-        self.folder = folder
-        self._keeps_copies = copies is not None
-        if copies is None:
-            self._copies = Path(tempfile.mkdtemp(prefix="rendezview-by-hash-"))
-            self._remove_copies = weakref.finalize(self, shutil.rmtree, self._copies, True)
-        else:
-            make_folder(copies)
-            self._copies = copies
+        self.folder = self._made(folder)
+        self._copies = self._made(None if state is None else state / BY_HASH)
+        self._shared = shared
         self._models: dict[str, StoredModel] = {}
         self._lock = threading.Lock()  # of a name's check and its insertion
-        for path in sorted(folder.glob(f"*{SUFFIX}")):
+        for path in sorted(self.folder.glob(f"*{SUFFIX}")):
             if _NAME.fullmatch(path.stem) and path.is_file():
                 self._models[path.stem] = self._stored(path.stem, path, own=True)
 
+    def _made(self, folder: Path | None) -> Path:
+        if folder is None:
+            folder = Path(tempfile.mkdtemp(prefix="rendezview-models-"))
+            weakref.finalize(self, shutil.rmtree, folder, True)
+        make_folder(folder)
+        return folder
+
     def _stored(self, name: str, path: Path, own: bool) -> StoredModel:
         return StoredModel(name, path.resolve(), own, self._copies)
-
-    def close(self) -> None:
-        """Remove the copies, unless others share them."""
-        if not self._keeps_copies:
-            self._remove_copies()
 
     def know(self, name: str, copy: Path) -> StoredModel:
         """A model that another service has stored, by its file named by its hash."""
@@ -156,6 +171,13 @@ class ModelStore:
         if stored is None or not stored.is_read or stored.copy != copy:
             stored = self._models[name] = StoredModel(name, copy, False, copy.parent)
         return stored
+
+    def kept(self, name: str, sha256: str) -> StoredModel:
+        """A model of a session of before, perhaps not the one that has its name now."""
+        named = self._models.get(name)
+        if named is not None and named.is_read and named.sha256 == sha256:
+            return named
+        return self._stored(name, self._copies / f"{sha256}{SUFFIX}", own=False)
 
     def give(self, path: Path) -> StoredModel:
         """Add a model file from elsewhere under its file name; it is read at once.
@@ -199,13 +221,14 @@ class ModelStore:
         """The file of a new model, or of one that may be replaced.
 
         Raises:
-            RendezviewError: the name is invalid or taken.
+            NameTaken: there is one.
+            RendezviewError: the name is invalid.
         """
         if not _NAME.fullmatch(name):
             raise RendezviewError(f"model name {name[:80]!r}: use letters, digits, - and _")
         taken = self._models.get(name)
         if taken is not None and not (replace and taken.own):
-            raise RendezviewError(
+            raise NameTaken(
                 f"model {name}: there is one already: choose another name, or ?replace=true"
             )
         return self.folder / f"{name}{SUFFIX}"
@@ -217,7 +240,8 @@ class ModelStore:
             replace: a model of this name may be there; sessions that use it keep it.
 
         Raises:
-            RendezviewError: the name is invalid or taken, or the content is not a model.
+            NameTaken: there is one.
+            RendezviewError: the name is invalid, or the content is not a model.
         """
         with self._lock:  # no other upload takes the name meanwhile
             path = self.path_for(name, replace)
@@ -234,13 +258,6 @@ class ModelStore:
             self._models[name] = stored
         return stored
 
-    def found(self, name: str) -> StoredModel:
-        """Add a file that a training job has put into the folder."""
-        stored = self._stored(name, self.folder / f"{name}{SUFFIX}", own=True)
-        _ = stored.model
-        self._models[name] = stored
-        return stored
-
     def remove(self, name: str) -> None:
         """Remove a model and delete its file.
 
@@ -254,14 +271,15 @@ class ModelStore:
             stored.path.unlink()
         del self._models[name]
 
-    def forget(self, stored: StoredModel, used: set[str]) -> None:
-        """Delete the copy of a model that has no name any more and that nobody uses.
+    def prune(self, used: set[str]) -> None:
+        """Delete the copies of models that have no name any more and that nobody uses.
 
         Args:
             used: hashes of the models of the sessions.
         """
-        if self._keeps_copies:
+        if self._shared:
             return
-        named = {other.sha256 for other in list(self._models.values()) if other.is_read}
-        if stored.is_read and stored.sha256 not in named | used:
-            stored.copy.unlink(missing_ok=True)
+        used = used | {other.sha256 for other in list(self._models.values()) if other.is_read}
+        for copy in self._copies.glob(f"*{SUFFIX}"):
+            if copy.stem not in used:
+                copy.unlink(missing_ok=True)

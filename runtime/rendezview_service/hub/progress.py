@@ -7,8 +7,9 @@ import math
 import time
 from dataclasses import dataclass, field
 
+from rendezview.errors import RendezviewError
 from rendezview_service.hub.checkpoint import Tracked
-from rendezview_service.messages.message_parts import PoseMessage
+from rendezview_service.messages.message_parts import MOST_FIRST_S, MOST_JUMP_S, PoseMessage
 from rendezview_service.messages.messages import Phase
 from rendezview_service.messages.wire import Header
 
@@ -54,6 +55,23 @@ class Progress:
         """The last `Fused` state, if it has a pose: the next filter goes on from it."""
         fused = {} if self.last is None else json.loads(self.last).get("fused") or {}
         return fused if fused.get("pose") is not None else None
+
+    def check_time(self, time_s: float) -> None:
+        """Refuse a frame that would keep all later ones out.
+
+        Raises:
+            RendezviewError: its time is far ahead of that of the last one.
+        """
+        last_s = self.header.get("time_s")
+        if last_s is None and self.last is not None:  # of another service
+            last_s = json.loads(self.last)["time_s"]
+        ahead_s = MOST_JUMP_S + (self.age_s or 0.0)
+        if time_s > (MOST_FIRST_S if last_s is None else last_s + ahead_s):
+            clock = "of a session that begins" if last_s is None else f"({last_s}) by {ahead_s:g} s"
+            raise RendezviewError(
+                f"time_s: {time_s} is too far ahead of the clock {clock}: correct the sender's "
+                "clock, or open another session"
+            )
 
     @property
     def age_s(self) -> float | None:

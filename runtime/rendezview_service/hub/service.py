@@ -7,42 +7,50 @@ import contextlib
 import logging
 import os
 import secrets
-import tempfile
 import time
 from collections.abc import Callable, Coroutine
-from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import make_folder
-from rendezview_service.hub.checkpoint import Checkpoint
+from rendezview_service.hub.checkpoint import (
+    Checkpoint,
+    CheckpointKeeper,
+    checkpoint_path,
+    kept_in,
+    lock_state,
+)
 from rendezview_service.hub.feeder import Feeder
 from rendezview_service.hub.inputs import Full
 from rendezview_service.hub.jobs import Jobs
 from rendezview_service.hub.metrics import Metrics
-from rendezview_service.hub.model_store import BY_HASH, ModelStore, StoredModel
+from rendezview_service.hub.model_store import ModelStore, StoredModel
+from rendezview_service.hub.once import Once
 from rendezview_service.hub.session_defaults import SessionDefaults
+from rendezview_service.hub.session_info import troubles_of
+from rendezview_service.hub.session_log import LogNames
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.source_process import open_apart
 from rendezview_service.hub.sources import Source
 from rendezview_service.hub.viewers import Viewers
 from rendezview_service.hub.worker_handle import WorkerGone
-from rendezview_service.hub.worker_pool import COMPILING, NotReady, Worker, WorkerPool
+from rendezview_service.hub.worker_pool import NotReady, Worker, WorkerPool
 from rendezview_service.hub.worker_requests import open_request
 from rendezview_service.logs.log_folder import keep_logs
 from rendezview_service.logs.recordings import Recordings
-from rendezview_service.messages.messages import Health, Recording, RecordingState, SessionRequest
+from rendezview_service.messages.messages import Health, SessionRequest
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import camera_message
 
 log = logging.getLogger("rendezview_service")
 
-_CLOSE_S = 30.0  # s, for a worker to complete a log. Source: chosen
+_CLOSE_S, _STOP_S = 30.0, 4.0  # s, for a log to be completed; when all end. Source: chosen
 _MOST_ENDED_PROCESSES = 3  # by frames of one session within `ENDED_S`. Source: a chosen limit
-_START_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
-_IDLE_CHECK_S = 5.0  # s, between checks for idle sessions. Source: chosen
+_REMEMBERED = 256  # openings and trainings, for requests that are repeated. Source: a chosen limit
+# s; enough to read compiled loops from the cache; between checks for idle sessions. Source: chosen
+_START_WAIT_S, _IDLE_CHECK_S = 20.0, 5.0
 
 
 class Service:
@@ -62,7 +70,7 @@ class Service:
         Args:
             model: a model file; clients can upload others.
             sources: each has its own session.
-            shares_models: other services use the folder of the models too.
+            shares_models: other services use the folders of the models and of the state too.
             speed: of sources that are files, as a multiple of their own rate; 0: no pauses.
 
         Raises:
@@ -71,30 +79,25 @@ class Service:
         self.settings = settings
         self.metrics = Metrics()
         self.sessions: dict[str, Session] = {}
-        self.watchers = 0
+        self.ended: dict[str, str] = {}  # why the last ones ended, by id
+        self.watchers, self.stopping = 0, False
         self.started_s = time.monotonic()
-        self.stopping = False
         self.version = metadata.version("rendezview")
         self._sources: list[Source] = []
-        self._temporary: tempfile.TemporaryDirectory[str] | None = None
-        folder = settings.models_folder
-        if folder is None:
-            self._temporary = tempfile.TemporaryDirectory(prefix="rendezview-models-")
-            folder = Path(self._temporary.name)
+        self._alone = not shares_models
         try:
-            self.models = ModelStore(folder, folder / BY_HASH if shares_models else None)
+            state, folder = settings.state_folder if self._alone else None, settings.models_folder
+            self._state_lock = None if state is None else lock_state(state)
+            self.models = ModelStore(folder, state if self._alone else folder, shared=shares_models)
             self.given: StoredModel | None = None if model is None else self.models.give(model)
             self.defaults = SessionDefaults(settings)
-            camera = self.defaults.camera
             for name in sources or []:
-                self._sources.append(open_apart(name, camera))
+                self._sources.append(open_apart(name, self.defaults.camera))
             if self._sources and self.given is None:
                 raise RendezviewError("a source needs a model to track with: name one")
         except RendezviewError:
             for source in self._sources:
                 source.close()
-            if self._temporary is not None:
-                self._temporary.cleanup()
             raise
         self.recordings = Recordings(settings.record_folder)
         self._viewers = Viewers(settings)
@@ -103,8 +106,10 @@ class Service:
         self._workers = WorkerPool(settings, self.metrics, self._reopen)
         self._feeders: dict[str, Feeder] = {}
         self._opening: set[str] = set()
+        self._ending: dict[str, CheckpointKeeper] = {}  # of sessions that have ended
+        self.once: Once[str] = Once(_REMEMBERED)  # ids of what requests have begun
         self._tasks: set[asyncio.Task[None]] = set()
-        self._first_log_taken = False
+        self._log_path = LogNames(settings.record)
         self._begun: asyncio.Task[None] | None = None
         self.failure: BaseException | None = None  # why the start failed
         self.on_failure: Callable[[], None] = lambda: None
@@ -124,11 +129,9 @@ class Service:
             if folder == self.settings.record:
                 make_folder(folder)
             elif not folder.is_dir():
-                raise RendezviewError(
-                    f"{self.settings.record}: its folder does not exist: create it first"
-                )
-            limits = self.settings.logs_bytes, self.settings.logs_s
-            self._spawn(keep_logs(folder, *limits))
+                reason = "its folder does not exist: create it first"
+                raise RendezviewError(f"{self.settings.record}: {reason}")
+            self._spawn(keep_logs(folder, self.settings.logs_bytes, self.settings.logs_s))
         self._begun = asyncio.create_task(self._begin())
         self._begun.add_done_callback(self._begin_done)
         self._spawn(self._housekeeping())
@@ -139,24 +142,39 @@ class Service:
         viewers = asyncio.to_thread(self._viewers.start)
         workers = self._workers.start(self.settings.workers or os.cpu_count() or 1, model)
         await asyncio.gather(viewers, workers)
+        if self._alone and self.settings.state_folder is not None:
+            await self._go_on(self.settings.state_folder)
         for number, source in enumerate(self._sources):
             name = "main" if number == 0 else f"source-{number + 1}"
             if source.camera is None:
                 raise RendezviewError(f"{source.name}: no camera: give --camera")
             assert self.given is not None
-            request = SessionRequest(
-                id=name, model=self.given.name, camera=camera_message(source.camera)
-            )
+            camera = camera_message(source.camera, checked=True)
+            request = SessionRequest(id=name, model=self.given.name, camera=camera)
+            request.notes.extend(source.notes or source.camera.doubts)
             session = await self._open(request, source)
             feeder = Feeder(source, session, asyncio.get_running_loop(), self._speed)
             self._feeders[session.id] = feeder
             feeder.start()
         log.info("ready", extra={"after_s": round(time.monotonic() - start_s, 1)})
 
+    async def _go_on(self, folder: Path) -> None:
+        """Continue the sessions of an earlier run."""
+        used = set()
+        for kept in await asyncio.to_thread(kept_in, folder):
+            name, sha256 = kept.request.model, kept.model_sha256
+            used.add(sha256)
+            try:
+                stored = self.models.kept(name or "model", sha256)
+                await self._open(kept.request, resumed=kept, stored=stored)
+            except (RendezviewError, NotReady, Full) as error:
+                about = {"session": kept.request.id, "reason": str(error)}
+                log.warning("a session does not go on", extra=about)
+        self.models.prune(used)
+
     def _begin_done(self, begun: asyncio.Task[None]) -> None:
-        if begun.cancelled() or begun.exception() is None:
+        if begun.cancelled() or (error := begun.exception()) is None:
             return
-        error = begun.exception()
         log.error("the service does not start", extra={"reason": str(error)})
         self.failure = error
         self.on_failure()
@@ -167,40 +185,30 @@ class Service:
         self._workers.stay_down()
         for task in (*self._tasks, *([] if self._begun is None else [self._begun])):
             task.cancel()
-        for session in list(self.sessions.values()):
-            await self.close(session, "the service ends")
+        sessions = list(self.sessions.values())
+        await asyncio.gather(*(self.close(s, "the service ends", goes_on=True) for s in sessions))
         for source in self._sources:
             await asyncio.to_thread(source.close)
         await self.jobs.stop()
         await self._workers.stop()
         await asyncio.to_thread(self._viewers.close)
-        self.models.close()
-        if self._temporary is not None:
-            self._temporary.cleanup()
 
     def health(self) -> Health:
         """Whether frames can be tracked, and the reasons if not."""
-        reasons = []
+        reasons = self._workers.troubles
         if self._begun is not None and not self._begun.done():
-            reasons.append(f"starting: {self._workers.progress}")
-        elif self._workers.none_ready:
-            reasons.append("no worker process is ready")
-        if self._workers.compiling:
-            reasons.append(COMPILING)
-        blind = [said for session in self.sessions.values() if (said := session.blind_reason)]
-        logs = {name: session.log.recording for name, session in self.sessions.items()}
-        failed = {name: r for name, r in logs.items() if r.state is RecordingState.FAILED}
-        blind += [f"session {name} is not recorded: {r.reason}" for name, r in failed.items()]
+            reasons = [f"starting: {self._workers.progress}"]
+        failing, troubles = troubles_of(list(self.sessions.values()))
         status = "stopping" if self.stopping else "not ready" if reasons else "ok"
-        if status == "ok" and blind:
+        if status == "ok" and troubles:
             status = "degraded"
         return Health(
             status=status,  # type: ignore[arg-type]
-            reasons=reasons + blind,
+            reasons=reasons + troubles,
             version=self.version,
             uptime_s=time.monotonic() - self.started_s,
             sessions=len(self.sessions),
-            recording_failures=len(failed),
+            recording_failures=failing,
         )
 
     # Sessions
@@ -209,13 +217,8 @@ class Service:
         self,
         request: SessionRequest,
         resumed: Checkpoint | None = None,
-        keep: Callable[[Session], None] = lambda session: None,
     ) -> Session:
-        """Open a session; while the service starts, wait a moment for that.
-
-        Args:
-            resumed: of a session that another service had.
-            keep: receives the session at its begin, and before each state is acknowledged.
+        """Open a session, or go on with one of before; while the service starts, wait for that.
 
         Raises:
             RendezviewError: the request is wrong.
@@ -227,21 +230,21 @@ class Service:
                 await asyncio.wait_for(asyncio.shield(self._begun), _START_WAIT_S)
             except TimeoutError:
                 raise NotReady(f"starting: {self._workers.progress}") from None
-        return await self._open(request, resumed=resumed, keep=keep)
+        return await self._open(request, resumed=resumed)
 
     async def _open(
         self,
         request: SessionRequest,
         source: Source | None = None,
         resumed: Checkpoint | None = None,
-        keep: Callable[[Session], None] = lambda session: None,
+        stored: StoredModel | None = None,
     ) -> Session:
         if len(self.sessions) + len(self._opening) >= self.settings.sessions or self.stopping:
             raise Full
         name = request.id or f"s-{secrets.token_hex(4)}"
-        if name in self.sessions or name in self._opening:
+        if self.has(name):
             raise RendezviewError(f"session {name}: there is one already: choose another id")
-        stored = self.model_named(request.model)
+        stored = stored or self.model_named(request.model)
         self._opening.add(name)
         try:
             await self._workers.warmed(stored)
@@ -252,8 +255,6 @@ class Service:
                 session.resume(resumed)
             try:
                 await self._place(session)
-                keep(session)
-                session.keep = lambda: keep(session)
             except BaseException as error:
                 session.end("it could not be opened")
                 if isinstance(error, WorkerGone):
@@ -262,6 +263,13 @@ class Service:
         finally:
             self._opening.discard(name)
         self.sessions[name] = session
+        if self.settings.state_folder is not None and source is None:
+            keeper = CheckpointKeeper(checkpoint_path(self.settings.state_folder, name))
+            keeper.keep(session.checkpoint())
+            session.keeper = keeper
+            if keeper.reason is not None and resumed is None:
+                await self.close(session, "it has no checkpoint")
+                raise RendezviewError(f"session {name} cannot be opened: {keeper.reason}")
         self.metrics.sessions.set(len(self.sessions))
         self._spawn(self._workers.prepare(list(self.sessions.values())))
         if self._viewers.any:
@@ -270,26 +278,35 @@ class Service:
         return session
 
     def has(self, name: str) -> bool:
-        """Whether a session is open, or being opened."""
-        return name in self.sessions or name in self._opening
+        """Whether a session is open, or being opened or ended."""
+        ending = self._ending.get(name)
+        open_now = name in self.sessions or name in self._opening
+        return open_now or (ending is not None and not ending.is_ended)
 
-    async def close(self, session: Session, reason: str) -> None:
-        """End a session and complete its log."""
+    async def close(self, session: Session, reason: str, *, goes_on: bool = False) -> None:
+        """End a session and complete its log; with its checkpoint it may go on elsewhere."""
         if self.sessions.pop(session.id, None) is None:
             return
-        feeder = self._feeders.pop(session.id, None)
-        if feeder is not None:
+        self.ended = dict([*self.ended.items(), (session.id, reason)][-_REMEMBERED:])
+        if (feeder := self._feeders.pop(session.id, None)) is not None:
             feeder.stop()
-        worker = session.worker
+        worker, keeper = session.worker, session.keeper
+        if keeper is not None:
+            self._ending[session.id] = keeper
         session.worker = None
-        session.end(reason)
+        session.end(reason, 503 if goes_on and keeper is not None else 410)
         self.metrics.sessions.set(len(self.sessions))
         if worker is not None:
             worker.forget(session)
             with contextlib.suppress(WorkerGone, TimeoutError):
                 asked = worker.ask({"kind": "close", "session": session.id})
-                await asyncio.wait_for(asked, _CLOSE_S)
-        self.release(session.stored)
+                await asyncio.wait_for(asked, _STOP_S if self.stopping else _CLOSE_S)
+        if keeper is not None:
+            if goes_on:
+                keeper.keep(session.checkpoint())
+            if await asyncio.to_thread(keeper.end, remove=not goes_on):
+                self._ending.pop(session.id, None)
+        self.release()
         log.info("session", extra={"session": session.id, "state": "closed", "reason": reason})
 
     async def warm(self, stored: StoredModel) -> None:
@@ -300,11 +317,10 @@ class Service:
         """Have the workers ready for sessions of other services; see `sight_of`."""
         await self._workers.expect(sights)
 
-    def release(self, stored: StoredModel) -> None:
+    def release(self) -> None:
         """A session, or a name, does not need a model any more."""
-        used = {session.stored.sha256 for session in self.sessions.values()}
-        self.models.forget(stored, used)
         if not self.stopping:
+            self.models.prune({session.stored.sha256 for session in self.sessions.values()})
             self._spawn(self._workers.prepare(list(self.sessions.values())))
 
     def uses(self, stored: StoredModel) -> bool:
@@ -330,7 +346,7 @@ class Service:
             worker = self._workers.least_busy()
         worker.sessions.add(session)
         if session.request_now.record and session.log.base is None:
-            session.log.base = self._log_path(session)
+            session.log.base = self._log_path(session.id)
         try:
             answer = await worker.ask(open_request(session, self.settings))
         except WorkerGone:
@@ -340,20 +356,9 @@ class Service:
             worker.sessions.discard(session)
             raise RendezviewError(answer["error"])
         session.worker = worker
-        if answer["recording"] is not None:
-            session.log.update(answer["log_path"], Recording.model_validate(answer["recording"]))
+        session.recorded(answer)
         if session.has_waiting:
             worker.wake(session)
-
-    def _log_path(self, session: Session) -> Path:
-        place = self.settings.record
-        assert place is not None
-        if place.suffix == ".mcap":
-            if not self._first_log_taken:
-                self._first_log_taken = True
-                return place
-            return place.with_name(f"{place.stem}-{session.id}{place.suffix}")
-        return place / f"{session.id}-{datetime.now(UTC):%Y%m%dT%H%M%S}.mcap"
 
     async def _reopen(self, orphans: list[Session], worker: Worker | None) -> list[Session]:
         """Continue the sessions of a worker that ended with another one, or end them.

@@ -14,6 +14,7 @@ from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import checked, read_text
+from rendezview.io.plausible import camera_doubts
 from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance import ViewModel
 from rendezview.trajectory import Plan, Shape, plan_of, read_plan
@@ -28,7 +29,7 @@ from rendezview_service.messages.fusion_messages import (
 )
 from rendezview_service.messages.messages import CameraMessage, SessionRequest
 from rendezview_service.settings import Settings
-from rendezview_service.tracker.tracking import camera_message
+from rendezview_service.tracker.tracking import camera_message, camera_of
 
 _APPROACH = TypeAdapter(ApproachRequest)
 _PLAN_POINTS = 500  # of a plan that is drawn and compared. Source: chosen
@@ -55,15 +56,20 @@ class SessionDefaults:
         if self._plan_file is not None:
             self._plan = plan_of(self._plan_file, str(settings.plan))
 
-    def camera_of(self, request: SessionRequest) -> CameraMessage:
-        """The camera of a request, or the service's.
+    def _camera(self, request: SessionRequest) -> CameraMessage:
+        """The camera of a request, or the service's; doubts about it are in the request's notes.
 
         Raises:
             RendezviewError: there is none, or its frames are too large.
         """
         camera = request.camera
         if camera is None and self.camera is not None:
-            camera = camera_message(self.camera)
+            camera = camera_message(self.camera)  # questioned when its file was read
+            request.notes.extend(self.camera.doubts)
+        elif camera is not None and not camera.checked:
+            meant = '"checked": true in the camera if it is meant'
+            found = camera_doubts(camera_of(camera))
+            request.notes.extend(f"camera: {doubt.what} ({meant})" for doubt in found)
         if camera is None:
             raise RendezviewError("the session has no camera: give one")
         most = self._settings.frame_bytes
@@ -85,7 +91,7 @@ class SessionDefaults:
         more: dict[str, object] = {
             "id": name,
             "model": stored.name,
-            "camera": self.camera_of(request),
+            "camera": self._camera(request),
             "record": records if request.record is None else request.record,
         }
         if more["record"] and settings.record is None:

@@ -19,10 +19,11 @@ _CLEAR_S = 2.0  # s, for which a limit must hold before its alarm ends. Source: 
 class SessionEvents:
     """The newest events of a session, and the alarms that stand."""
 
-    def __init__(self, session: str, unix_s: Callable[[], float]) -> None:
+    def __init__(self, session: str | None, unix_s: Callable[[], float]) -> None:
         """No events yet.
 
         Args:
+            session: for the service's own log; None: that has them already.
             unix_s: the session's clock, s.
         """
         self._session = session
@@ -31,6 +32,7 @@ class SessionEvents:
         self._count = 0
         self._phase = Phase.WAITING
         self._recording: RecordingState | None = None
+        self._log_faults = 0
         self._alarms: dict[tuple[str, str], tuple[str, float]] = {}  # text, last seen
         self._fault: str | None = None
         self._restarts = 0
@@ -51,7 +53,8 @@ class SessionEvents:
         )
         self._count += 1
         self._kept.append(event)
-        log.info("event", extra={"session": self._session, "kind": kind, "text": event.text})
+        if self._session is not None:
+            log.info("event", extra={"session": self._session, "kind": kind, "text": event.text})
 
     def phase(self, phase: Phase, frame: int, status: str) -> None:
         """The phase of a frame."""
@@ -82,7 +85,10 @@ class SessionEvents:
 
     def recording(self, recording: Recording) -> None:
         """The state of the log."""
+        faults, self._log_faults = self._log_faults, recording.faults
         if recording.state is self._recording:
+            if recording.fault is not None and recording.faults > faults:
+                self.add("recording", Level.ALARM, f"goes on: {recording.fault}")
             return
         began, self._recording = self._recording is None, recording.state
         if recording.state is RecordingState.FAILED:
@@ -95,3 +101,16 @@ class SessionEvents:
         if error is not None and error != self._fault:
             self.add("source", Level.WARNING, error)
         self._fault = error
+
+
+def events_of(states: list[dict[str, Any]]) -> list[Event]:
+    """Phases, alarms and restarts of the filter in recorded states."""
+    at_s = 0.0
+    events = SessionEvents(None, lambda: at_s)
+    for state in states:
+        at_s = state["received_unix_s"]
+        events.phase(Phase(state["phase"]), state["frame"], state["status"])
+        events.limits((state.get("approach") or {}).get("alarms", []), at_s)
+        if fused := state.get("fused"):
+            events.restarted(fused["starts"], fused["note"])
+    return events.since(0)

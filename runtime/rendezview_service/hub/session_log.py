@@ -4,12 +4,29 @@ from __future__ import annotations
 
 import logging
 import secrets
+from datetime import UTC, datetime
 from pathlib import Path
 
 from rendezview_service.logs.log_repair import LogPart
 from rendezview_service.messages.messages import Recording, RecordingState
 
 log = logging.getLogger("rendezview_service")
+
+
+class LogNames:
+    """Names of new logs: the file that was asked for is the first one's."""
+
+    def __init__(self, place: Path | None) -> None:
+        """``place``: a file (*.mcap) or a folder; None: nothing is recorded."""
+        self._place, self._taken = place, False
+
+    def __call__(self, session: str) -> Path:
+        place = self._place
+        assert place is not None
+        if place.suffix != ".mcap":
+            return place / f"{session}-{datetime.now(UTC):%Y%m%dT%H%M%S}.mcap"
+        first, self._taken = not self._taken, True
+        return place if first else place.with_name(f"{place.stem}-{session}{place.suffix}")
 
 
 class SessionLog:
@@ -22,16 +39,24 @@ class SessionLog:
         self.recording = Recording(state=RecordingState.OFF)
         self._session = session
         self._paths: list[Path] = []
+        self._earlier: list[Path] = []  # of them, those of workers before
+        self._earlier_lost = 0
 
     def resume(self, log_id: str, base: Path | None, paths: list[Path]) -> None:
         """Continue a log whose parts another service has written."""
         self.id, self.base, self._paths = log_id, base, list(paths)
 
-    def update(self, path: str | None, recording: Recording) -> None:
-        """The file that a worker writes, and how that goes."""
+    def moved(self) -> int:
+        """Another worker continues; the number of states that waited for the disk: all lost."""
+        lost = self.recording.pending
+        self._earlier, self._earlier_lost = list(self._paths), self.recording.lost + lost
+        return lost
+
+    def update(self, paths: list[str], recording: Recording) -> None:
+        """The files that a worker has written, and how that goes."""
         changed = recording.state is not self.recording.state
-        if changed and self._paths:
-            failed = recording.state is RecordingState.FAILED
+        failed = recording.state is RecordingState.FAILED
+        if changed and (self._paths or failed):
             log.log(
                 logging.ERROR if failed else logging.INFO,
                 "recording",
@@ -41,9 +66,9 @@ class SessionLog:
                     "reason": recording.reason,
                 },
             )
-        self.recording = recording
-        if path is not None and (not self._paths or self._paths[-1] != Path(path)):
-            self._paths.append(Path(path))
+        lost = self._earlier_lost + recording.lost
+        self.recording = recording.model_copy(update={"lost": lost})
+        self._paths = [*self._earlier, *map(Path, paths)]
 
     @property
     def parts(self) -> list[LogPart]:
@@ -53,5 +78,5 @@ class SessionLog:
         *before, last = self._paths
         return [
             *map(LogPart, before),
-            LogPart(last, self.recording.size_bytes, trusted=True),
+            LogPart(last, self.recording.size_bytes or None, trusted=True),
         ]

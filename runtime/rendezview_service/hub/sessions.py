@@ -8,13 +8,14 @@ from collections.abc import Callable, Sequence
 
 from pydantic_core import to_json
 
-from rendezview_service.hub.checkpoint import Checkpoint
+from rendezview_service.hub.checkpoint import Checkpoint, CheckpointKeeper
 from rendezview_service.hub.clock import SessionClock
 from rendezview_service.hub.history import Past
-from rendezview_service.hub.inputs import Answer, Full, InputQueue, SessionInput
+from rendezview_service.hub.inputs import Answer, Barred, Full, InputQueue, SessionInput
 from rendezview_service.hub.lease import SOURCE, Lease
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
+from rendezview_service.hub.once import Once
 from rendezview_service.hub.progress import Progress
 from rendezview_service.hub.rate_limit import TokenBucket
 from rendezview_service.hub.session_events import SessionEvents
@@ -22,18 +23,14 @@ from rendezview_service.hub.session_log import SessionLog
 from rendezview_service.hub.watching import Watchers
 from rendezview_service.hub.worker_handle import WorkerHandle
 from rendezview_service.messages.approach_messages import Level
-from rendezview_service.messages.frame_sensor_messages import FrameSensorsRequest
-from rendezview_service.messages.frames import Bytes
-from rendezview_service.messages.messages import (
-    Recording,
-    SensorHealth,
-    SessionInfo,
-    SessionRequest,
-)
+from rendezview_service.messages.frames import Bytes, longest_frame
+from rendezview_service.messages.messages import Recording, SensorHealth, SessionRequest
 from rendezview_service.messages.wire import Header
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.sensor_health import STALE_S, Arrivals, OtherSensors
 
+_REMEMBERED = 64  # answers, for requests that are repeated. Source: a chosen limit
+_BARRED_S = 60.0  # s, after an input that ended a process. Source: chosen
 ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
 
 
@@ -63,6 +60,9 @@ class Session:
         self.handover: Header | None = None  # the `Fused` state that its filter goes on from
         self.ended_at_s: list[float] = []  # worker processes that its frames ended, monotonic
         self.settings = settings
+        assert request.camera is not None
+        longest = longest_frame(request.camera.width, request.camera.height)
+        self.frame_bytes = min(settings.frame_bytes, longest)
         self.source = source
         self.worker: WorkerHandle[Session] | None = None
         self.created_unix_s = time.time()
@@ -73,6 +73,8 @@ class Session:
         self.finished = False
         self.reason: str | None = None
         self.used_s = time.monotonic()
+        self.once: Once[Answer] = Once(_REMEMBERED)
+        self._last_key: str | None = None  # of the last frame's request
         self.clock = SessionClock.started_now()
         self.lease = Lease(settings.sender_hold_s if source is None else math.inf)
         if source is not None:
@@ -80,15 +82,18 @@ class Session:
         self._metrics = metrics.of_session(name)
         self._queue = InputQueue()
         self.frame_base = 0  # number of frames before the present worker
-        self._drops = 0
+        self.drops = 0
         self.events = SessionEvents(name, lambda: self.clock.unix_s(time.monotonic()))
+        for note in request.notes:
+            self.events.add("session", Level.WARNING, note)
         self._arrivals = Arrivals()
         self._others = OtherSensors()
         self._lines = TokenBucket.full(settings.measurements_per_s, time.monotonic())
         self._last_fault: str | None = None
+        self._barred_until_s = -math.inf
         self._refused_since_s: float | None = None  # no frame has been usable since
         self.was_fused = False  # at another service
-        self.keep: Callable[[], None] = lambda: None  # before a state is acknowledged
+        self.keeper: CheckpointKeeper | None = None
 
     # Inputs
 
@@ -100,16 +105,22 @@ class Session:
         *,
         sender: str = "",
         sensor: str | None = None,
+        key: str | None = None,
     ) -> SessionInput:
         """An input that arrives now, by the session's clock.
 
         Args:
             time_s: of a frame; None: its arrival.
+
+        Raises:
+            RendezviewError: a client's frame is far ahead of the session's clock.
         """
         now_s = time.monotonic()
+        if time_s is not None and self.source is None:
+            self.progress.check_time(time_s)
         unix_s = self.clock.unix_s(now_s)
         at_s = unix_s if time_s is None else time_s
-        return SessionInput(pieces, at_s, unix_s, now_s, answer, sensor, sender)
+        return SessionInput(pieces, at_s, unix_s, now_s, answer, sensor, sender, key)
 
     def queue(self, waiting: SessionInput) -> None:
         """A frame that is tracked after those before it.
@@ -117,8 +128,9 @@ class Session:
         Raises:
             Full: too many wait.
             Taken: another sender has the session.
+            Barred: one of its inputs ended a process.
         """
-        self.lease.take(waiting.sender, waiting.received_s)
+        self._admit(waiting)
         if self._queue.count(frames=True) >= self.settings.waiting:
             raise Full
         self._arrived(waiting)
@@ -130,7 +142,9 @@ class Session:
 
         Raises:
             Full: too many wait, or too many come a second.
+            Barred: as for frames.
         """
+        self._admit(waiting)
         too_fast = self._lines.refill(waiting.received_s) < 0.0
         waiting_now = self._queue.count(frames=False)
         if too_fast or waiting_now >= self.settings.measurements_waiting:
@@ -144,13 +158,13 @@ class Session:
         """A frame of a stream; it replaces the one that waits.
 
         Raises:
-            Taken: another sender has the session.
+            Taken, Barred: as `queue`.
         """
-        self.lease.take(waiting.sender, waiting.received_s)
+        self._admit(waiting)
         self._arrived(waiting)
         dropped = self._queue.replace(waiting)
         if dropped is not None:
-            self._drops += 1
+            self.drops += 1
             self._metrics.drops.inc()
             dropped.answer(Answer(0, b""))
         self._wake()
@@ -199,7 +213,7 @@ class Session:
             "kind": "frame",
             "time_s": waiting.time_s,
             "received_s": waiting.received_s,
-            "drops": self._drops,
+            "drops": self.drops,
             "extras": self.watchers.extras(now_s, history_px),
         }
 
@@ -207,6 +221,13 @@ class Session:
         """How many lines a sensor's message can hold."""
         breaks = sum(bytes(piece).count(b"\n") for piece in waiting.pieces)
         return min(1 + breaks, self.settings.measurement_lines)
+
+    def _admit(self, waiting: SessionInput) -> None:
+        left_s = self._barred_until_s - waiting.received_s
+        if left_s > 0.0 and self.source is None:
+            raise Barred(left_s)
+        if waiting.sensor is None:
+            self.lease.take(waiting.sender, waiting.received_s)
 
     def _arrived(self, waiting: SessionInput) -> None:
         self.used_s = waiting.received_s
@@ -226,6 +247,7 @@ class Session:
     def tracked(self, waiting: SessionInput, header: Header, state: bytes) -> None:
         """The state of a frame."""
         self.progress.add(header, state)
+        self._last_key = waiting.key
         self._last_fault = None
         self._refused_since_s = None
         now_s = time.monotonic()
@@ -233,11 +255,11 @@ class Session:
         self.events.limits(header.get("alarms", []), now_s)
         self.events.restarted(*header["starts"])
         self.events.fault(None)
-        if "recording" in header:
-            self._recorded(header)
+        self.recorded(header)
         self._others.tracked(waiting.received_s, waiting.received_unix_s, header)
         self._metrics.tracked(header["status"], header["track_ms"], now_s - waiting.received_s)
-        self.keep()
+        if self.keeper is not None:
+            self.keeper.keep(self.checkpoint())
         waiting.answer(Answer(200, state))
         self.past.add(now_s, header["frame"], state)
         self.watchers.tracked()
@@ -247,8 +269,7 @@ class Session:
         assert waiting.sensor is not None
         self._lines.spend(header["lines"])
         self._others.received(waiting.sensor, waiting.received_s, waiting.received_unix_s, header)
-        if "recording" in header:
-            self._recorded(header)
+        self.recorded(header)
         self._metrics.measured(waiting.sensor, header["lines"], header["accepted"])
         waiting.answer(Answer(200, answer))
 
@@ -264,6 +285,13 @@ class Session:
         rest = b'"sensors":%b,"recording":%b,"marks":%b' % (sensors, recording, marks)
         self.watchers.show(now_s, self.progress.last, header, picture, rest)
 
+    def recorded(self, header: Header) -> None:
+        """How recording goes, if the session is recorded."""
+        if "recording" in header:
+            self.log.update(header["log_paths"], Recording.model_validate(header["recording"]))
+            self.events.recording(self.log.recording)
+            self._metrics.recording(self.log.recording)
+
     def refused(self, waiting: SessionInput, error: str, internal: bool = False) -> None:
         """The worker could not use a frame or sensor lines."""
         if waiting.shows_last:  # the worker has logged why
@@ -278,10 +306,12 @@ class Session:
             self._lines.spend(1)
         waiting.answer(Answer(500 if internal else 422, b"", error))
 
-    def lost(self, waiting: SessionInput) -> None:
-        """The worker ended over a frame or sensor lines."""
+    def lost(self, waiting: SessionInput, at_fault: bool) -> None:
+        """The worker ended over a frame or sensor lines; perhaps these are at fault."""
         error = "the tracker's process ended over it: another one continues with the next frame"
         now_s = time.monotonic()
+        if at_fault:
+            self._barred_until_s = now_s + _BARRED_S
         self.ended_at_s = [*(at_s for at_s in self.ended_at_s if now_s - at_s < ENDED_S), now_s]
         self.events.add("worker", Level.ALARM, error)
         if waiting.sensor is None:
@@ -293,6 +323,8 @@ class Session:
 
         They start with the last pose and the last fused one, if these are not old.
         """
+        if lost := self.log.moved():
+            self.events.add("recording", Level.ALARM, f"{lost} states waited for the disk: lost")
         self.handover = self.progress.handover
         if self.progress.last_found is not None or self.handover is not None:
             self.request_now = self.request.model_copy(update={"prior": self.progress.prior})
@@ -311,14 +343,17 @@ class Session:
             log_base=self.log.base,
             log_paths=[part.path for part in self.log.parts],
             fused=self.is_fused or self.was_fused,
+            last_key=self._last_key,
         )
 
     def resume(self, kept: Checkpoint) -> None:
         """Continue a session of another service; the tracker starts at its last pose."""
         self.was_fused = kept.fused
         self.progress.resume(kept.tracked)
+        if kept.last_key is not None and self.progress.last is not None:
+            self.once.know(kept.last_key, Answer(200, self.progress.last))
         self.log.resume(kept.log, kept.log_base, kept.log_paths)
-        self.events.add("node", Level.WARNING, "another node continues the session")
+        self.events.add("node", Level.WARNING, "another process continues the session")
         self.reopened()
 
     # The source, and the end
@@ -332,20 +367,16 @@ class Session:
     def source_ended(self, reason: str | None) -> None:
         """The source has ended, or failed for a reason."""
         self.finished, self.reason = True, reason
-        self.events.add("source", Level.WARNING if reason else Level.INFO, f"ended: {reason or ''}")
+        said = f"ended: {reason or f'no frames are left in {self.source}'}"
+        self.events.add("source", Level.WARNING if reason else Level.INFO, said)
 
-    def end(self, reason: str) -> None:
-        """Answer everything that waits; nothing follows."""
+    def end(self, reason: str, status: int = 410) -> None:
+        """Answer everything that waits; nothing follows here."""
         for waiting in self._queue:
-            waiting.answer(Answer(410, b"", reason))
+            waiting.answer(Answer(status, b"", reason))
         self._queue.clear()
         self.watchers.end(reason)
         self._metrics.remove()
-
-    def _recorded(self, header: Header) -> None:
-        self.log.update(header["log_path"], Recording.model_validate(header["recording"]))
-        self.events.recording(self.log.recording)
-        self._metrics.recording(self.log.recording)
 
     # Information
 
@@ -365,33 +396,4 @@ class Session:
         now_s = time.monotonic()
         ended = (self.reason or "the source has ended") if self.finished else None
         reason = self._arrivals.silence(now_s, self._last_fault) if ended is None else ended
-        counts = self.progress.frames, self._drops
-        return self._others.health(now_s, self._arrivals, reason, *counts)
-
-    def info(self) -> SessionInfo:
-        """The session as a message."""
-        assert self.request.camera is not None
-        progress = self.progress
-        return SessionInfo(
-            id=self.id,
-            model=self.model,
-            model_sha256=self.stored.sha256,
-            camera=self.request.camera,
-            source=self.source,
-            phase=progress.phase,
-            created_unix_s=self.created_unix_s,
-            frames=progress.frames,
-            drops=self._drops,
-            found_fraction=progress.found / progress.frames if progress.frames else None,
-            watchers=len(self.watchers),
-            last_frame=progress.header.get("frame"),
-            last_time_s=progress.header.get("time_s"),
-            since_pose_s=progress.since_pose_s,
-            age_s=progress.age_s,
-            alarms=self.events.alarms,
-            sensors=self.sensors(),
-            on_frames=self.request.sensors or FrameSensorsRequest(),
-            recording=self.log.recording,
-            finished=self.finished,
-            reason=self.reason,
-        )
+        return self._others.health(now_s, self._arrivals, reason, self.progress.frames, self.drops)

@@ -37,7 +37,8 @@ def open_apart(text: str, camera: Camera | None) -> Source:
     reader = _Reader(text, camera)
     opened = reader.opened
     given = None if opened["camera"] is None else Camera(**_camera_keys(opened["camera"]))
-    return Source(opened["name"], given, opened["live"], reader.frames, reader.close)
+    notes = tuple(opened["notes"])
+    return Source(opened["name"], given, opened["live"], reader.frames, reader.close, notes)
 
 
 class _Reader:
@@ -163,7 +164,8 @@ def main() -> None:
         send({"kind": "fault", "error": str(error)})
         return
     opened = None if source.camera is None else asdict(source.camera)
-    send({"kind": "opened", "name": source.name, "camera": opened, "live": source.live})
+    about = {"name": source.name, "camera": opened, "live": source.live, "notes": source.notes}
+    send({"kind": "opened"} | about)
     if receive(connection) is None:
         return
 

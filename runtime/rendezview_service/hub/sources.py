@@ -20,8 +20,8 @@ import cv2
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences import open_sequence
-from rendezview.io.sequences.decoding import quiet_opencv
 from rendezview.io.sequences.live import why_unreachable, without_password
+from rendezview.io.sequences.quiet import quiet_opencv
 
 _LIVE = re.compile(r"(rtsps?|rtmp|udp|tcp|https?)://", re.IGNORECASE)
 _DEVICE = re.compile(r"/dev/video\d+|v4l2:(\d+)")
@@ -45,6 +45,7 @@ class Source:
     live: bool  # True: only the newest frame counts; False: every frame
     frames: Callable[[threading.Event], Iterator[SourceFrame | RendezviewError]]
     close: Callable[[], None] = lambda: None  # another thread may then wait for a frame no longer
+    notes: tuple[str, ...] = ()  # what is odd about its frames, their times and their camera
 
 
 def open_source(text: str, camera: Camera | None) -> Source:
@@ -75,7 +76,7 @@ def open_source(text: str, camera: Camera | None) -> Source:
             yield SourceFrame(float(index) if frame.time_s is None else frame.time_s, content)
 
     first = sequence.frames[0].camera if sequence.frames else camera
-    return Source(text, first, False, frames)
+    return Source(text, first, False, frames, notes=sequence.notes)
 
 
 def _captured(text: str, stop: threading.Event) -> Iterator[SourceFrame | RendezviewError]:

@@ -1,7 +1,7 @@
-"""Live streams for Foxglove and Rerun, beside the page: each session's poses, pictures and numbers.
+"""Live streams for Foxglove, Rerun and ROS 2: each session's poses, pictures and numbers.
 
-Both packages have servers of their own, without tokens: they listen on this machine only, unless a
-setting says otherwise.
+The first two packages have servers of their own, without tokens: they listen on this machine only,
+unless a setting says otherwise.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from typing import Any, Protocol
 
 from rendezview.errors import RendezviewError
 from rendezview_service.hub.rerun_readings import ReadingsRecorder
+from rendezview_service.hub.ros_viewer import RosViewer
+from rendezview_service.hub.session_info import info_of
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
 from rendezview_service.messages.messages import SessionInfo
@@ -72,9 +74,12 @@ class Viewers:
                     self._viewers.append(FoxgloveViewer(host, settings.foxglove_port))
                 if settings.rerun_port is not None:
                     self._viewers.append(RerunViewer(host, settings.rerun_port))
+                if settings.ros_endpoint is not None:
+                    self._viewers.append(RosViewer(settings.ros_endpoint))
         except ModuleNotFoundError as error:
             raise RendezviewError(
-                f"a live stream needs {error.name}: pip install 'rendezview[viewers]'"
+                f"a live stream needs {error.name}: pip install "
+                f"'rendezview[{'zenoh' if error.name in ('zenoh', 'rosbags') else 'viewers'}]'"
             ) from None
         except (OSError, RuntimeError, subprocess.SubprocessError) as error:
             raise RendezviewError(f"a live stream does not start: {error}") from None
@@ -95,7 +100,7 @@ class Viewers:
                 if watcher.message is None:
                     continue
                 (text, stamped), watcher.message = watcher.message, None
-                await asyncio.to_thread(self._show, session.info(), text, stamped[8:])
+                await asyncio.to_thread(self._show, info_of(session), text, stamped[8:])
         finally:
             session.watchers.discard(watcher)
 

@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
+import signal
 import socket
 import subprocess
 import sys
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
+from rendezview_service.hub.clock import Timer
 from rendezview_service.hub.inputs import SessionInput
 from rendezview_service.messages.wire import Header, Unpacker, mapped, pack, shared_memory
 
 log = logging.getLogger("rendezview_service")
 
 _PATIENCE = 6.0  # × the limit of an input: for a process that waits for a processor. Source: chosen
+# Ends of a process that its input brings about: its decoder took too long, or failed. Source: the
+# limit of `decoding_time`, and the signals of faults (POSIX)
+_OWN_FAULTS = (
+    -signal.SIGPROF, -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS, -signal.SIGFPE,
+    -signal.SIGILL,
+)  # fmt: skip
+_END_S = 1.0  # s, from the end of a process's connection to its own. Source: chosen
 _START_S = 120.0  # s; the first start on a machine compiles. Source: a chosen limit
 
 
@@ -29,6 +40,8 @@ class WorkerGone(Exception):
 
 class WorkerClient(Protocol):
     """The data of a session that a worker needs."""
+
+    id: str
 
     @property
     def has_waiting(self) -> bool:
@@ -52,11 +65,14 @@ class WorkerClient(Protocol):
     def measured(self, waiting: SessionInput, header: Header, answer: bytes) -> None:
         """The answer to sensor lines has come."""
 
+    def recorded(self, header: Header) -> None:
+        """How recording goes."""
+
     def refused(self, waiting: SessionInput, error: str, internal: bool) -> None:
         """The process could not use an input."""
 
-    def lost(self, waiting: SessionInput) -> None:
-        """The process ended over an input."""
+    def lost(self, waiting: SessionInput, at_fault: bool) -> None:
+        """The process ended over an input, which is perhaps at fault."""
 
 
 ClientT = TypeVar("ClientT", bound=WorkerClient)
@@ -74,10 +90,11 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         self.ready = False
         self._turns: deque[ClientT] = deque()  # sessions with an input waiting
         self._current: tuple[ClientT, SessionInput] | None = None
-        self._answers: deque[tuple[str, asyncio.Future[Header]]] = deque()
-        self._timer: asyncio.TimerHandle | None = None
+        self._answers: deque[tuple[Header, asyncio.Future[Header]]] = deque()
+        self._timer: Timer | None = None
         self._sent_at_s = self._spent_before_s = 0.0  # of the input, its own processor's clock
         self._process: subprocess.Popen[bytes] | None = None
+        self._killed = False  # by us: an input took too long
         self._transport: asyncio.Transport | None = None
         self._started: asyncio.Future[None] | None = None
 
@@ -118,7 +135,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         if self._transport is None:
             raise WorkerGone
         future: asyncio.Future[Header] = asyncio.get_running_loop().create_future()
-        self._answers.append((header["session"], future))
+        self._answers.append((header, future))
         self._transport.write(pack(header))
         return await future
 
@@ -179,8 +196,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
             count = 1 if waiting.sensor is None else session.most_lines_of(waiting)
             limit_s = count * self._frame_timeout_s
             self._sent_at_s, self._spent_before_s = time.monotonic(), self._processor_s()
-            loop = asyncio.get_running_loop()
-            self._timer = loop.call_later(limit_s, self._late, limit_s)
+            self._timer = Timer(limit_s, partial(self._late, limit_s))
 
     def _done(self) -> None:
         self._current = None
@@ -191,14 +207,24 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
 
     def _late(self, limit_s: float) -> None:
         """An input takes long: kill the process, unless it only waits for a processor."""
+        assert self._timer is not None
         left_s = limit_s - (self._processor_s() - self._spent_before_s)
-        waited_s = time.monotonic() - self._sent_at_s
+        waited_s = time.monotonic() - self._sent_at_s - self._timer.paused_s
         if left_s > 0.01 and waited_s < _PATIENCE * limit_s and self._wants_processor:
-            self._timer = asyncio.get_running_loop().call_later(left_s, self._late, limit_s)
+            self._timer.start(left_s)
             return
+        self._killed = True
         log.error("a worker does not answer and is killed", extra={"waited_s": round(waited_s, 1)})
         if self._process is not None:
             self._process.kill()
+
+    def _exit_code(self) -> int | None:
+        """How the process ended; None if it has not."""
+        if self._process is None:
+            return None
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return self._process.wait(_END_S)
+        return None
 
     def _processor_s(self) -> float:
         """Processor time of the process so far; 0 where the system does not tell."""
@@ -237,6 +263,10 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
             kind == "fault" and header["of"] not in ("frame", "measure", "show")
         ):
             self._answered(header)
+        elif kind == "recording":
+            for session in self.sessions:
+                if session.id == header["session"]:
+                    session.recorded(header)
         elif self._current is not None:
             session, waiting = self._current
             try:
@@ -253,8 +283,10 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
                     self._done()
 
     def _answered(self, header: Header) -> None:
-        for k, (session, future) in enumerate(self._answers):
-            if session == header["session"]:
+        closed = header["kind"] == "closed" or header.get("of") == "close"
+        for k, (asked, future) in enumerate(self._answers):
+            # A log may be completed after the next session of the same name is opened.
+            if asked["session"] == header["session"] and (asked["kind"] == "close") is closed:
                 del self._answers[k]
                 if not future.done():
                     future.set_result(header)
@@ -275,7 +307,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         if self._current is not None:
             session, waiting = self._current
             self._current = None
-            session.lost(waiting)
+            session.lost(waiting, self._killed or self._exit_code() in _OWN_FAULTS)
         self._turns.clear()
         if self._process is not None:
             self._process.poll()

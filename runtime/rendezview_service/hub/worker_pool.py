@@ -26,7 +26,7 @@ _MOST_PREPARED = 4  # recognizers, 90 MB each, that the spare worker has ready. 
 _SPARE_PAUSE_S = 1.0  # s, in which moved sessions have the processor alone. Source: chosen
 _RESTART_PAUSE_S = 1.0  # s, between attempts to replace a worker. Source: chosen
 _WARM_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
-_STOP_S = 10.0  # s, to complete the logs. Source: chosen
+_STOP_S = 3.0  # s, for a process to end, then it is killed. Source: chosen
 
 
 class NotReady(Exception):
@@ -106,9 +106,10 @@ class WorkerPool:
         return not any(worker.ready for worker in self._workers)
 
     @property
-    def compiling(self) -> bool:
-        """Whether loops are being compiled for the first model."""
-        return self._warming is not None and not self._warming.done()
+    def troubles(self) -> list[str]:
+        """Why no frame can be tracked; or not soon, because loops are being compiled."""
+        compiling = self._warming is not None and not self._warming.done()
+        return ["no worker process is ready"] * self.none_ready + [COMPILING] * compiling
 
     def least_busy(self) -> Worker:
         """The worker with the fewest sessions.

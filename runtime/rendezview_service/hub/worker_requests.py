@@ -17,6 +17,7 @@ def open_request(session: Session, settings: Settings) -> Header:
     return {
         "kind": "open",
         "session": session.id,
+        "opened_unix_s": session.created_unix_s,
         "request": session.request_now.model_dump(mode="json"),
         "sight": sight_of(session.request, session.stored.copy),
         "model_file": session.stored.path.name,
@@ -33,6 +34,8 @@ def open_request(session: Session, settings: Settings) -> Header:
             "compression": settings.compression,
             "part_bytes": settings.log_part_bytes,
             "part_s": settings.log_part_s,
+            "wait_s": settings.log_wait_s,
+            "memory_bytes": settings.log_memory_bytes,
         },
     }
 
@@ -40,7 +43,7 @@ def open_request(session: Session, settings: Settings) -> Header:
 def sight_of(request: SessionRequest, model: Path) -> Header:
     """What a session's recognizer is made for; the file of the model is named by its hash."""
     assert request.camera is not None
-    camera = request.camera.model_dump(mode="json")
+    camera = request.camera.model_dump(mode="json", exclude={"checked"})
     return {"camera": camera, "trees": request.trees, "model_path": str(model)}
 
 

@@ -1,6 +1,6 @@
 """Reading MCAP logs, whole, cut off or damaged.
 
-A log has one chunk per frame, written before the frame is acknowledged. After a kill the file has
+A log has one chunk per frame, written before the frame counts as recorded. After a kill it has
 no index, and its last record may be incomplete. A damaged record is passed over: reading goes on
 with the next chunk.
 """
@@ -55,10 +55,11 @@ _MOST_RECORD = 4_000_000_000  # bytes; a longer record is damage. Source: a chos
 _WINDOW = 1 << 20  # bytes that are searched at once for the next chunk. Source: chosen
 # The start of a chunk: opcode, a length below 4 GiB, times, size and checksum, a compression.
 # Source: mcap.dev/spec, "Chunk".
-_CHUNK = re.compile(
-    rb"\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd)", re.DOTALL
-)  # fmt: skip
-_CHUNK_START = 49  # bytes that the pattern may need. Source: its own length
+_CHUNK = re.compile(  # one may begin inside another's head, where that is none
+    rb"(?=\x06(.{4}\0{4}).{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd)(.{8}))", re.DOTALL
+)
+_CHUNK_START = 57  # bytes that the pattern may need. Source: its own length
+_MOST_EXTRA = 1024  # bytes in a record, of fields of later versions. Source: a chosen limit
 
 
 class ChannelKinds:
@@ -97,7 +98,7 @@ def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord
             while place + _HEAD.size <= size:
                 found = _record_at(file, place, size)
                 if found is None:
-                    following = _next_chunk(file, place + 1, size)
+                    following = next_chunk(file, place + 1, size)
                     if following is None:
                         return
                     place = following
@@ -138,17 +139,35 @@ def _record_at(file: BinaryIO, place: int, size: int) -> tuple[McapRecord, int] 
     return None if record is None else (record, end - place)
 
 
-def _next_chunk(file: BinaryIO, place: int, size: int) -> int | None:
-    """The offset of the next chunk whose lengths fit together."""
+def next_chunk(file: BinaryIO, place: int, size: int) -> int | None:
+    """The offset of the next chunk that its checksum confirms; what only looks like one is not."""
     while place < size:
         file.seek(place)
         window = file.read(min(_WINDOW + _CHUNK_START, size - place))
         for match in _CHUNK.finditer(window):
+            whole, inside = (int.from_bytes(length, "little") for length in match.groups())
+            head = match.end(2) - match.start() - _HEAD.size
+            if match.start() >= _WINDOW or whole != head + inside:
+                continue
             found = _record_at(file, place + match.start(), size)
-            if found is not None and isinstance(found[0], Chunk):
+            if found is not None and isinstance(found[0], Chunk) and _is_confirmed(found[0]):
                 return place + match.start()
         place += _WINDOW
     return None
+
+
+def _is_confirmed(chunk: Chunk) -> bool:
+    """Whether its checksum fits; where its writer left that out, whether its records do."""
+    data = content_of(chunk)
+    if data is None or chunk.uncompressed_crc:
+        return data is not None
+    place = 0
+    while place + _HEAD.size <= len(data):
+        opcode, length = _HEAD.unpack_from(data, place)
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+            return False
+        place += _HEAD.size + length
+    return place == len(data) > 0
 
 
 def _parsed(opcode: int, body: bytes) -> McapRecord | None:
@@ -166,7 +185,8 @@ def _parsed(opcode: int, body: bytes) -> McapRecord | None:
         record: McapRecord = kind.read(ReadDataStream(content))
     except (McapError, ValueError, struct.error, MemoryError, OverflowError):
         return None
-    if isinstance(record, Chunk | MessageIndex) and content.tell() != len(body):
+    extra = len(body) - content.tell()
+    if extra > (0 if isinstance(record, Chunk | MessageIndex) else _MOST_EXTRA):
         return None  # its length was damaged
     if isinstance(record, Attachment):
         stored = struct.unpack("<I", body[-4:])[0]

@@ -23,6 +23,7 @@ from mcap.records import Chunk, Metadata
 
 from rendezview.errors import RendezviewError
 from rendezview_service.logs.log_file import is_finished, is_own, records
+from rendezview_service.logs.log_index import last_ns
 from rendezview_service.logs.log_lock import folder_lock
 from rendezview_service.logs.log_repair import RECOVERED, locked, mend
 
@@ -117,29 +118,46 @@ def mend_folder(folder: Path) -> Iterator[dict[str, object]]:
             }
 
 
-def remove_old(folder: Path, most_bytes: int, most_s: float) -> list[Path]:
+def last_unix_s(path: Path) -> float:
+    """The time of a log's last frame by its own clock; without one, of its last write.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with open(path, "rb") as file:
+        last = last_ns(file) if is_finished(path) else None
+        return os.fstat(file.fileno()).st_mtime if last is None else 1e-9 * last
+
+
+def _own_logs(folder: Path) -> list[tuple[float, int, Path]]:
+    """Last time, size and path of the service's own logs, the oldest first."""
+    found = []
+    for path in folder.glob(f"*{_SUFFIX}"):
+        with contextlib.suppress(OSError):
+            if is_own(path):
+                found.append((last_unix_s(path), path.stat().st_size, path))
+    return sorted(found)
+
+
+def remove_old(folder: Path, most_bytes: int, most_s: float, now_s: float) -> list[Path]:
     """Remove the service's oldest logs, until what is left is small and recent enough.
 
     Logs that are being written, and files of other programs, stay.
 
     Args:
         most_bytes: of all own logs together; 0: any size.
-        most_s: since the last write; 0: any age.
+        most_s: since the last frame; 0: any age.
+        now_s: since 1970.
     """
     with folder_lock(folder) as ours:
         if not ours:
             return []
-        logs = []
-        for path in folder.glob(f"*{_SUFFIX}"):
-            with contextlib.suppress(OSError):
-                status = path.stat()
-                if is_own(path):
-                    logs.append((status.st_mtime, status.st_size, path))
+        logs = _own_logs(folder)
         total = sum(size for _, size, _ in logs)
         removed = []
-        for written_s, size, path in sorted(logs):
+        for written_s, size, path in logs:
             too_much = most_bytes > 0 and total > most_bytes
-            too_old = most_s > 0.0 and time.time() - written_s > most_s
+            too_old = most_s > 0.0 and now_s - written_s > most_s
             if not too_much and not too_old:
                 continue
             with contextlib.suppress(OSError, RendezviewError), locked(path):
@@ -165,9 +183,14 @@ async def keep_logs(folder: Path, most_bytes: int, most_s: float) -> None:
     finally:
         if process.returncode is None:
             process.kill()
+    # Later steps of the system's clock do not count, and neither does a wrong one at the start: it
+    # is not trusted to be ahead of the newest log.
+    last_s = [at_s for at_s, *_ in await asyncio.to_thread(_own_logs, folder)]
+    offset_s = min([time.time(), *last_s[-1:]]) - time.monotonic()
     while most_bytes or most_s:
         try:
-            for path in await asyncio.to_thread(remove_old, folder, most_bytes, most_s):
+            now_s = offset_s + time.monotonic()
+            for path in await asyncio.to_thread(remove_old, folder, most_bytes, most_s, now_s):
                 log.warning("log removed", extra={"log": path.name})
         except OSError as error:
             log.error("old logs cannot be removed", extra={"reason": str(error)})
@@ -177,10 +200,13 @@ async def keep_logs(folder: Path, most_bytes: int, most_s: float) -> None:
 def main() -> None:
     """Repair a folder's logs and print what was done, one JSON object a line."""
     os.nice(10)  # tracking has priority
-    with folder_lock(Path(sys.argv[1])) as ours:
-        if ours:
-            for done in mend_folder(Path(sys.argv[1])):
+    folder = Path(sys.argv[1])
+    try:
+        with folder_lock(folder) as ours:
+            for done in mend_folder(folder) if ours else ():
                 print(json.dumps(done), flush=True)
+    except OSError as error:
+        print(json.dumps({"log": folder.name, "reason": str(error)}))
 
 
 if __name__ == "__main__":

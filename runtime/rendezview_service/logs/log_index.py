@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, BinaryIO
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -28,6 +29,10 @@ from mcap.records import (
 )
 
 MAGIC = b"\x89MCAP0\r\n"
+# Records as far as they are needed. Source: mcap.dev/spec, "Records"
+_FOOTER, _FOOTER_BYTES = struct.Struct("<BQQQ"), 29
+_OFFSET, _OFFSET_HEAD = struct.Struct("<BQBQ"), 9
+_STATISTICS = struct.Struct("<BQQHIIIIQQ")
 
 
 @dataclass(slots=True, eq=False)
@@ -121,6 +126,30 @@ def ending(found: Scan) -> bytes:
     footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start)
     checksum = zlib.crc32(footer, zlib.crc32(summary))
     return head + summary + _written([Footer(start, offsets_start, checksum)]) + MAGIC
+
+
+def last_ns(file: BinaryIO) -> int | None:
+    """The time of the last message of a finished log, by its statistics; None: it has none.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    try:
+        end = file.seek(-len(MAGIC) - _FOOTER_BYTES, os.SEEK_END)
+        place = _FOOTER.unpack(file.read(_FOOTER.size))[-1]
+        while 0 < place < end:
+            file.seek(place)
+            opcode, length, group, start = _OFFSET.unpack(file.read(_OFFSET.size))
+            if opcode != Opcode.SUMMARY_OFFSET:
+                return None
+            if group == Opcode.STATISTICS:
+                file.seek(start)
+                *_, last = _STATISTICS.unpack(file.read(_STATISTICS.size))
+                return int(last) or None
+            place += _OFFSET_HEAD + length
+    except struct.error:
+        pass
+    return None
 
 
 def taken(builder: RecordBuilder) -> bytes:

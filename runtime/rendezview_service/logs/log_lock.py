@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,13 +14,14 @@ except ImportError:  # Windows, where the service does not run
     fcntl = None  # type: ignore[assignment]
 
 _FOLDER_LOCK = ".rendezview.lock"
+NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)  # errors of file systems without locks
 
 
 def lock(descriptor: int) -> bool:
     """Lock an open file for this process; False if another has it.
 
     Raises:
-        OSError: its file system has no locks.
+        OSError: its file system has no locks (`NO_LOCKS`).
     """
     if fcntl is None:
         return True

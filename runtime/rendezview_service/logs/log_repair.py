@@ -33,7 +33,7 @@ from rendezview_service.logs.log_file import content_of, is_finished, records
 from rendezview_service.logs.log_index import MAGIC, Scan, chunk_index, ending, taken
 from rendezview_service.logs.log_lock import lock
 
-_COPY_BYTES = 1 << 20  # bytes per piece of a copy. Source: chosen
+_COPY_BYTES = 1 << 16  # bytes per piece of a copy. Source: chosen
 _MESSAGE = struct.Struct("<BQHIQ")  # opcode, length, channel, sequence, log time of a message
 _HEAD_BYTES = 9  # of a record: opcode, length. Source: mcap.dev/spec, "Records"
 RECOVERED = ".recovered"  # in the name of a repaired copy of a damaged log
@@ -254,7 +254,14 @@ def locked(path: Path) -> Iterator[None]:
     except OSError as error:
         raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
     try:
-        if not lock(file):
+        try:
+            ours = lock(file)
+        except OSError as error:
+            raise RendezviewError(
+                f"{path}: its file system has no locks ({error.strerror}), so a service may be "
+                "writing it: copy it to another disk first"
+            ) from error
+        if not ours:
             raise RendezviewError(f"{path}: is being written: close its session first")
         yield
     finally:

@@ -12,13 +12,17 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.timestamp_pb2 import Timestamp
+from pydantic_core import to_json
 
 from rendezview.geometry.camera import Camera, LensModel
-from rendezview_service.messages.frames import Bytes, FrameKind
+from rendezview_service.messages.frames import Bytes, FrameKind, kind_of
 from rendezview_service.messages.fusion_messages import LoggedMeasurement
 from rendezview_service.messages.messages import State
 from rendezview_service.messages.ros import CAMERA_FRAME, TARGET_FRAME
+from rendezview_service.tracker.tracking import StateDict
 
+# Channel, data, time (ns), sequence
+Logged = tuple[int, bytes, int, int]
 # Channels
 STATE, POSE, TRANSFORM, CALIBRATION, RAW, COMPRESSED, MEASUREMENT, FUSED = range(1, 9)
 TOPICS: dict[int, tuple[str, str, Any]] = {
@@ -136,6 +140,45 @@ def image_bytes(
         timestamp=stamp(time_s), frame_id=CAMERA_FRAME, data=bytes(content), format=str(kind)
     )
     return COMPRESSED, bytes(compressed.SerializeToString())
+
+
+def of_frame(
+    state: StateDict, state_json: bytes, content: Bytes | None, camera: Camera, calibrates: bool
+) -> list[Logged]:
+    """The messages of one frame; ``content``: its bytes as they arrived, if they are recorded."""
+    time_s, pose, fused = state["time_s"], state["pose"], state.get("fused")
+    parts: list[tuple[int, bytes]] = [(STATE, state_json)]
+    if pose is not None:
+        parts.append((POSE, pose_bytes(time_s, pose)))
+        parts.append((TRANSFORM, transform_bytes(time_s, pose)))
+    if fused is not None and fused["pose"] is not None:
+        parts.append((FUSED, pose_bytes(time_s, fused["pose"])))
+    if content is not None:
+        parts.append(image_bytes(time_s, content, kind_of(content), camera))
+    if calibrates:
+        parts.append((CALIBRATION, calibration_bytes(time_s, camera)))
+    frame_ns, sequence = nanoseconds(time_s), state["frame"] & 0xFFFFFFFF
+    return [(channel, data, frame_ns, sequence) for channel, data in parts]
+
+
+def of_measurements(lines: list[dict[str, Any]]) -> list[Logged]:
+    """The messages of a sensor's lines, each a `LoggedMeasurement`."""
+    parts: list[Logged] = []
+    for line in lines:
+        verdict, fused = line["verdict"], line["fused"]
+        sequence = line["order"] & 0xFFFFFFFF
+        at_s = line["received_unix_s"] if verdict is None else verdict["time_s"]
+        text = to_json(line, inf_nan_mode="null")
+        parts.append((MEASUREMENT, text, nanoseconds(at_s), sequence))
+        if fused is not None and fused["pose"] is not None:
+            pose = pose_bytes(fused["time_s"], fused["pose"])
+            parts.append((FUSED, pose, nanoseconds(fused["time_s"]), sequence))
+    return parts
+
+
+def nanoseconds(time_s: float) -> int:
+    """Seconds as a time of MCAP."""
+    return max(0, int(time_s * 1e9))
 
 
 def _set(place: Any, turn: Any, pose: dict[str, list[float]]) -> None:

@@ -1,48 +1,46 @@
-"""The log of a session: a state is in the file before it is acknowledged.
+"""The log of a session: `recorded` means written to the file that bears the log's name.
 
-One write per frame holds a chunk and its indexes, so a kill at any moment loses no acknowledged
-state. A log has several files, its parts, each complete in itself: a new one begins when the last
-is large or old enough, when another worker continues the session, and after a fault. A full disk
-does not stop the tracking: the file is cut to its last complete frame, the fault is reported, and
-a new part is tried every few seconds. An open part is locked, so that nobody repairs or removes it.
+A thread of its own writes, so that a disk that is slow, full or gone delays no pose. States that
+wait for it are pending. They, and those that no fsync has confirmed yet, stay in memory up to a
+bound: whatever happens to a file, they go into the next one. A log has several files, its parts,
+each complete in itself: a new one begins when the last is large or old enough, when another worker
+continues the session, and after a fault. An open part is locked, so that nobody repairs or removes
+it.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
-import os
+import logging
+import math
 import secrets
 import threading
 import time
-import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import lz4.frame
-import zstandard
-from mcap.data_stream import RecordBuilder
-from mcap.records import Attachment, Channel, Chunk, Header, MessageIndex, Metadata, Schema
-from mcap.records import Message as McapMessage
-from pydantic_core import to_json
-
 from rendezview.geometry.camera import Camera
 from rendezview.io.files import write_error
 from rendezview_service.logs import log_schemas
-from rendezview_service.logs.log_file import WRITER
-from rendezview_service.logs.log_folder import SESSION_METADATA, free_number, part_path
-from rendezview_service.logs.log_index import MAGIC, Scan, chunk_index, ending, taken
-from rendezview_service.logs.log_lock import lock
-from rendezview_service.messages.frames import Bytes, kind_of
+from rendezview_service.logs.log_folder import free_number, part_path
+from rendezview_service.logs.log_part import Gone, OpenPart, Sync, beginning
+from rendezview_service.logs.log_queue import Entry, Kept
+from rendezview_service.messages.frames import Bytes
 from rendezview_service.messages.messages import Recording, RecordingState
 from rendezview_service.tracker.tracking import StateDict
 
-MODEL_ATTACHMENT = "model.rvm"
+log = logging.getLogger("rendezview_service.worker.worker")
+
+RECORDED, PENDING = "recorded", "pending"
 _CALIBRATION_EVERY_S = 1.0  # s, between messages with the camera. Source: chosen
 _SYNC_EVERY_S = 1.0  # s, between fsyncs with `interval`. Source: chosen
-_RETRY_S = 5.0  # s, before a new file is tried after a fault. Source: chosen
+_CHECK_EVERY_S = 0.5  # s, between looks at a file that nothing is written to. Source: chosen
+_RETRY_S = 5.0  # s, before a new file is tried after two faults. Source: chosen
+_LATE_S = 1.0  # s, that a state waits for the disk before that is a failure. Source: chosen
+_LATE_SYNC_S = 5.0  # s, the same for an fsync. Source: chosen
+_TOLD_S = 30.0  # s, for which a fault that is over is reported. Source: chosen
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,12 +52,14 @@ class RecordingOptions:
     compression: Literal["", "lz4", "zstd"] = "lz4"
     part_bytes: int = 1_000_000_000  # of a part, then the next begins. Source: chosen
     part_s: float = 3600.0  # s, the same; bounds the index in memory to 15 MB. Source: chosen
+    wait_s: float = 0.25  # s, that an answer waits for the disk. Source: chosen
+    memory_bytes: int = 64_000_000  # of what waits or is not confirmed. Source: chosen
 
 
 class LogWriter:
     """Writes the log of one session. Disk faults are reported in `status`, not raised.
 
-    One thread uses it: the worker's.
+    One thread uses it, the worker's; another one, its own, writes.
     """
 
     def __init__(
@@ -81,315 +81,320 @@ class LogWriter:
         self._base = path
         self._camera = camera
         self._metadata = {"log": secrets.token_hex(8)} | dict(metadata)
-        self._part = 0
-        self._begun_s = 0.0
-        self._model = model
-        self._file: int | None = None
-        self._path = path
-        self._scan = Scan()
-        self._reason: str | None = None
-        self._messages = 0  # of all parts of this writer
-        self._earlier_bytes = 0  # of its parts before this one
-        self._lost = 0
-        self._unfinished: tuple[Path, Scan] | None = None  # a part without its end
-        self._retry_at = 0.0
+        self._model = model if self.options.images else None
         self._calibrated_at = -1e300
-        self._synced_at = 0.0
+        # Both threads, under the condition:
+        self._change = threading.Condition()
+        self._kept = Kept(self.options.memory_bytes)
+        self._part: OpenPart | None = None
+        self._paths: list[Path] = []
+        self._ending = False
+        self._late = False  # the disk has kept an answer waiting; no other waits until it is done
+        self._reason: str | None = None  # why there is no part
+        self._fault: str | None = None  # what last happened to a part
+        self._fault_s = -math.inf
+        self._faults = self._lost = self._messages = 0
+        self._earlier_bytes = 0  # of the parts before
+        self._sync_began_s: float | None = None
+        # The own thread's:
+        self._begun_s = self._synced_s = self._retry_s = 0.0
+        self._number = 0  # of the last part that has anything in it
+        self._tried = path  # the part that was last started
         self._syncing: threading.Thread | None = None
-        self._open()
+        self._unfinished: list[OpenPart] = []  # there was no room for their index
+        self._thread = threading.Thread(target=self._run, daemon=True, name=f"log {path.name}")
+        with self._change:
+            self._thread.start()
+            self._change.wait_for(lambda: self._part or self._reason, self.options.wait_s)
+
+    # The session's thread
 
     @property
     def status(self) -> Recording:
         """State of the log."""
-        return Recording(
-            state=RecordingState.ON if self._reason is None else RecordingState.FAILED,
-            reason=self._reason,
-            name=self._path.name,
-            messages=self._messages,
-            size_bytes=self._scan.end,
-            parts=self._part,
-            all_bytes=self._earlier_bytes + (0 if self._file is None else self._scan.end),
-            lost=self._lost,
-        )
+        with self._change:
+            reason, part, now_s = self._trouble(), self._part, time.monotonic()
+            size = 0 if part is None else part.scan.end
+            recent = self._fault is not None and now_s - self._fault_s < _TOLD_S
+            return Recording(
+                state=RecordingState.ON if reason is None else RecordingState.FAILED,
+                reason=reason,
+                name=(self._paths[-1] if self._paths else self._base).name,
+                messages=self._messages,
+                size_bytes=size,
+                parts=0 if part is None else part.number,
+                all_bytes=self._earlier_bytes + size,
+                lost=self._lost,
+                pending=self._kept.waiting_states,
+                faults=self._faults,
+                fault=self._fault if recent else None,
+            )
 
     @property
     def path(self) -> Path:
-        """The file that is being written."""
-        return self._path
-
-    def write(self, state: StateDict, state_json: bytes, content: Bytes) -> bool:
-        """Append one frame; False if that failed (`status` has the reason)."""
-        return self._keep(1, lambda: self._append_frame(state, state_json, content))
-
-    def write_measurements(self, lines: list[dict[str, Any]]) -> bool:
-        """Append lines of a sensor, all or none, each a `LoggedMeasurement`."""
-        return self._keep(len(lines), lambda: self._append_measurements(lines))
-
-    def _keep(self, count: int, append: Callable[[], None]) -> bool:
-        if self._file is None and not self._try_again():
-            self._lost += count
-            return False
-        try:
-            if self._is_long:
-                self.close(wait=False)
-                self._open()
-            if self._file is None:
-                raise OSError(0, "no new part can be started")
-            append()
-        except OSError as error:
-            if self._file is not None:
-                self._fail(error)
-            self._lost += count
-            return False
-        return True
+        """The file that is being written, or was last."""
+        return self._paths[-1] if self._paths else self._base
 
     @property
-    def _is_long(self) -> bool:
-        """Whether the part is long enough, and has something in it."""
-        old = time.monotonic() - self._begun_s > self.options.part_s
-        return self._scan.chunks.count > 0 and (old or self._scan.end > self.options.part_bytes)
+    def paths(self) -> list[Path]:
+        """All files that it has written, in order."""
+        return list(self._paths)
 
-    def close(self, wait: bool = True) -> None:
-        """Write the index. Closing again does nothing.
-
-        Args:
-            wait: until the file is on the disk.
-        """
-        if self._file is None:
-            return
-        file, self._file = self._file, None
-        self._earlier_bytes += self._scan.end
-        try:
-            _write_all(file, ending(self._scan), self._scan.end)
-            if wait:
-                os.fsync(file)
-        except OSError as error:
-            self._reason = str(write_error(self._path, error))
-            with contextlib.suppress(OSError):
-                os.ftruncate(file, self._scan.end)
-        if self._syncing is not None and wait:
-            self._syncing.join()
-        if wait or self.options.sync == "never":
-            os.close(file)
-        else:
-            threading.Thread(target=_quiet_sync, args=(file,)).start()
-
-    def _append_frame(self, state: StateDict, state_json: bytes, content: Bytes) -> None:
-        log_ns = _ns(state["received_unix_s"])
-        parts: list[tuple[int, bytes]] = [(log_schemas.STATE, state_json)]
-        if state["pose"] is not None:
-            parts.append((log_schemas.POSE, log_schemas.pose_bytes(state["time_s"], state["pose"])))
-            transform = log_schemas.transform_bytes(state["time_s"], state["pose"])
-            parts.append((log_schemas.TRANSFORM, transform))
-        fused = state.get("fused")
-        if fused is not None and fused["pose"] is not None:
-            together = log_schemas.pose_bytes(state["time_s"], fused["pose"])
-            parts.append((log_schemas.FUSED, together))
-        if self.options.images:
-            kind = kind_of(content)
-            parts.append(log_schemas.image_bytes(state["time_s"], content, kind, self._camera))
+    def write(self, state: StateDict, state_json: bytes, content: Bytes) -> str:
+        """Record one frame: `RECORDED`, `PENDING` with a reason if known, or ``failed: …``."""
         calibrates = state["received_unix_s"] - self._calibrated_at >= _CALIBRATION_EVERY_S
         if calibrates:
-            calibration = log_schemas.calibration_bytes(state["time_s"], self._camera)
-            parts.append((log_schemas.CALIBRATION, calibration))
-        frame_ns, sequence = _ns(state["time_s"]), state["frame"] & 0xFFFFFFFF
-        self._append(log_ns, [(channel, data, frame_ns, sequence) for channel, data in parts])
-        if calibrates:
             self._calibrated_at = state["received_unix_s"]
+        picture = content if self.options.images else None
+        found = log_schemas.of_frame(state, state_json, picture, self._camera, calibrates)
+        return self._put(state["received_unix_s"], found)
 
-    def _append_measurements(self, lines: list[dict[str, Any]]) -> None:
-        log_ns = _ns(lines[0]["received_unix_s"])
-        parts = []
-        for line in lines:
-            verdict, fused = line["verdict"], line["fused"]
-            sequence = line["order"] & 0xFFFFFFFF
-            time_ns = log_ns if verdict is None else _ns(verdict["time_s"])
-            text = to_json(line, inf_nan_mode="null")
-            parts.append((log_schemas.MEASUREMENT, text, time_ns, sequence))
-            if fused is not None and fused["pose"] is not None:
-                pose = log_schemas.pose_bytes(fused["time_s"], fused["pose"])
-                parts.append((log_schemas.FUSED, pose, _ns(fused["time_s"]), sequence))
-        self._append(log_ns, parts)
+    def write_measurements(self, lines: list[dict[str, Any]]) -> str:
+        """Record lines of a sensor, each a `LoggedMeasurement`, all together; as `write`."""
+        found = log_schemas.of_measurements(lines)
+        return self._put(lines[0]["received_unix_s"], found, len(lines))
 
-    def _append(self, log_ns: int, parts: list[tuple[int, bytes, int, int]]) -> None:
-        """Append a chunk and its indexes; a part is (channel, data, time in ns, sequence)."""
-        body = RecordBuilder()
-        places: dict[int, list[tuple[int, int]]] = {}
-        for channel, data, time_ns, sequence in parts:
-            places.setdefault(channel, []).append((log_ns, body.count))
-            McapMessage(channel, log_ns, data, time_ns, sequence).write(body)
-        whole = taken(body)
-        chunk = Chunk(
-            compression=self.options.compression,
-            data=_compressed(whole, self.options.compression),
-            message_start_time=log_ns,
-            message_end_time=log_ns,
-            uncompressed_crc=zlib.crc32(whole),
-            uncompressed_size=len(whole),
-        )
-        out = RecordBuilder()
-        chunk.write(out)
-        index = chunk_index(chunk, self._scan.end, out.count)
-        for channel, entries in places.items():
-            index.message_index_offsets[channel] = self._scan.end + out.count
-            MessageIndex(channel, entries).write(out)
-        index.message_index_length = out.count - index.chunk_length
-        blob = taken(out)
-        assert self._file is not None
-        _write_all(self._file, blob, self._scan.end)
-        self._sync()
-        self._scan.end += len(blob)
-        self._scan.chunks.add(index)
-        self._scan.counts.update(channel for channel, *_ in parts)
-        self._messages += len(parts)
+    def _put(self, log_s: float, found: list[log_schemas.Logged], states: int = 1) -> str:
+        entry = Entry.of(log_s, found, self.options.compression, states)
+        with self._change:
+            if not self._kept.add(entry):
+                self._lost += states
+                return f"failed: {self._trouble() or 'the disk is too slow'}"
+            self._change.notify_all()
+            if not self._late:
+                self._change.wait_for(lambda: entry.recorded or self._reason, self.options.wait_s)
+                self._late = not entry.recorded
+            if entry.recorded:
+                return RECORDED
+            reason = self._trouble()
+        return PENDING if reason is None else f"{PENDING}: {reason}"
 
-    def _open(self) -> None:
-        """Start a part. It gets its name when it has its beginning; a fault goes to ``_reason``."""
-        first = self._part == 0
-        number = free_number(self._base, self._part + 1)
-        trial = self._base.with_name(f".{self._base.name}.{secrets.token_hex(4)}.tmp")
-        self._path = part_path(self._base, number)
-        file = None
-        try:
-            file = os.open(trial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
-            lock(file)
-            notes = {"part": str(number), "continues": "no" if first else "yes"}
-            _write_all(file, self._beginning(self._metadata | notes), 0)
-            if self.options.sync == "always":
-                os.fsync(file)
-            while True:
-                try:
-                    os.link(trial, self._path)  # never over another service's file
-                    break
-                except FileExistsError:
-                    number = free_number(self._base, number + 1)
-                    self._path = part_path(self._base, number)
-        except OSError as error:
-            if file is not None:
-                os.close(file)
-            self._fail(error)
-            return
-        finally:
-            with contextlib.suppress(OSError):
-                trial.unlink()
-        self._file, self._reason, self._part = file, None, number
-        self._begun_s = time.monotonic()
-        self._calibrated_at = -1e300
+    def end(self) -> None:
+        """Nothing follows: begin to complete the log. `is_ended` reports that it is."""
+        with self._change:
+            self._ending = True
+            self._change.notify_all()
 
-    def _beginning(self, notes: dict[str, str]) -> bytes:
-        builder = RecordBuilder()
-        Header("", WRITER).write(builder)
-        found = Scan(end=len(MAGIC) + builder.count)
+    @property
+    def is_ended(self) -> bool:
+        """Whether nothing more is written."""
+        return not self._thread.is_alive()
 
-        def add(record: Schema | Channel | Metadata | Attachment) -> None:
-            before = builder.count
-            record.write(builder)
-            found.add(record, len(MAGIC) + before, builder.count - before)
+    def close(self, timeout_s: float | None = None) -> None:
+        """Complete the log and force it to the disk. Closing again does nothing.
 
-        for number, (topic, name, kind) in log_schemas.TOPICS.items():
-            if kind is None:
-                text = json.dumps(log_schemas.json_schema(number)).encode()
-                add(Schema(id=number, data=text, encoding="jsonschema", name=name))
-            else:
-                data = log_schemas.descriptors(kind)
-                add(Schema(id=number, data=data, encoding="protobuf", name=name))
-            encoding = "json" if kind is None else "protobuf"
-            add(
-                Channel(
-                    id=number,
-                    topic=topic,
-                    message_encoding=encoding,
-                    metadata={},
-                    schema_id=number,
-                )
-            )
-        add(Metadata(name=SESSION_METADATA, metadata=notes))
-        if self._model is not None and self.options.images:
-            now = time.time_ns()
-            add(
-                Attachment(
-                    create_time=now,
-                    log_time=now,
-                    name=MODEL_ATTACHMENT,
-                    media_type="application/octet-stream",
-                    data=self._model,
-                )
-            )
-        self._scan = found
-        return MAGIC + taken(builder)
+        Args:
+            timeout_s: then what still waits is lost; None: as long as the disk needs.
+        """
+        self.end()
+        self._thread.join(timeout_s)
 
-    def _fail(self, error: OSError) -> None:
-        self._reason = str(write_error(self._path, error))
-        self._retry_at = time.monotonic() + _RETRY_S
-        if self._file is None:
-            return
-        self._earlier_bytes += self._scan.end
-        self._unfinished = (self._path, self._scan)
-        with contextlib.suppress(OSError):
-            os.ftruncate(self._file, self._scan.end)
-        os.close(self._file)
-        self._file = None
-        self._finish()
+    def _trouble(self) -> str | None:
+        """Why states are not recorded at the moment, or may not stay so."""
+        now_s, where = time.monotonic(), self.path.name
+        if self._reason is not None:
+            return self._reason
+        oldest = self._kept.oldest
+        if oldest is not None and now_s - oldest.put_s > _LATE_S:
+            return f"{where}: the disk has not answered for {now_s - oldest.put_s:.0f} s"
+        began_s = self._sync_began_s
+        if began_s is not None and now_s - began_s > _LATE_SYNC_S:
+            return f"{where}: the disk has confirmed nothing (fsync) for {now_s - began_s:.0f} s"
+        return None
 
-    def _finish(self) -> None:
-        """Write the end of a part that broke off, if there is room for it."""
-        if self._unfinished is None:
-            return
-        path, found = self._unfinished
-        with contextlib.suppress(OSError):
-            file = os.open(path, os.O_WRONLY)
+    # The writing thread
+
+    def _run(self) -> None:
+        while True:
             try:
-                if lock(file):
-                    _write_all(file, ending(found), found.end)
-                    self._unfinished = None
-            except OSError:
-                os.ftruncate(file, found.end)
-            finally:
-                os.close(file)
+                if not self._step():
+                    break
+            except Exception as error:  # this thread must not end silently
+                log.exception("recording failed")
+                self._broken(_of_disk(error))
+        for part in self._unfinished:
+            part.close()
 
-    def _try_again(self) -> bool:
-        if time.monotonic() < self._retry_at:
-            return False
-        self._open()
-        if self._file is not None:
-            self._finish()
-        return self._file is not None
+    def _step(self) -> bool:
+        """Write what waits; False: it was the last."""
+        with self._change:
+            self._change.wait_for(self._has_work, _CHECK_EVERY_S)
+            part, ending = self._part, self._ending
+            waiting = self._kept.waiting
+        try:
+            if part is None:
+                if (ending and not waiting) or (time.monotonic() < self._retry_s and not ending):
+                    return not ending
+                part = self._open()
+            if part.sync_error is not None:
+                raise part.sync_error
+            if waiting and self._is_long(part):
+                part.check()
+                self._finish(part)
+                part = self._open()
+            if waiting:
+                part.append(waiting)
+                if self.options.sync == "always":
+                    self._sync(part, part.sync())
+                self._recorded(part, waiting)
+            else:
+                part.check()
+                if ending:
+                    self._finish(part)
+                    return False
+            self._sync_sometimes(part)
+        except OSError as error:
+            self._broken(error)
+            if ending and self._reason is not None:
+                with self._change:
+                    self._lost += self._kept.waiting_states
+                return False
+        return True
 
-    def _sync(self) -> None:
-        """Force the file to the disk: each time, or once a second in another thread."""
-        if self.options.sync == "never" or self._file is None:
+    def _has_work(self) -> bool:
+        if self._ending or self._part is None:
+            return self._ending or time.monotonic() >= self._retry_s
+        return self._kept.oldest is not None or self._part.sync_error is not None
+
+    def _is_long(self, part: OpenPart) -> bool:
+        old = time.monotonic() - self._begun_s > self.options.part_s
+        return part.states > 0 and (old or part.scan.end > self.options.part_bytes)
+
+    def _recorded(self, part: OpenPart, entries: list[Entry]) -> None:
+        with self._change:
+            self._kept.written(len(entries))
+            self._messages += sum(sum(entry.counts.values()) for entry in entries)
+            never = self.options.sync == "never"
+            self._kept.confirmed(part.scan.end if never else part.safe_end)
+            self._late = self._late and self._kept.oldest is not None
+            self._reason = None
+            self._change.notify_all()
+
+    def _sync(self, part: OpenPart, sync: Sync) -> None:
+        """Run an fsync. Raises: OSError."""
+        with self._change:
+            self._sync_began_s = time.monotonic()
+        try:
+            sync.run()
+        except Exception as error:  # whatever it is, nothing is confirmed
+            part.sync_error = _of_disk(error)
+            raise part.sync_error from error
+        else:
+            with self._change:
+                part.confirm(sync)
+                if part is self._part:
+                    self._kept.confirmed(part.safe_end)
+        finally:
+            with self._change:
+                self._sync_began_s = None
+                self._change.notify_all()
+
+    def _sync_sometimes(self, part: OpenPart) -> None:
+        """Force the part to the disk, once a second, in a thread of its own."""
+        now_s = time.monotonic()
+        due = now_s - self._synced_s >= _SYNC_EVERY_S and self._sync_began_s is None
+        if self.options.sync != "interval" or not due or part.scan.end == part.safe_end:
             return
-        if self.options.sync == "always":
-            os.fsync(self._file)
-            return
-        now = time.monotonic()
-        busy = self._syncing is not None and self._syncing.is_alive()
-        if now - self._synced_at < _SYNC_EVERY_S or busy:
-            return
-        self._synced_at = now
-        self._syncing = threading.Thread(target=_quiet_sync, args=(os.dup(self._file),))
+        self._synced_s = self._sync_began_s = now_s
+        sync = part.sync()
+
+        def run() -> None:
+            with contextlib.suppress(OSError):  # the next step finds it
+                self._sync(part, sync)
+
+        self._syncing = threading.Thread(target=run, daemon=True)
         self._syncing.start()
 
+    def _open(self) -> OpenPart:
+        """Start a part. Raises: OSError."""
+        with contextlib.suppress(OSError):
+            self._base.parent.mkdir(exist_ok=True)  # somebody has removed it
+        number = free_number(self._base, self._number + 1)
+        while True:
+            notes = {"part": str(number), "continues": "yes" if self._number else "no"}
+            head = beginning(self._metadata | notes, self._model)
+            self._tried = part_path(self._base, number)
+            try:
+                part = OpenPart(self._tried, number, *head)
+                break
+            except FileExistsError:
+                number = free_number(self._base, number + 1)
+        if self.options.sync == "always":
+            try:
+                self._sync(part, part.sync())
+            except OSError:
+                part.remove()
+                raise
+        self._begun_s = self._synced_s = time.monotonic()
+        self._calibrated_at = -1e300
+        with self._change:
+            self._part = part
+            if self._kept.oldest is None:
+                self._reason = None
+            self._paths.append(part.path)
+            self._change.notify_all()
+        while self._unfinished and self._unfinished[-1].finish():
+            self._unfinished.pop().close()
+        return part
 
-def _ns(time_s: float) -> int:
-    return max(0, int(time_s * 1e9))
+    def _finish(self, part: OpenPart) -> None:
+        """End a part that is whole, on the disk. Raises: OSError of its fsync."""
+        whole = part.finish()
+        if self._syncing is not None:
+            self._syncing.join()  # only one fsync of a file is given its error
+        if part.sync_error is not None:
+            raise part.sync_error
+        if self.options.sync != "never":
+            self._sync(part, part.sync())
+        self._leave(part)
+        if whole:
+            part.close()
+        else:
+            self._unfinished.append(part)
+
+    def _leave(self, part: OpenPart) -> None:
+        with self._change:
+            self._part = None
+            self._number = part.number
+            self._earlier_bytes += part.scan.end
+
+    def _broken(self, error: OSError) -> None:
+        """A part cannot be started, or the present one is gone or fails: another one follows."""
+        part, now_s = self._part, time.monotonic()
+        why = str(write_error(self._tried, error)) if part is None else self._given_up(part, error)
+        with self._change:
+            self._faults += part is not None or self._reason is None
+            if part is None or now_s - self._fault_s < _RETRY_S:
+                self._reason, self._retry_s = why, now_s + _RETRY_S
+            self._fault, self._fault_s = why, now_s
+            self._change.notify_all()
+
+    def _given_up(self, part: OpenPart, error: OSError) -> str:
+        """Leave a part. What is in memory of it goes into the next one; the reason."""
+        why, there = str(write_error(part.path, error)), part.is_there
+        whole = there and part.states > 0 and part.sync_error is None
+        if isinstance(error, Gone):
+            whole, why = whole and error.moved, f"{part.path}: {error.strerror}"
+        if whole:
+            try:
+                self._finish(part)
+                return why
+            except OSError as of_sync:
+                why = str(write_error(part.path, of_sync))
+        with self._change:
+            rescued = self._kept.put_back()
+            lost = part.states - (part.safe_states if there else 0) - rescued
+            self._lost += lost
+            if part.safe_states or not there or isinstance(error, Gone):
+                self._leave(part)
+                part.give_up()
+            else:  # nothing is in it
+                self._part = None
+                self._paths.remove(part.path)
+                part.remove()
+        return f"{why}; states lost with it: {lost}, written again from memory: {rescued}"
 
 
-def _write_all(file: int, content: bytes, place: int) -> None:
-    view = memoryview(content)
-    while view:
-        written = os.pwrite(file, view, place)
-        place += written
-        view = view[written:]
-
-
-def _quiet_sync(file: int) -> None:
-    with contextlib.suppress(OSError):  # the next write reports it
-        os.fsync(file)
-    os.close(file)
-
-
-def _compressed(content: bytes, how: str) -> bytes:
-    if how == "lz4":
-        return bytes(lz4.frame.compress(content))
-    return zstandard.compress(content, 1) if how == "zstd" else content
+def _of_disk(error: Exception) -> OSError:
+    """Any error as one of the disk."""
+    return error if isinstance(error, OSError) else OSError(0, f"an internal error, {error!r}")

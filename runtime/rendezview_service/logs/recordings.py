@@ -6,12 +6,12 @@ the browser as they are; nothing is decoded here but raw grey levels, which cann
 
 from __future__ import annotations
 
-import json
 import struct
 import threading
 from collections import OrderedDict
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +20,14 @@ from mcap.records import Chunk
 
 from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance import ViewModel
-from rendezview_service.logs.log_file import ChannelKinds, is_own, messages, record_at, records
+from rendezview_service.logs.log_file import (
+    ChannelKinds,
+    is_own,
+    messages,
+    next_chunk,
+    record_at,
+    records,
+)
 from rendezview_service.logs.log_folder import notes_of, parts_from
 from rendezview_service.logs.log_index import MAGIC
 from rendezview_service.logs.log_repair import RECOVERED
@@ -74,8 +81,8 @@ class Recording:
         """Its `Geometry`."""
         return geometry(self.model.name, self.model).model_dump_json().encode()
 
-    def history(self, most: int) -> bytes:
-        """A `History` of evenly chosen frames, JSON."""
+    def history(self, most: int) -> dict[str, Any]:
+        """A `History` of evenly chosen frames, without events."""
         with self._lock:
             places = places_of(self.log.parts)
             step = max(1, -(-len(places) // most))
@@ -87,14 +94,13 @@ class Recording:
                         self._frames[number] = path, offset
                         states.append(frame.state)
         numbers = [int(state["frame"]) for state in states]
-        head = {
+        return {
             "session": self.log.notes.get("session", self.path.stem),
             "oldest_frame": min(numbers, default=None),
             "newest_frame": max(numbers, default=None),
             "images": numbers if states else [],
             "states": states,
         }
-        return json.dumps(head).encode()
 
     def frame(self, number: int) -> LoggedFrame | None:
         """A frame that `history` listed, or the last one before it."""
@@ -193,6 +199,7 @@ def summary(path: Path) -> Recorded:
         model=notes.get("target", "?"),
         model_sha256=notes.get("model_sha256", ""),
         camera=request.camera.model_dump(),
+        opened_unix_s=float(notes["opened_unix_s"]) if "opened_unix_s" in notes else None,
         began_unix_s=min(times) * 1e-9 if times else None,
         length_s=(max(times) - min(times)) * 1e-9 if times else None,
         frames=sum(counts) or None,
@@ -210,7 +217,7 @@ def _extent(path: Path, size: int) -> tuple[int, int, int]:
 
 
 def places_of(parts: list[Path]) -> list[tuple[Path, int, int]]:
-    """File, offset and time (ns) of each chunk, by the heads of records; damage ends a file."""
+    """File, offset and time (ns) of each chunk, by the heads of records."""
     found = []
     for path in parts:
         size = path.stat().st_size
@@ -220,8 +227,14 @@ def places_of(parts: list[Path]) -> list[tuple[Path, int, int]]:
                 file.seek(place)
                 opcode, length = _HEAD.unpack(file.read(_HEAD.size))
                 end = place + _HEAD.size + length
-                if opcode == Opcode.DATA_END or end > size:
+                if opcode == Opcode.DATA_END:
                     break
+                if opcode == 0 or end > size:  # damage
+                    following = next_chunk(file, place + 1, size)
+                    if following is None:
+                        break
+                    place = following
+                    continue
                 if opcode == Opcode.CHUNK:
                     first_ns, _ = _TIMES.unpack(file.read(_TIMES.size))
                     found.append((path, place, first_ns))

@@ -23,7 +23,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import ViewModel
 from rendezview_service.logs.log_file import ChannelKinds, messages, records
 from rendezview_service.logs.log_folder import SESSION_METADATA, parts_from
-from rendezview_service.logs.recording import MODEL_ATTACHMENT
+from rendezview_service.logs.log_part import MODEL_ATTACHMENT
 from rendezview_service.messages.frames import read_frame
 from rendezview_service.messages.fusion_messages import LoggedMeasurement
 from rendezview_service.messages.messages import SessionRequest
@@ -251,6 +251,8 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Comparison]]
             continue
         if entry.image is None:
             raise RendezviewError(f"{log.path}: was recorded without images: it cannot be repeated")
+        if entry.state["frame"] < run.expected:
+            continue  # twice: an earlier part could not be cut back when its disk failed
         if entry.state["frame"] != run.expected:
             so_far.add_gap(f"frames {run.expected} to {entry.state['frame'] - 1}")
             run = None

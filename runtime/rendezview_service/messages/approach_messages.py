@@ -12,7 +12,13 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from rendezview_service.messages.fusion_messages import FusedRates
-from rendezview_service.messages.message_parts import Matrix6, Message, PoseMessage, Three
+from rendezview_service.messages.message_parts import (
+    Direction,
+    Matrix6,
+    Message,
+    PoseMessage,
+    Three,
+)
 
 _Length = Annotated[FiniteFloat, Field(gt=0.0, le=1e6)]
 
@@ -23,19 +29,12 @@ class PortMessage(Message):
     """A docking port, target frame."""
 
     centre_m: Three
-    axis: Three = Field(description="outward normal, of any length but zero")
-    up: Three | None = Field(
+    axis: Direction = Field(description="outward normal, of any length but zero")
+    up: Direction | None = Field(
         default=None,
         description="the chaser's up (−y of its camera) when docked; default: the target's z, or "
         "its x where the axis is near z",
     )
-
-    @field_validator("axis")
-    @classmethod
-    def _check_axis(cls, axis: list[float]) -> list[float]:
-        if not any(axis):
-            raise ValueError("must not be zero")
-        return axis
 
 
 class CorridorMessage(Message):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import asdict
 from typing import Annotated, Any, Literal, Self
@@ -11,6 +10,7 @@ from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from rendezview.fusion import FusionOptions
 from rendezview_service.messages.message_parts import (
+    Direction,
     Matrix12,
     Message,
     Name,
@@ -42,18 +42,13 @@ class RingMessage(Message):
     """The target's docking ring, target frame."""
 
     centre_m: Three
-    axis: Three = Field(description="outward normal of its plane, of any length but zero")
+    axis: Direction = Field(description="outward normal of its plane, of any length but zero")
     radius_m: FiniteFloat = Field(gt=0.0, le=1e4)
     circles: list[CircleMessage] = Field(
         default=[],
         max_length=MOST_CIRCLES,
         description="other circles about the same axis: height over the ring's plane, radius, m",
     )
-
-    @field_validator("axis")
-    @classmethod
-    def _check_direction(cls, axis: list[float]) -> list[float]:
-        return _direction(axis)
 
 
 class ReflectorMessage(Message):
@@ -64,28 +59,18 @@ class ReflectorMessage(Message):
         description="those of one group are looked for together; three or more"
     )
     position_m: Three
-    normal: Three = Field(description="outwards, of any length but zero")
+    normal: Direction = Field(description="outwards, of any length but zero")
     diameter_m: FiniteFloat = Field(gt=0.0, le=1e4)
-
-    @field_validator("normal")
-    @classmethod
-    def _check_direction(cls, normal: list[float]) -> list[float]:
-        return _direction(normal)
 
 
 class SurfaceMessage(Message):
     """A plane of the target that a ranger's beam may hit, target frame."""
 
     point_m: Three
-    normal: Three
+    normal: Direction
     relief_m: FiniteFloat = Field(default=0.0, ge=0.0, le=1e4, description="σ about the plane")
     inner_m: FiniteFloat = Field(default=0.0, ge=0.0, description="inner radius about the point")
     outer_m: FiniteFloat | None = Field(default=None, description="outer radius; null: unlimited")
-
-    @field_validator("normal")
-    @classmethod
-    def _check_direction(cls, normal: list[float]) -> list[float]:
-        return _direction(normal)
 
     @model_validator(mode="after")
     def _check_radii(self) -> Self:
@@ -97,14 +82,12 @@ class SurfaceMessage(Message):
 class FusionRequest(Message):
     """Data on a session's sensors; every key is optional."""
 
-    ring: RingMessage | None = Field(
-        default=None, description="for the ring sensor, ring logs, and ranges without surfaces"
-    )
+    ring: RingMessage | None = Field(default=None, description="for the ring sensor and ring logs")
     reflectors: Annotated[list[ReflectorMessage], Field(max_length=MOST_REFLECTORS)] = Field(
         default=[], description="of the target, for the reflector sensor"
     )
     surfaces: Annotated[list[SurfaceMessage], Field(max_length=32)] = Field(
-        default=[], description="that a ranger's beam may hit, in order"
+        default=[], description="that a ranger's beam may hit, in order; default: the model's mesh"
     )
     mounts: Annotated[dict[Name, PoseMessage], Field(max_length=32)] = Field(
         default={}, description="sensor_from_camera by sensor; default: at the camera"
@@ -142,12 +125,6 @@ class FusionRequest(Message):
         if len(options.sensors) > 32:
             raise ValueError("options of at most 32 sensors")
         return options
-
-
-def _direction(vector: list[float]) -> list[float]:
-    if not 1e-6 < math.hypot(*vector) < 1e6:
-        raise ValueError("a direction must not be zero")
-    return vector
 
 
 def _check_numbers(content: Any, where: str) -> None:
@@ -215,6 +192,7 @@ class Measured(Message):
     verdicts: list[Verdict | None] = Field(description="one per line; null: no measurement")
     fused: Fused | None = Field(description="null before the first measurement of another sensor")
     recorded: bool = Field(description="all lines are in the log")
+    record: str | None = Field(default=None, description="as that of a state")
 
 
 class LoggedMeasurement(Message):

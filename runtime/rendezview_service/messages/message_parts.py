@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
 CAMERA = "camera"  # name of the session's own camera among its sensors
 # s, either side of zero; the stamps of a log hold no more. Source: a chosen limit.
 MOST_TIME_S = 1e10
+MOST_FIRST_S = 5e9  # s, of a session's first frame: others follow. Source: chosen, the year 2128
+# s, of a frame after the one before, beyond what has passed meanwhile. Source: a chosen limit
+MOST_JUMP_S = 3600.0
 Two = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 Four = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
@@ -16,6 +20,15 @@ Six = Annotated[list[FiniteFloat], Field(min_length=6, max_length=6)]
 Matrix6 = Annotated[list[Six], Field(min_length=6, max_length=6)]
 Twelve = Annotated[list[FiniteFloat], Field(min_length=12, max_length=12)]
 Matrix12 = Annotated[list[Twelve], Field(min_length=12, max_length=12)]
+
+
+def _checked_direction(vector: list[float]) -> list[float]:
+    if not 1e-6 < math.hypot(*vector) < 1e6:
+        raise ValueError("a direction must not be zero, nor longer than 1e6")
+    return vector
+
+
+Direction = Annotated[Three, AfterValidator(_checked_direction)]
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 

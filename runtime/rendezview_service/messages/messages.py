@@ -6,10 +6,17 @@ be measured is ``null``, with a status and a reason beside it.
 
 from __future__ import annotations
 
+import warnings
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, FiniteFloat
+from pydantic import (
+    Field,
+    FiniteFloat,
+    ModelWrapValidatorHandler,
+    PrivateAttr,
+    model_validator,
+)
 
 from rendezview.geometry.camera import LensModel
 from rendezview_service.messages.approach_messages import Approach, ApproachRequest, Level, Motion
@@ -21,6 +28,7 @@ from rendezview_service.messages.frame_sensor_messages import (
 )
 from rendezview_service.messages.fusion_messages import Fused, FusionRequest, Marks
 from rendezview_service.messages.message_parts import (
+    Direction,
     Matrix6,
     Message,
     Name,
@@ -53,6 +61,7 @@ class CameraMessage(Message):
     bit_depth: int | None = Field(
         default=None, ge=8, le=16, description="of PNG frames with 16-bit levels; null: 16"
     )
+    checked: bool = Field(default=False, description="its numbers are meant: no warnings")
 
 
 class IntegrityRequest(Message):
@@ -80,7 +89,10 @@ class SessionRequest(Message):
     prior: PoseMessage | None = Field(
         default=None, description="pose at the first frame, attitude within about 20°"
     )
-    sun_camera: Three | None = Field(default=None, description="towards the Sun, camera frame")
+    sun_camera: Direction | None = Field(default=None, description="towards the Sun, camera frame")
+    roi: Annotated[list[FiniteFloat], Field(min_length=2, max_length=4)] | None = Field(
+        default=None, description="target at first: x, y, width, height, px; x, y; or x, y, range"
+    )
     trees: bool = Field(default=True, description="find active nodes on every frame")
     record: bool | None = Field(default=None, description="default: the service's setting")
     idle_s: FiniteFloat | None = Field(
@@ -101,6 +113,21 @@ class SessionRequest(Message):
     integrity: IntegrityRequest | None = Field(
         default=None, description="poses get protection levels; those with an alarm are not fused"
     )
+    _notes: list[str] = PrivateAttr(default_factory=list)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _note_warnings(cls, content: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", DeprecationWarning)
+            made = handler(content)
+        made._notes += [str(one.message) for one in caught]
+        return made
+
+    @property
+    def notes(self) -> list[str]:
+        """What of it is out of date and ignored, or odd."""
+        return self._notes
 
 
 class Phase(StrEnum):
@@ -160,7 +187,10 @@ class Recording(Message):
     size_bytes: int = Field(default=0, description="of that file")
     parts: int = Field(default=0, description="number of the file, from 1")
     all_bytes: int = Field(default=0, description="of all files since the worker's start")
-    lost: int = Field(default=0, description="states and lines that were not written")
+    lost: int = Field(default=0, description="states and lines that are in no file")
+    pending: int = Field(default=0, description="states and lines that wait for the disk")
+    faults: int = Field(default=0, description="of its files, since the worker's start")
+    fault: str | None = Field(default=None, description="the last one, for half a minute")
 
 
 class SessionInfo(Message):
@@ -189,6 +219,7 @@ class SessionInfo(Message):
     recording: Recording
     finished: bool = Field(description="the source has ended or failed")
     reason: str | None = Field(default=None, description="if the source failed")
+    warnings: list[str] = Field(default=[], description="what of its request is ignored, or odd")
 
 
 class SessionList(Message):
@@ -258,6 +289,11 @@ class State(ObservationMessage):
     latency_ms: float = Field(description="from the frame's arrival to this answer")
     drops: int = Field(description="frames of the session that newer ones replaced, so far")
     recorded: bool = Field(description="this state is in the log")
+    record: str | None = Field(
+        default=None,
+        description="recorded; pending: it waits for the disk, `recording` has its fate; "
+        "failed: it will be in no file; both with a reason",
+    )
     model_sha256: str | None = Field(default=None, description="of the model's file, hexadecimal")
     motion: Motion | None = Field(
         default=None,
@@ -322,6 +358,7 @@ class History(Message):
     newest_frame: int | None
     states: list[State]
     images: list[int] = Field(description="frames whose JPEG is kept, in ascending order")
+    events: list[Event] = Field(default=[], description="of a recording: phases, alarms, restarts")
 
 
 class Event(Message):

@@ -32,18 +32,19 @@ class Geometry(Message):
 
 
 class ModelInfo(Message):
-    """A view model of the service."""
+    """A view model of the service; only its name and the error, if it cannot be read."""
 
     name: str
-    target: str
-    sha256: str
-    size_bytes: int
-    order: int
-    nodes: int
-    target_radius_m: float
-    sphere_radius_m: float
-    refines: bool
+    target: str | None = None
+    sha256: str | None = None
+    size_bytes: int | None = None
+    order: int | None = None
+    nodes: int | None = None
+    target_radius_m: float | None = None
+    sphere_radius_m: float | None = None
+    refines: bool | None = None
     loaded: bool = Field(description="in memory")
+    error: str | None = Field(default=None, description="why it cannot be read")
 
 
 class ModelList(Message):
@@ -63,6 +64,7 @@ class Recorded(Message):
     model: str = Field(description="its target")
     model_sha256: str
     camera: dict[str, Any] = Field(description="as `CameraMessage`")
+    opened_unix_s: float | None = Field(description="of the session; null in older logs")
     began_unix_s: float | None
     length_s: float | None
     frames: int | None = Field(description="chunks: frames, and messages of other sensors")
@@ -99,6 +101,7 @@ class JobInfo(Message):
     stage: str | None = Field(description="present stage")
     progress: float | None = Field(description="of the stage, 0 … 1")
     reason: str | None = Field(description="if it failed")
+    warnings: list[str] = Field(default=[], description="what is odd about mesh and camera")
     created_unix_s: float
     elapsed_s: float | None
 

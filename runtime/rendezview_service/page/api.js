@@ -25,8 +25,8 @@ export async function request(path, options = {}) {
   let response;
   try {
     response = await fetch(path, { ...options, headers });
-  } catch {
-    throw new ApiError(0, "the service cannot be reached");
+  } catch (error) {
+    throw new ApiError(0, `the service ${error.name === "TimeoutError" ? "does not answer" : "cannot be reached"}`);
   }
   if (!response.ok) {
     const fault = await response.json().catch(() => null);

@@ -1,6 +1,6 @@
 // The operator's numbers: approach, mission time, alerts.
 
-import { poseShown, rows, say, signed, DEGREES } from "./status.js";
+import { made, poseShown, rows, say, signed, DEGREES } from "./status.js";
 
 const find = (id) => document.getElementById(id);
 const degrees = (radians, digits = 2) => `${signed(DEGREES * radians, digits)}°`;
@@ -28,8 +28,8 @@ export function showApproach(state) {
   const kind = (...names) => names.map((name) => limits.get(name)).find(Boolean) ?? "";
   const add = (name, text, ...quantities) => entries.push([name, text, kind(...quantities)]);
   if (now === null) {
-    const reason = state?.motion?.reason ?? "no pose yet";
-    rows(table.tBodies[0], [["range", "–"], ["range rate", "–"], ["filter", `${state?.motion?.status ?? "waiting"}: ${reason}`, "wrap"]]);
+    const filter = state && ["filter", `${state.motion?.status ?? "waiting"}: ${state.motion?.reason ?? "no pose yet"}`, "wrap"];
+    rows(table.tBodies[0], [["range", "–"], ["range rate", "–"], ...(filter ? [filter] : [])]);
     return;
   }
   add("range", `${now.range_m.toFixed(3)} ± ${(3 * now.range_sigma_m).toFixed(3)} m`, "range_m", "range_sigma_m");
@@ -51,19 +51,15 @@ export function showApproach(state) {
   rows(table.tBodies[0], entries);
 }
 
-/** What must not be missed: alarms, and a recording that fails. */
-export function showAlerts(state, recording) {
+/** What must not be missed: alarms, a recording that fails, and doubts about the session's files. */
+export function showAlerts(state, recording, doubts = []) {
   const list = find("alerts"), found = [];
-  if (recording?.state === "failed") found.push(["alarm", `NOT RECORDED: ${recording.reason ?? "unknown"} (${recording.lost} lost)`]);
+  if (recording?.state === "failed") found.push(["alarm", `NOT RECORDED: ${recording.reason ?? "unknown"} (${recording.lost} lost, ${recording.pending ?? 0} waiting)`]);
   for (const { level, text } of state?.approach?.alarms ?? []) found.push([level, `${level === "alarm" ? "ALARM" : "Warning"}: ${text}`]);
+  for (const text of doubts) found.push(["warning", `Check: ${text}`]);
   const text = JSON.stringify(found);
   if (list.dataset.shown === text) return;
   list.dataset.shown = text;
   list.hidden = found.length === 0;
-  list.replaceChildren(...found.map(([level, said]) => {
-    const item = document.createElement("li");
-    item.className = level;
-    item.textContent = said;
-    return item;
-  }));
+  list.replaceChildren(...found.map(([level, said]) => made("li", said, level)));
 }

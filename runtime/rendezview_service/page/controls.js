@@ -2,6 +2,7 @@
 
 import { listen } from "./keys.js";
 import { showModels } from "./library.js";
+import { switchTheme } from "./theme.js";
 
 const find = (id) => document.getElementById(id);
 const LAYERS = ["contour", "nodes", "silhouette", "ellipses", "spots"];
@@ -27,6 +28,7 @@ export function wire(act, live, views) {
     r: () => find("recordings").click(),
     m: () => find("models").click(),
     s: () => find("sessions").focus(),
+    l: () => find("theme").click(),
     "?": () => find("help-dialog").showModal(),
   };
   listen(keys);
@@ -38,6 +40,7 @@ export function wire(act, live, views) {
   find("models").onclick = showModels;
   find("recordings").onclick = act.recordings;
   find("help").onclick = keys["?"];
+  switchTheme(find("theme"), () => (views.themed(), act.again()));
   for (const layer of LAYERS) {
     live.layers[layer] = find(`layer-${layer}`).checked;
     find(`layer-${layer}`).onchange = () => {

@@ -2,7 +2,7 @@
 
 import { json, sessionPath } from "./api.js";
 import { utc } from "./approach.js";
-import { say } from "./status.js";
+import { made, say } from "./status.js";
 
 const find = (id) => document.getElementById(id);
 const MOST = 200; // shown
@@ -32,11 +32,13 @@ export class Events {
   add({ number, unix_s: at, level, kind, text }) {
     if (number < this.next) return;
     this.next = number + 1;
-    const item = document.createElement("li");
-    item.className = level;
-    const time = document.createElement("time");
-    time.textContent = utc(at);
-    item.append(time, ` ${kind}: ${text}`);
+    this.note(level, `${kind}: ${text}`, at);
+  }
+
+  /** What the page itself has noticed. */
+  note(level, text, at = Date.now() / 1000) {
+    const item = made("li", "", level);
+    item.append(made("time", utc(at)), ` ${text}`);
     this.list.prepend(item);
     while (this.list.children.length > MOST) this.list.lastChild.remove();
   }
@@ -59,11 +61,7 @@ function showStrip(strip, sessions, chosen, choose) {
   strip.hidden = sessions.every((one) => one.id === chosen);
   while (strip.children.length > sessions.length) strip.lastChild.remove();
   sessions.forEach((one, place) => {
-    let button = strip.children[place];
-    if (!button) {
-      button = document.createElement("button");
-      strip.append(button);
-    }
+    const button = strip.children[place] ?? strip.appendChild(made("button"));
     button.onclick = () => choose(one.id);
     const camera = one.sensors[0];
     const stale = one.age_s === null || one.age_s > 3;

@@ -2,7 +2,7 @@
 
 import { json, request } from "./api.js";
 import { spanText } from "./approach.js";
-import { say } from "./status.js";
+import { made, say } from "./status.js";
 
 const find = (id) => document.getElementById(id);
 const JOBS_MS = 2000;
@@ -10,20 +10,16 @@ const megabytes = (bytes) => `${(bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0)} MB`;
 
 function fill(table, lines) {
   table.tBodies[0].replaceChildren(...lines.map((cells) => {
-    const row = document.createElement("tr");
-    for (const cell of cells) {
-      const place = row.insertCell();
-      place.append(cell);
-    }
+    const row = made("tr");
+    for (const cell of cells) row.insertCell().append(cell);
     return row;
   }));
 }
 
 function button(text, act) {
-  const made = document.createElement("button");
-  made.textContent = text;
-  made.onclick = act;
-  return made;
+  const element = made("button", text);
+  element.onclick = act;
+  return element;
 }
 
 // Recordings
@@ -38,7 +34,7 @@ export async function showRecordings(open, save) {
     const { recordings } = await json("/v1/recordings");
     if (recordings.length === 0) say(find("recordings-note"), "There are none: start the service with --record FOLDER.");
     fill(find("recordings-list"), recordings.map((one) => {
-      const buttons = document.createElement("span");
+      const buttons = made("span");
       buttons.append(button("Look", () => {
         dialog.close();
         open(one);
@@ -55,6 +51,7 @@ export async function showRecordings(open, save) {
 // Models
 
 let timer = null;
+let proposed = ""; // name that the last file gave
 
 export async function showModels() {
   const dialog = find("models-dialog");
@@ -69,15 +66,16 @@ async function refresh() {
   try {
     const [{ models }, { jobs }] = await Promise.all([json("/v1/models"), json("/v1/jobs")]);
     fill(find("models-list"), models.map((one) => {
-      const hash = document.createElement("code");
-      hash.textContent = one.sha256.slice(0, 12);
-      hash.title = one.sha256;
+      const hash = made("code", one.error ?? one.sha256.slice(0, 12));
+      hash.title = one.error ?? one.sha256;
+      if (one.error) return [one.name, "cannot be read", hash, "", ""];
       return [one.name, one.target, hash, String(one.nodes), megabytes(one.size_bytes)];
     }));
     find("jobs").replaceChildren(...jobs.map((job) => {
-      const item = document.createElement("li");
+      const item = made("li");
       const part = job.state === "running" && job.stage ? `: ${job.stage} ${(100 * (job.progress ?? 0)).toFixed(0)} %` : "";
       item.append(`${job.model}: ${job.state}${part}${job.reason ? `: ${job.reason}` : ""} `);
+      item.append(...job.warnings.map((text) => made("div", `Check: ${text}`, "warn")));
       if (["queued", "running"].includes(job.state)) item.append(button("Cancel", () => request(`/v1/jobs/${job.id}`, { method: "DELETE" }).then(refresh, report)));
       return item;
     }));
@@ -96,10 +94,13 @@ async function send() {
   say(find("models-note"), `sending ${file.name} …`);
   try {
     if (/\.rvm$/i.test(file.name)) {
-      const made = await json(`/v1/models/${encodeURIComponent(name)}?replace=true`, { method: "PUT", body: file });
-      say(find("models-note"), `${made.name} is here: ${made.sha256.slice(0, 12)}`);
+      const sent = await json(`/v1/models/${encodeURIComponent(name)}?replace=true`, { method: "PUT", body: file });
+      say(find("models-note"), `${sent.name} is here: ${sent.sha256.slice(0, 12)}`);
     } else {
-      const query = new URLSearchParams({ model: name, file: file.name, unit: find("model-unit").value, order: find("model-order").value });
+      const query = new URLSearchParams({ model: name, file: file.name, order: find("model-order").value });
+      const [camera] = find("model-camera").files, unit = find("model-unit").value;
+      if (unit) query.set("unit", unit);
+      if (camera) query.set("camera", await camera.text());
       const job = await json(`/v1/jobs?${query}`, { method: "POST", body: file });
       say(find("models-note"), `training ${job.model}: ${job.state}`);
     }
@@ -116,6 +117,8 @@ find("model-file").onchange = () => {
   if (!file) return;
   const isModel = /\.rvm$/i.test(file.name);
   for (const label of document.querySelectorAll(".mesh")) label.hidden = isModel;
-  if (!find("model-name").value) find("model-name").value = file.name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "");
+  const field = find("model-name");
+  if (field.value && field.value !== proposed) return; // typed by the operator
+  field.value = proposed = file.name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "");
 };
 for (const close of document.querySelectorAll("dialog .close")) close.onclick = () => close.closest("dialog").close();

@@ -8,6 +8,7 @@ import { Events, showSessions } from "./events.js";
 import { LiveView } from "./live.js";
 import { showRecordings } from "./library.js";
 import { Past, placeAway } from "./past.js";
+import { Absent, Reach, endOf, linkOf } from "./reach.js";
 import { showReadings } from "./readings.js";
 import { say, showAge, showLink, showNumbers, showRecording, showSensors, showTotals, showVerdict, verdict } from "./status.js";
 import { Views } from "./views.js";
@@ -15,19 +16,21 @@ import { Views } from "./views.js";
 const find = (id) => document.getElementById(id);
 const SLOW_MS = 100; // between drawings of words and numbers
 const POLL_MS = 2000;
+const DEAD_MS = 6000; // a connection that brings none of the frames that the service has
 
 const live = new LiveView(find("frame"));
 const events = new Events(find("events").querySelector("ol"));
+const reach = new Reach((awayS) => events.note("warning", `connection: none for ${awayS.toFixed(0)} s`));
 let session = null; // name
 let info = null; // as the service lists it
 let sessions = [], past = null;
-let leave = null; // closes the watch
+let leave = null, openedAt = null; // closes the watch; when that was opened (ms), null: not yet
 let last = null; // the newest message, its jpeg, and its arrival (ms)
 let shown = null; // what is drawn: state, contour, silhouette, bitmap, note
 let paused = null; // states at the pause, and the index of the shown one
 let ended = null; // reason
 let recorded = null, approach = null; // name of the recording that is looked at; of the session
-let unreachable = null, refusal = null; // since when the service is (ms), and the last poll's error
+let absent = null; // the session that was asked for, while it is not there
 let decoding = false, fetching = false, drawing = false;
 let banner = ""; // phase and status that the banner shows
 let fresh = false, slowAt = 0, displayed = null; // the state whose words and numbers are shown
@@ -39,7 +42,7 @@ const views = new Views(drawn, schedule, again);
 
 function received(message, jpeg) {
   drawn.received += 1;
-  unreachable = refusal = null;
+  reach.reached();
   past.add(message.state);
   last = { message, jpeg, at: performance.now() };
   ended = null;
@@ -73,6 +76,13 @@ function present(next) {
   schedule();
 }
 
+/** A past state over the picture that is kept of it or of a frame before; without one, why. */
+function presentPast(state, got, why) {
+  const seen = (paused?.states ?? past.states).find((kept) => kept.frame === got?.frame) ?? null;
+  const note = got === null ? why : `frame ${state.frame}${got.frame === state.frame ? "" : ` · picture: ${got.frame}`}`;
+  present({ state, seen, contour: got?.contour ?? null, silhouette: null, marks: got?.marks ?? null, bitmap: got?.bitmap ?? null, note });
+}
+
 // Drawing: at most once per frame of the display
 
 function schedule() {
@@ -102,17 +112,14 @@ function draw(now) {
 /** The verdict on the shown state while paused; else, or with `now`, on the present. */
 function words(now = paused === null) {
   if (!now || recorded !== null) return verdict(shown?.state ?? null, 0);
-  if (refusal?.status === 401) return ["offline", "NO ACCESS", "the service requires a token: press Token"];
-  if (unreachable !== null) {
-    const away = (performance.now() - unreachable) / 1000;
-    const why = refusal.status ? `does not serve this page (${refusal.message})` : "cannot be reached";
-    return ["offline", "NO CONNECTION", `the service ${why} for ${away.toFixed(0)} s; trying again`];
-  }
+  if (reach.words !== null) return reach.words;
   if (ended !== null) return ["ended", "ENDED", ended];
   if (leave === null && session !== null) return ["offline", "NO CONNECTION", "trying again"];
-  if (info?.finished) return ["ended", "ENDED", info.reason ?? "the source has ended"];
+  if (info?.finished) return ["ended", "ENDED", endOf(info)];
   return verdict(last?.message.state ?? null, ageS() ?? 0, info);
 }
+
+const sayLink = () => showLink(...linkOf(reach, { recorded, end: ended ?? absent?.end ?? null, session, leave, openedAt }));
 
 /** Age of the newest state, s; null: there is none, or a past one is looked at. */
 const ageS = () => (last === null || paused !== null ? null : (performance.now() - last.at) / 1000);
@@ -122,8 +129,8 @@ function tick() {
   showAge(ageS(), info?.sensors?.[0]?.rate_hz);
   if (shown !== null && shown !== displayed) slow(performance.now());
   if (shown !== null) sayWhen(), views.catchUp(shown, paused === null ? past.states : []);
-  if (session === null && recorded === null) return;
-  if (paused === null) showVerdict(words());
+  sayLink();
+  if (paused === null && (session !== null || recorded !== null || reach.words !== null)) showVerdict(words());
 }
 
 /** Words and numbers of the shown state. */
@@ -139,7 +146,7 @@ function slow(now) {
     showSensors(last.message.sensors);
     showRecording(last.message.recording);
   }
-  showAlerts(shown.state, paused === null ? (info?.recording.state === "failed" ? info.recording : last?.message.recording) : null);
+  showAlerts(shown.state, paused === null ? (info?.recording.state === "failed" ? info.recording : last?.message.recording) : null, info?.warnings);
   showAge(ageS(), info?.sensors?.[0]?.rate_hz);
   for (const label of document.querySelectorAll(".others")) label.hidden = !(shown.state.fused || shown.state.ring || shown.marks?.length);
   views.moved = true;
@@ -178,38 +185,33 @@ function again() {
 // Sessions
 
 async function poll() {
-  try {
-    sessions = (await json("/v1/sessions")).sessions;
-  } catch (error) {
-    refusal = error;
-    if (error.status !== 401) unreachable ??= performance.now();
-    showLink(error.status === 401 ? "no access" : "no connection", "bad");
-    if (paused === null) showVerdict(words(true));
-    if (error.status === 401 && !wasDeclined()) askToken(token() ? "The given token is not right." : "The service requires a token.");
+  const found = await reach.sessions();
+  sayLink();
+  if (found === null) {
+    if (paused === null && reach.words !== null) showVerdict(reach.words);
+    if (reach.wantsToken && !wasDeclined()) askToken(token() ? "The given token is not right." : "The service requires a token.");
     return;
   }
-  unreachable = refusal = null;
+  sessions = found;
   showSessions(sessions, session, choose);
   if (recorded !== null) return;
   const present = sessions.find((one) => one.id === session);
-  if (session !== null && present === undefined && leave === null && ended === null) showLink("session ended", "bad", (ended = "this session is not there any more: it ended, or the service was restarted"));
+  if (session !== null && present === undefined && leave === null && ended === null) ended = "this session is not there any more: it ended, or the service was restarted";
   info = present ?? info;
+  // A connection may die without a word, as while a machine sleeps.
+  const silentMs = performance.now() - Math.max(openedAt, last?.at ?? 0);
+  if (leave !== null && openedAt !== null && present?.age_s < 1 && silentMs > DEAD_MS) connect();
   if (session !== null && present !== undefined) events.load().catch(() => {});
   if (session === null || leave === null) {
     const wanted = session ?? askedSession();
     const next = wanted === "" ? sessions.at(-1) : sessions.find((one) => one.id === wanted);
     if (next) choose(next.id);
-    else if (session === null) noSession(wanted);
+    else if (session === null) {
+      if (absent?.name !== wanted) absent = new Absent(wanted);
+      showVerdict(absent.words(sessions.length));
+    }
   }
   if (session !== null) overview();
-}
-
-/** Another session than the one that was asked for is never shown in its place. */
-function noSession(wanted) {
-  showLink("no session", "");
-  const others = sessions.length ? "; others are listed above" : "";
-  const why = wanted === "" ? "open one: rendezview serve --source …, or rendezview.Client" : `“${wanted}” is not there (yet): waiting for it${others}`;
-  showVerdict(["waiting", "NO SESSION", why]);
 }
 
 function overview() {
@@ -219,7 +221,7 @@ function overview() {
   if (performance.now() - (last?.at ?? -Infinity) > POLL_MS) {
     showSensors(info.sensors);
     showRecording(info.recording);
-    showAlerts(shown?.state ?? null, info.recording);
+    showAlerts(shown?.state ?? null, info.recording, info.warnings);
   }
 }
 
@@ -227,6 +229,7 @@ function choose(name) {
   begin(sessions.find((one) => one.id === name) ?? null, sessionPath(name));
   session = name;
   events.clear(name);
+  events.load().catch(() => {});
   history.replaceState(null, "", `#${encodeURIComponent(name)}`);
   showSessions(sessions, session, choose);
   connect();
@@ -246,12 +249,12 @@ function anew() {
 /** Nothing is shown yet of what comes now. */
 function begin(of, path) {
   leave?.();
-  leave = null;
+  leave = openedAt = null;
   recorded = null;
   goLive();
   info = of;
   past = new Past(path);
-  last = ended = approach = null;
+  last = ended = approach = absent = null;
   present(null);
   views.clear();
   live.camera = info?.camera ?? null;
@@ -271,23 +274,22 @@ async function restore() {
     last = { message: { state, contour: null, silhouette_px: null, marks: null, sensors: info.sensors, recording: info.recording }, jpeg: null, at: at - 1000 * ageAtFirst };
     const got = await of.picture(state.frame).catch(() => null);
     if (of !== past || last.message.state !== state || paused !== null) return;
-    const note = got === null ? "no picture is kept" : got.frame === state.frame ? `frame ${state.frame}` : `frame ${state.frame} · picture: ${got.frame}`;
-    present({ state, seen: got?.frame === state.frame ? state : null, contour: got?.contour ?? null, silhouette: null, marks: got?.marks ?? null, bitmap: got?.bitmap ?? null, note });
+    presentPast(state, got, "no picture is kept");
   }
   if (drawn.updates > 0) more();
 }
 
 /** A log of the service, from its start. */
 async function look(recording) {
-  begin({ ...recording, sensors: [], recording: { state: "off" }, frames: recording.frames ?? 0, found_fraction: null }, `/v1/recordings/${encodeURIComponent(recording.name)}`);
+  begin({ ...recording, created_unix_s: recording.opened_unix_s ?? recording.began_unix_s, sensors: [], recording: { state: "off" }, frames: recording.frames ?? 0, found_fraction: null }, `/v1/recordings/${encodeURIComponent(recording.name)}`);
   recorded = recording.name;
   session = null;
   events.clear(null);
   showSessions(sessions, session, choose);
-  showLink(`recording ${recording.name}`, "");
+  sayLink();
   showVerdict(["waiting", "READING", recording.name]);
   try {
-    await past.load(2000, 1e6);
+    for (const event of await past.load()) events.add(event);
   } catch (error) {
     showVerdict(["offline", "NO RECORDING", error.message]);
     return;
@@ -301,14 +303,15 @@ async function look(recording) {
 
 function connect() {
   leave?.();
+  openedAt = null;
   leave = watch(session, {
     silhouette: live.layers.silhouette,
     received,
-    opened: () => showLink("● connected", "good"),
+    opened: () => ((openedAt = performance.now()), sayLink()),
     closed: (reason, isEnd) => {
-      leave = null;
+      leave = openedAt = null;
       if (isEnd) ended = reason || "the session is closed";
-      showLink(isEnd ? "session ended" : "no connection", "bad");
+      sayLink();
       if (paused === null) showVerdict(words());
       if (!isEnd) poll();
     },
@@ -359,14 +362,10 @@ async function fetchPicture() {
   const of = past;
   for (let done = null; paused !== null && of === past && done !== paused.states[paused.place].frame; ) {
     done = paused.states[paused.place].frame;
-    const got = await of.picture(done).catch((error) => ({ failure: error.message }));
+    let why = "";
+    const got = await of.picture(done).catch((error) => ((why = `no picture: ${error.message}`), null));
     if (paused === null || of !== past) break;
-    const state = paused.states[paused.place];
-    if (got.failure) present({ state, contour: null, silhouette: null, marks: null, bitmap: null, note: `no picture: ${got.failure}` });
-    else {
-      const away = got.frame === state.frame ? "" : ` · picture: ${got.frame}`;
-      present({ state, seen: paused.states.find((kept) => kept.frame === got.frame) ?? null, contour: got.contour, silhouette: null, marks: got.marks, bitmap: got.bitmap, note: `frame ${state.frame}${away}` });
-    }
+    presentPast(paused.states[paused.place], got, why);
   }
   fetching = false;
 }

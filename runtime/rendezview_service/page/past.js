@@ -33,12 +33,13 @@ export class Past {
     }
   }
 
-  /** Load the states that the service has kept. */
-  async load(limit = 2000, seconds = KEEP_S) {
-    const kept = await json(`${this.path}/history?seconds=${seconds}&limit=${limit}`);
+  /** Load the states that the service has kept, however old; the events of a recording. */
+  async load() {
+    const kept = await json(`${this.path}/history?seconds=1e6&limit=2000`);
     const byFrame = new Map(this.states.map((state) => [state.frame, state]));
     for (const state of kept.states) byFrame.set(state.frame, state);
     this.states = [...byFrame.values()].sort((a, b) => a.frame - b.frame);
+    return kept.events;
   }
 
   /** The picture of a frame, or of the last kept frame before it, with its contour and marks. */

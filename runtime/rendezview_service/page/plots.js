@@ -1,12 +1,16 @@
 // Pose, rates, residual and latency over time: uPlot.
 
+import { utc } from "./approach.js";
+import { made } from "./status.js";
 import uPlot from "./vendor/uplot.js";
 
 const DEGREES = 180 / Math.PI;
 const MOST = 900; // points of a curve: more than its pixels help no one
 const LEAST_ZOOM_PX = 5;
 const HOLE_S = 1; // without frames: no curve is drawn across
-const [RED, GREEN, BLUE, YELLOW] = ["#ff8f87", "#6bdb7b", "#79b8ff", "#f2c14e"];
+const [RED, GREEN, BLUE, YELLOW] = ["--red", "--green", "--blue", "--yellow"]; // of page.css
+const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]];
+const LINES = ["solid", "dashed", "dotted", "double"];
 
 const deviation = (s, from) => s.covariance && 3 * Math.sqrt(s.covariance[from][from] + s.covariance[from + 1][from + 1] + s.covariance[from + 2][from + 2]);
 const shown = (s) => ({ covariance: s.covariance ?? s.motion?.covariance ?? null });
@@ -56,14 +60,11 @@ export class Plots {
   }
 
   _make(parent, title, curves) {
-    const box = document.createElement("div");
-    box.className = "plot";
-    const head = document.createElement("h2");
-    head.textContent = `${title} `;
-    const keys = curves.map(([name, colour]) => {
-      const key = document.createElement("b");
-      key.textContent = ` ${name}`;
-      key.style.color = colour;
+    const box = made("div", "", "plot"), head = made("h2", `${title} `);
+    const keys = curves.map(([name, colour], k) => {
+      const key = made("b", ` ${name}`);
+      key.style.color = `var(${colour})`;
+      key.style.textDecoration = `underline ${LINES[k]}`;
       head.append(key);
       return key;
     });
@@ -82,21 +83,21 @@ export class Plots {
     parent.append(box);
     const right = curves.some((curve) => curve[3] === "right");
     const share = curves.some(([name]) => name === "confidence"); // 0 … 1
-    const axis = { stroke: "#9aa7b5", grid: { stroke: "#26303b" }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
+    const [text, ...strokes] = [head, ...keys].map((each) => getComputedStyle(each).color);
+    const axis = { stroke: text, grid: { stroke: getComputedStyle(box).borderColor, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
     const plot = new uPlot({
       width: box.clientWidth,
       height: box.clientHeight,
       legend: { show: false },
-      tzDate: (at) => uPlot.tzDate(new Date(1000 * at), "Etc/UTC"),
       cursor: { sync: { key: "time" }, drag: { x: true, y: false, setScale: false } },
       padding: [16, right ? 0 : 12, 0, 0],
       scales: { x: { time: true }, y: {}, ...(right ? { right: share ? { range: [0, 1] } : {} } : {}) },
       axes: [
-        { ...axis, size: 20, space: 70 },
+        { ...axis, size: 20, space: 70, values: (u, places) => places.map((at) => (at == null ? "" : utc(at))) },
         { ...axis, size: 52, space: 22, values: ticks },
         ...(right ? [{ ...axis, values: ticks, scale: "right", side: 1, size: 52, space: 22, grid: { show: false } }] : []),
       ],
-      series: [{}, ...curves.map(([name, stroke, , side]) => ({ label: name, stroke, width: 1.4, points: { show: false }, scale: side ?? "y" }))],
+      series: [{}, ...curves.map(([name, , , side], k) => ({ label: name, stroke: strokes[k], dash: DASHES[k], width: 1.4, points: { show: false }, scale: side ?? "y" }))],
       hooks: { drawClear: [(u) => this._gaps(u)], draw: [(u) => this._mark(u)], setCursor: [say], setSelect: [select] },
     }, [[], ...curves.map(() => [])], box);
     plot.over.addEventListener("dblclick", () => this.zoomed(null));
@@ -158,7 +159,7 @@ export class Plots {
     const x = u.valToPos(this.mark, "x", true);
     if (x < u.bbox.left || x > u.bbox.left + u.bbox.width) return;
     u.ctx.save();
-    u.ctx.fillStyle = "#e4e9ef";
+    u.ctx.fillStyle = getComputedStyle(u.root).color;
     u.ctx.fillRect(x - 1, u.bbox.top, 2, u.bbox.height);
     u.ctx.restore();
   }

@@ -10,6 +10,14 @@ export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** An element with a text. */
+export function made(tag, text = "", kind = "") {
+  const element = document.createElement(tag);
+  element.textContent = text;
+  element.className = kind;
+  return element;
+}
+
 /** The banner's verdict: key, word, reason. `info`: the session as the service lists it. */
 export function verdict(state, silentS, info = null) {
   const camera = info?.sensors?.[0] ?? null;
@@ -20,6 +28,10 @@ export function verdict(state, silentS, info = null) {
   const reason = state.reason ?? state.status;
   if (state.pose !== null) {
     const sure = state.confidence === null ? "" : `confidence ${state.confidence.toFixed(3)}`;
+    // Green only where nothing contradicts the pose.
+    const { status: filter = "tracking", reason: why, protection } = state.fused ?? {};
+    if (filter !== "tracking") return ["unsure", "FOUND", `${sure ? `${sure}; ` : ""}fused state ${filter}: ${why ?? "no reason"}`];
+    if (protection?.alarm) return ["unsure", "FOUND", `${sure ? `${sure}; ` : ""}a sensor contradicts the fused state`];
     return ["found", "FOUND", sure];
   }
   if (["ambiguous", "rivals"].includes(state.status)) {
@@ -59,7 +71,7 @@ export function rows(body, entries) {
     let row = body.rows[place];
     if (!row) {
       row = body.insertRow();
-      row.append(document.createElement("th"), document.createElement("td"));
+      row.append(made("th"), made("td"));
       row.cells[0].scope = "row";
     }
     say(row.cells[0], name);
@@ -149,7 +161,7 @@ export function showRecording(recording) {
   const words = {
     off: "not recorded",
     on: `● recording ${(recording.size_bytes / 1e6).toFixed(0)} MB`,
-    failed: `▲ recording failed, ${recording.lost} lost`,
+    failed: `▲ recording failed, ${recording.lost} lost, ${recording.pending ?? 0} waiting`,
   };
   say(chip, words[recording.state]);
   chip.className = `chip ${{ off: "", on: "good", failed: "bad" }[recording.state]}`;

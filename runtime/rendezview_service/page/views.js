@@ -47,6 +47,12 @@ export class Views {
     this.plots = new Plots(find("plots"), hasPort, (from, to) => this.zoomed(from, to));
   }
 
+  /** The plots have the page's colours. */
+  themed() {
+    if (this.plots !== null) this._plots(this.plots.constructor, this.plots.hasPort);
+    this.renew();
+  }
+
   /** A target, a camera, and what the approach is compared with. */
   show(geometry, camera, approach) {
     if (this.space === null) return;

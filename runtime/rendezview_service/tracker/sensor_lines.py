@@ -15,7 +15,6 @@ from pydantic_core import from_json
 
 from rendezview.errors import RendezviewError
 from rendezview.fusion import (
-    BeamSurface,
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
@@ -26,6 +25,7 @@ from rendezview.fusion.logs import LogContext, read_record
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.files import describe
 from rendezview.io.target import DockingRing
+from rendezview.sensors.beam import BeamMesh, BeamSurface
 from rendezview_service.messages.fusion_messages import (
     MOST_MARKS,
     FusionRequest,
@@ -156,8 +156,12 @@ def _marks(sensor: str, record: Json, context: LogContext, where: str) -> Json |
         ) from None
 
 
-def context_of(asked: FusionRequest) -> LogContext:
-    """The data on the sensors that their logs are read with."""
+def context_of(asked: FusionRequest, mesh: BeamMesh | None = None) -> LogContext:
+    """The data on the sensors that their logs are read with.
+
+    Args:
+        mesh: the target's, for the beam of a ranger where the request names no surfaces.
+    """
     ring = None
     if asked.ring is not None:
         axis = np.array(asked.ring.axis)
@@ -167,7 +171,7 @@ def context_of(asked: FusionRequest) -> LogContext:
             asked.ring.radius_m,
             tuple(asked.ring.circles),
         )
-    surfaces = tuple(map(_surface, asked.surfaces))
+    surfaces = tuple(map(_surface, asked.surfaces)) or mesh or ()
     return LogContext(ring, surfaces, {name: _pose(one) for name, one in asked.mounts.items()})
 
 

@@ -19,6 +19,7 @@ from rendezview.fusion.fusion import Estimate
 from rendezview.fusion.logs import kind_of
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.results import json_value
+from rendezview.sensors.beam import BeamMesh
 from rendezview.sensors.observation import Observation, Status
 from rendezview_service.messages.fusion_messages import MOST_REMEMBERED, FusionRequest
 from rendezview_service.messages.message_parts import CAMERA, MOST_TIME_S
@@ -58,6 +59,7 @@ class SessionFilter:
         forgotten: bool = False,
         own: Sequence[str] = (),
         at_once: bool = False,
+        mesh: BeamMesh | None = None,
     ) -> None:
         """A filter without measurements.
 
@@ -67,9 +69,10 @@ class SessionFilter:
             forgotten: the session had a filter whose process ended; this one fuses at once.
             own: names of the sensors that the session reads itself.
             at_once: a fused state from the first frame on, not from another sensor's first line.
+            mesh: the target's, that the beam of a ranger meets.
         """
         asked = request or FusionRequest()
-        self._context = context_of(asked)
+        self._context = context_of(asked, mesh)
         options = asked.options or FusionOptions()
         most = min(options.history_most, MOST_REMEMBERED)
         self._options = replace(options, history_most=most)
@@ -361,7 +364,10 @@ def warm_up() -> None:
     """Compile the filter's loops, or read them from their cache: one line of each kind."""
     ring = {"centre_m": [0.0, 0.0, 0.5], "axis": [0.0, 0.0, 1.0], "radius_m": 0.5}
     asked = {"ring": ring, "options": {"ring_radius_sigma": 1e-3}}
-    filter_ = SessionFilter(FusionRequest.model_validate(asked))
+    wall = BeamMesh(
+        np.array([[-9.0, -9.0, 0.5], [9.0, -9.0, 0.5], [0.0, 9.0, 0.5]]), np.array([[0, 1, 2]])
+    )
+    filter_ = SessionFilter(FusionRequest.model_validate(asked), mesh=wall)
     seen = {
         "centre_m": [0.0, 0.0, 10.5],
         "axis": [0.0, 0.0, 1.0],
@@ -382,7 +388,9 @@ def warm_up() -> None:
             kind = kind_of(timed, sensor)
             filter_.take(sensor, read_line(timed, kind, sensor, filter_._context, sensor))
         filter_.track(
-            Observation(Status.OK, time_s=k + 0.5, pose=start, covariance=1e-4 * np.eye(6))
+            Observation(
+                Status.OK, time_s=k + 0.5, pose=start, covariance=0.1 ** (4 + k) * np.eye(6)
+            )
         )
     far = {"time_s": 2.9, "range_m": 30.0, "sigma_m": 0.02}
     filter_.take("range", read_line(far, "range", "range", filter_._context, "range"))

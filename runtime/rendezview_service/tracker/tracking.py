@@ -19,9 +19,9 @@ from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.edges.contour_at import contour_pixels
 from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
+from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
-from rendezview.sensors.sensor import AidedSensor
 from rendezview_service.messages.message_parts import MOST_TIME_S, PoseMessage
 from rendezview_service.messages.messages import (
     CameraMessage,
@@ -54,13 +54,14 @@ def camera_of(message: CameraMessage) -> Camera:
         RendezviewError: the number of distortion coefficients is impossible.
     """
     try:
-        return Camera(**(message.model_dump() | {"distortion": tuple(message.distortion)}))
+        keys = message.model_dump(exclude={"checked"})
+        return Camera(**(keys | {"distortion": tuple(message.distortion)}))
     except ValueError as error:
         raise RendezviewError(f"camera: {error}") from None
 
 
-def camera_message(camera: Camera) -> CameraMessage:
-    """A camera as a message."""
+def camera_message(camera: Camera, *, checked: bool = False) -> CameraMessage:
+    """A camera as a message; ``checked``: what is odd about it is known."""
     return CameraMessage(
         width=camera.width,
         height=camera.height,
@@ -71,6 +72,7 @@ def camera_message(camera: Camera) -> CameraMessage:
         distortion=list(camera.distortion),
         lens_model=camera.lens_model,
         bit_depth=camera.bit_depth,
+        checked=checked,
     )
 
 
@@ -127,6 +129,9 @@ class SessionTracker:
         self.sun_camera = request.sun_camera
         if self.sun_camera is not None and not any(self.sun_camera):
             raise RendezviewError("sun_camera: a direction must not be zero")
+        self._roi = request.roi
+        if self._roi is not None:
+            Region.of(self._roi, self.camera)  # a wrong one is said at once
         prior = None if request.prior is None else pose_of(request.prior)
         recognizer = recognizer or Recognizer(model, self.camera, trees=request.trees)
         self.tracker = Tracker(recognizer, prior, integrity=integrity_of(request.integrity))
@@ -134,7 +139,7 @@ class SessionTracker:
         self._sensors = FrameSensors(request, self.camera)
         fuses = request.sensors is not None and bool(request.sensors.fusion)
         self.filter = SessionFilter(
-            request.fusion, most_sensors, forgotten, self._sensors.names, fuses
+            request.fusion, most_sensors, forgotten, self._sensors.names, fuses, model.beam_mesh()
         )
         if handover is not None:
             self.filter.resume(handover)
@@ -170,8 +175,8 @@ class SessionTracker:
         start = time.perf_counter()
         if self.tracker.lost and (known := self.filter.expected(time_s)) is not None:
             self.tracker.expect(*known)
-        sensor: AidedSensor[GreyImage, npt.ArrayLike, AppearanceObservation] = self.tracker
-        observation = sensor.update(time_s, image, self.sun_camera)
+        roi = self._roi if self.tracker.prior is None else None
+        observation = self.tracker.update(time_s, image, self.sun_camera, roi)
         track_ms = 1e3 * (time.perf_counter() - start)
         self._last_s = time_s
         if observation.pose is not None:

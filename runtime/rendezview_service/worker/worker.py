@@ -1,8 +1,7 @@
 """The worker process: ``python -m rendezview_service.worker.worker``, started by the service.
 
-It holds the trackers and logs of some sessions and handles one input at a time. A crash here (of an
-image decoder, for example) ends these trackers, but not the service. When the service ends, the
-worker completes its logs and ends too.
+It holds the trackers and logs of some sessions and handles one input at a time. A crash here ends
+these, but not the service. When the service ends, the worker completes its logs and ends too.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import gc
 import json
 import logging
 import os
+import select
 import signal
 import socket
 import sys
@@ -32,7 +32,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance import AppearanceObservation
 from rendezview_service.json_logging import set_up_logging
-from rendezview_service.logs.recording import LogWriter, RecordingOptions
+from rendezview_service.logs.recording import RECORDED, LogWriter, RecordingOptions
 from rendezview_service.messages.frames import read_frame
 from rendezview_service.messages.messages import Contour, SessionRequest
 from rendezview_service.messages.wire import Header, mapped, pack, receive
@@ -49,7 +49,9 @@ from rendezview_service.worker.worker_models import Sight, WorkerModels
 JPEG_QUALITY = 80  # 0 … 100, of pictures for watchers. Source: chosen
 # s of processor time to decode a frame, and more for each pixel. Source: a chosen limit
 _DECODING_S, _DECODING_PIXEL_S = 0.1, 50e-9
-_TELL_S = 1.0  # s, between messages with the progress. Source: chosen
+_LOOK_S, _LOOK_ENDING_S = 0.5, 0.01  # s, between looks at logs, and at those that end
+# s, between messages with the progress; to complete the logs at the end. Source: chosen
+_TELL_S, _COMPLETE_S = 1.0, 30.0
 _HEADER_KEYS = ("session", "frame", "time_s", "status", "phase", "track_ms")
 log = logging.getLogger("rendezview_service.worker.worker")
 
@@ -60,6 +62,7 @@ class _WorkerSession:
     log: LogWriter | None
     sight: Sight
     last: tuple[GreyImage, StateDict, AppearanceObservation] | None = None  # frame and answer
+    reported: Header | None = None  # how recording goes, as last sent
 
 
 class WorkerProcess:
@@ -70,20 +73,42 @@ class WorkerProcess:
         self._memory = memoryview(memory)
         self._models = WorkerModels(self._tell)
         self._sessions: dict[str, _WorkerSession] = {}
-        self._reported_s = 0.0
+        self._ending: list[tuple[str, LogWriter]] = []  # of sessions that were closed
+        self._reported_s = self._looked_s = 0.0
 
     def run(self) -> None:
         """Answer until the service ends or asks to quit."""
         gc.freeze()
         self._send({"kind": "ready"})
         try:
-            while (message := receive(self._connection)) is not None:
-                if not self._answer(message[0]):
-                    break
+            while True:
+                pause_s = _LOOK_ENDING_S if self._ending else _LOOK_S
+                if select.select([self._connection], [], [], pause_s)[0]:
+                    message = receive(self._connection)
+                    if message is None or not self._answer(message[0]):
+                        break
+                self._look_at_logs()
         finally:
-            for session in self._sessions.values():
-                if session.log is not None:
-                    session.log.close()
+            logs = [session.log for session in self._sessions.values() if session.log is not None]
+            for writer in logs:
+                writer.end()
+            until_s = time.monotonic() + _COMPLETE_S
+            for writer in (*logs, *(writer for _, writer in self._ending)):
+                writer.close(max(0.0, until_s - time.monotonic()))
+
+    def _look_at_logs(self) -> None:
+        """Report logs that are complete, and disks that fail while no frame comes."""
+        for name, writer in [one for one in self._ending if one[1].is_ended]:
+            self._ending.remove((name, writer))
+            self._send_closed(name, writer)
+        now_s = time.monotonic()
+        if now_s - self._looked_s < _LOOK_S:
+            return
+        self._looked_s = now_s
+        for name, session in self._sessions.items():
+            before = session.reported
+            if session.log is not None and _report(session) != before:
+                self._send({"kind": "recording", "session": name, **(session.reported or {})})
 
     def _answer(self, request: Header) -> bool:
         try:
@@ -129,8 +154,7 @@ class WorkerProcess:
             self._sessions[request["session"]] = session
         finally:
             self._drop_unused()
-        written = None if session.log is None else str(session.log.path)
-        return {"recording": _recording(session.log), "log_path": written}
+        return _report(session)
 
     def _opened(self, request: Header, asked: SessionRequest, sight: Sight) -> _WorkerSession:
         model = self._models.model(sight.model)
@@ -149,6 +173,7 @@ class WorkerProcess:
             content = sight.model.read_bytes() if request["log_model"] and options.images else None
             notes = session_notes(request["session"], asked, model.name, sight.model)
             notes["model_file"] = request["model_file"]
+            notes["opened_unix_s"] = repr(request["opened_unix_s"])
             notes |= {"log": request["log"], "first_frame": str(request["first_frame"])}
             notes["handover"] = json.dumps(request["handover"])
             notes["forgotten"] = "yes" if request["forgotten"] else "no"
@@ -167,13 +192,16 @@ class WorkerProcess:
             image, time_s, request["received_unix_s"], request["drops"]
         )
         state["frame"] += request["first_frame"]
-        state["recorded"] = session.log is not None
+        if session.log is not None:
+            state["recorded"], state["record"] = True, RECORDED
         state["model_sha256"] = session.sight.model.stem
         state["latency_ms"] = 1e3 * (time.monotonic() - request["received_s"])
         text = to_json(state, inf_nan_mode="null")
-        if session.log is not None and not session.log.write(state, text, content):
-            state["recorded"] = False
-            text = to_json(state, inf_nan_mode="null")
+        if session.log is not None:
+            state["record"] = session.log.write(state, text, content)
+            if state["record"] != RECORDED:
+                state["recorded"] = False
+                text = to_json(state, inf_nan_mode="null")
         more = request["extras"]
         answer: Header = {
             "kind": "state",
@@ -185,10 +213,7 @@ class WorkerProcess:
         if tracker.filter.fuses:
             answer["sensors"] = tracker.filter.health()
             answer["own"] = tracker.own_sensors
-        if session.log is not None:
-            answer["recording"] = _recording(session.log)
-            answer["log_path"] = str(session.log.path)
-        self._send(answer, text)
+        self._send(answer | _report(session), text)
         session.last = image, state, observation
         if more:
             self._extras(more, session)
@@ -220,13 +245,15 @@ class WorkerProcess:
                     "fused": fused,
                 }
             )
+        record = None if session.log is None else session.log.write_measurements(logged)
         answer_body = {
             "type": "measured",
             "session": tracker.session,
             "sensor": sensor,
             "verdicts": verdicts,
             "fused": fused,
-            "recorded": session.log is not None and session.log.write_measurements(logged),
+            "recorded": record == RECORDED,
+            "record": record,
         }
         answer: Header = {
             "kind": "measured",
@@ -237,10 +264,7 @@ class WorkerProcess:
             "marks": marks,
             "done": True,
         }
-        if session.log is not None:
-            answer["recording"] = _recording(session.log)
-            answer["log_path"] = str(session.log.path)
-        self._send(answer, to_json(answer_body, inf_nan_mode="null"))
+        self._send(answer | _report(session), to_json(answer_body, inf_nan_mode="null"))
 
     def _extras(self, more: Header, session: _WorkerSession) -> None:
         """What watchers asked for of the last frame. Its sender already has its answer."""
@@ -267,13 +291,17 @@ class WorkerProcess:
 
     def _close(self, request: Header) -> None:
         session = self._sessions.pop(request["session"], None)
-        recording = None
         if session is not None and session.log is not None:
-            session.log.close()
-            recording = _recording(session.log)
-        self._send({"kind": "closed", "session": request["session"], "recording": recording})
+            session.log.end()
+            self._ending.append((request["session"], session.log))
+        else:
+            self._send_closed(request["session"], None)
         del session  # its memory is free before the next line
         self._drop_unused()
+
+    def _send_closed(self, session: str, writer: LogWriter | None) -> None:
+        recording = None if writer is None else writer.status.model_dump(mode="json")
+        self._send({"kind": "closed", "session": session, "recording": recording})
 
     def _drop_unused(self) -> None:
         self._models.keep({session.sight for session in self._sessions.values()})
@@ -285,6 +313,11 @@ class WorkerProcess:
             self._connection.sendall(pack(header, content))
 
 
+def decoding_s(camera: Camera) -> float:
+    """Processor time that decoding a frame may take."""
+    return _DECODING_S + _DECODING_PIXEL_S * camera.width * camera.height
+
+
 @contextlib.contextmanager
 def decoding_time(camera: Camera) -> Iterator[None]:
     """Bound the processor time of decoding a frame: with more, the process ends.
@@ -292,9 +325,7 @@ def decoding_time(camera: Camera) -> Iterator[None]:
     No code of this package can interrupt a decoder; the system can. The sessions of this process
     continue in another one within a fraction of a second.
     """
-    signal.setitimer(
-        signal.ITIMER_PROF, _DECODING_S + _DECODING_PIXEL_S * camera.width * camera.height
-    )
+    signal.setitimer(signal.ITIMER_PROF, decoding_s(camera))
     try:
         yield
     finally:
@@ -330,22 +361,25 @@ def jpeg(image: GreyImage, width: int) -> bytes:
 
 
 def _fault(request: Header, error: str) -> Header:
-    return {
-        "kind": "fault",
-        "of": request["kind"],
-        "session": request.get("session"),
-        "error": error,
+    session = request.get("session")
+    return {"kind": "fault", "of": request["kind"], "session": session, "error": error}
+
+
+def _report(session: _WorkerSession) -> Header:
+    """How recording goes, and its files; nothing for a session without a log."""
+    if session.log is None:
+        return {}
+    status, paths = session.log.status, session.log.paths
+    session.reported = {
+        "recording": status.model_dump(mode="json"),
+        "log_paths": [str(path) for path in paths],
     }
-
-
-def _recording(writer: LogWriter | None) -> Header | None:
-    return None if writer is None else writer.status.model_dump(mode="json")
+    return session.reported
 
 
 def main() -> None:
     """Arguments: descriptors of the connection and of the shared memory, and its size."""
-    # Signals to the process group are for the service: it asks its workers to quit, and if it is
-    # gone, the connection is closed.
+    # Signals to the process group are for the service, which asks its workers to quit.
     for sent in (signal.SIGINT, signal.SIGTERM):
         signal.signal(sent, signal.SIG_IGN)
     cv2.setNumThreads(1)  # one core per worker

@@ -59,8 +59,8 @@ def consistency_table(flights: list[Flight]) -> None:
 
 
 def run(
-    runs: Annotated[Path, "folder of the runs, kept"], *,
-    model: Annotated[Path | None, "view model of the client; for new runs"] = None,
+    runs: Annotated[Path, "folder of the runs, kept"],
+    model: Annotated[Path, "view model of the client"], *,
     seeds: int = 50,
 ) -> None:  # fmt: skip
     """An approach from 60 m to 1 m through recognizer, ring detector, laser ranger and filter.
@@ -69,11 +69,11 @@ def run(
     are rendered, and the recognizer and the ring detector run on them as the commands do. RUNS
     keeps their logs: a second call only joins them. The filter is that of rendezview fuse.
     """
-    views = ViewModel.load(model) if model else None
+    views = ViewModel.load(model)
     flights = []
     for seed in range(seeds):
         make_run(runs / str(seed), seed, views)
-        flight = fly(load_run(runs / str(seed)))
+        flight = fly(load_run(runs / str(seed), views))
         flights.append(flight)
         print(f"seed {seed}: {len(flight.samples)} frames, {flight.without_state} without a state, "
               f"begun {flight.starts}", flush=True)  # fmt: skip

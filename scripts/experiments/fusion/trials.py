@@ -16,7 +16,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import CLIENT, error_of, nees
-from rendezview.errors import RendezviewError
 from rendezview.fusion import (
     Fusion,
     Measurement,
@@ -91,14 +90,14 @@ def track_run(folder: Path, seed: int, model: ViewModel) -> None:
                 break
 
 
-def ring_run(folder: Path) -> None:
+def ring_run(folder: Path, model: ViewModel) -> None:
     """The ring detector's log, as `rendezview ring -o` writes it.
 
     Its prior of a frame is the forecast of the filter, as on board: the filter runs along, with the
     recognizer, the ranger, and the rings found so far.
     """
     ring, fusion = ring_of_client(), Fusion()
-    pending = measurements_of(folder, ("appearance", "laser"))
+    pending = measurements_of(folder, ("appearance", "laser"), model)
 
     def prior(frame: Frame) -> RingPrior | None:
         while pending and pending[0].time_s <= frame.time_s:
@@ -118,16 +117,14 @@ def ring_run(folder: Path) -> None:
                 fusion.add(measurement)
 
 
-def make_run(folder: Path, seed: int, model: ViewModel | None) -> None:
+def make_run(folder: Path, seed: int, model: ViewModel) -> None:
     """Makes a run that is not there: frames, recognizer, ring detector, ranger."""
     if (folder / "ring.jsonl").exists():
         return
-    if model is None:
-        raise RendezviewError(f"{folder}: this run is to be made: give --model")
     folder.mkdir(parents=True, exist_ok=True)
     render_run(folder, seed)
     track_run(folder, seed, model)
-    ring_run(folder)
+    ring_run(folder, model)
     shutil.rmtree(folder / "scene")
 
 
@@ -146,16 +143,16 @@ class Run:
     truth: dict[float, Pose]  # by time
 
 
-def load_run(folder: Path) -> Run:
+def load_run(folder: Path, model: ViewModel) -> Run:
     """The logs of a folder, as `rendezview fuse` reads them."""
     lines = read_json_lines(folder / "truth.jsonl")
     truth = {round(line["time_s"], 6): Pose.from_quat_wxyz(**line["pose"]) for line in lines}
-    return Run(measurements_of(folder, ("appearance", "ring", "laser")), truth)
+    return Run(measurements_of(folder, ("appearance", "ring", "laser"), model), truth)
 
 
-def measurements_of(folder: Path, sensors: tuple[str, ...]) -> list[Measurement]:
+def measurements_of(folder: Path, sensors: tuple[str, ...], model: ViewModel) -> list[Measurement]:
     """The logs of some sensors, in the order of their times."""
-    context = LogContext(ring_of_client())
+    context = LogContext(ring_of_client(), model.beam_mesh() or ())
     return list(merged([read_log(folder / f"{name}.jsonl", name, context) for name in sensors]))
 
 

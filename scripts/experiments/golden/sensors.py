@@ -173,7 +173,7 @@ def approached(answers: Answers, model: ViewModel, folder: Path, seed: int) -> N
     for name in ("appearance", "ring", "laser"):
         for line in read_json_lines(folder / f"{name}.jsonl"):
             answers.add(f"approach/{name}/log", line.get("status", ""), line=line)
-    for sample in fly(load_run(folder)).samples:
+    for sample in fly(load_run(folder, model)).samples:
         for name, four in ({"fused": sample.fused} | sample.single).items():
             errors = (four[2], four[0] / sample.range_m) if np.isfinite(four[0]) else None
             status = "ok" if np.isfinite(four[1]) else "none"  # a ranger has the depth only

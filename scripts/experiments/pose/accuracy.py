@@ -17,7 +17,7 @@ from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
 from rendezview.sensors.appearance.judge.confidence import Found
 from rendezview.sensors.appearance.sky import Sky
-from rendezview_ground.evaluate.campaign import pose_error, second_earlier
+from rendezview_ground.evaluate.assessment import pose_error, second_earlier
 from rendezview_ground.learn.jobs.open_executor import open_executor
 
 WRONG_DEG = 5.0

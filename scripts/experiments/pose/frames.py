@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import mesh_of
@@ -22,10 +24,12 @@ from rendezview_ground.simulate import (
     sun_at_phase,
 )
 from rendezview_ground.simulate.command import default_camera
+from rendezview_ground.simulate.near_symmetric_craft import CRAFT
 
 RADIUS_PX = (100.0, 220.0)
 MARGIN_PX = 6.0
 PHASE_DEG = {"low": (0.0, 30.0), "high": (30.0, 70.0), "earth": (0.0, 60.0)}  # by condition
+PATCHES, ALBEDO, FOIL, ROUGHNESS = 12, (0.05, 0.9), (0.0, 0.6), (0.1, 0.5)  # of unknown materials
 
 
 def random_pose(mesh: Mesh, camera: Camera, rng: np.random.Generator) -> Pose:
@@ -40,10 +44,21 @@ def random_pose(mesh: Mesh, camera: Camera, rng: np.random.Generator) -> Pose:
     return Pose(rotation, place - rotation @ centre_m)
 
 
+def repainted(mesh: Mesh, rng: np.random.Generator) -> tuple[Mesh, MitsubaOptions]:
+    """A craft whose surfaces are not as its mesh has them: patches of any albedo, glinting foil."""
+    middles = mesh.vertices_m[mesh.faces].mean(axis=1)
+    seeds = middles[rng.choice(len(middles), PATCHES)]
+    nearest = np.argmin(np.linalg.norm(middles[:, None] - seeds, axis=2), axis=1)
+    albedo = np.exp(rng.uniform(*np.log(ALBEDO), PATCHES)).astype(np.float32)
+    rgb = np.repeat(albedo[nearest][:, None], 3, axis=1)
+    options = MitsubaOptions(foil=rng.uniform(*FOIL), foil_roughness=rng.uniform(*ROUGHNESS))
+    return replace(mesh, face_rgb=rgb), options
+
+
 def one_frame(
-    mesh: Mesh, camera: Camera, condition: str, seed: list[int]
+    mesh: Mesh, camera: Camera, condition: str, seed: list[int], *, unknown: bool = False
 ) -> tuple[np.ndarray, Pose]:
-    """A picture under a condition, and its pose."""
+    """A picture under a condition, and its pose; ``unknown``: of unknown materials."""
     rng = np.random.default_rng(seed)
     pose = random_pose(mesh, camera, rng)
     phase = math.radians(rng.uniform(*PHASE_DEG[condition]))
@@ -53,27 +68,35 @@ def one_frame(
     off = math.radians(rng.uniform(0.0, 70.0))
     around = rng.uniform(0.0, 2.0 * math.pi)
     below = (math.sin(off) * math.cos(around), math.sin(off) * math.sin(around), math.cos(off))
+    mitsuba = MitsubaOptions()
+    if unknown:
+        mesh, mitsuba = repainted(mesh, np.random.default_rng([*seed, 1]))
     options = SceneOptions(
-        sky_frame="camera", earth=earth, earth_direction_sky=below, mitsuba=MitsubaOptions()
+        sky_frame="camera", earth=earth, earth_direction_sky=below, mitsuba=mitsuba
     )
     return render_frame(mesh, camera, pose, sun, options, rng), pose
 
 
 def run(
     frames: Annotated[Path, "folder of the scenes"],
-    targets: Annotated[list[str], "meshes or bundled targets"],
-    *, count: int = 200, seed: int = 77,
+    targets: Annotated[list[str], "meshes, bundled targets, twelve-sides or four-panels"],
+    *, count: int = 200, seed: int = 77, materials: Literal["mesh", "random"] = "mesh",
 ) -> None:  # fmt: skip
     """Draw the frames of pose-accuracy with Mitsuba, as BOP scenes.
 
     FRAMES/<target>/<condition> has frames of random attitudes: 640 × 480, 53° across, the bounding
     sphere 100–220 px in radius anywhere in the image, each frame with its own exposure and Sun.
     Conditions: low: Sun phase 0–30°, black sky; high: 30–70°, black sky; earth: 0–60°, the Earth
-    behind, whose limb crosses some of the frames. An existing scene is kept.
+    behind, whose limb crosses some of the frames. An existing scene is kept. With --materials
+    random, surfaces are patches of albedo 0.05–0.9 under 0–60 % of foil, unlike the mesh. The
+    near-symmetric craft twelve-sides and four-panels are also written, as FRAMES/<target>.stl.
     """
     camera = default_camera()
     for target in targets:
         target_name, mesh = mesh_of(target)
+        if target in CRAFT:
+            frames.mkdir(parents=True, exist_ok=True)
+            trimesh.Trimesh(mesh.vertices_m, mesh.faces).export(frames / f"{target}.stl")
         for stream, name in enumerate(PHASE_DEG):
             folder = frames / target_name / name
             if folder.exists():
@@ -81,6 +104,8 @@ def run(
                 continue
             with BopSceneWriter(folder, camera) as writer:
                 for i in range(count):  # Mitsuba uses all cores by itself
-                    image, pose = one_frame(mesh, camera, name, [seed, stream, i])
+                    image, pose = one_frame(
+                        mesh, camera, name, [seed, stream, i], unknown=materials == "random"
+                    )
                     writer.add(i, image, pose, float(i))
             print(f"{folder}: {count} frames", flush=True)

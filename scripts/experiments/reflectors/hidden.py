@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter, defaultdict
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from experiments.frame import show, table_of
 from experiments.peers.pnp import PEERS, one_camera
 from experiments.reflectors.plain import CAMERA, FIVE, PINHOLE, apart, pictures, plain
+from experiments.reflectors.rivals import compare
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, find_spots
 from rendezview.sensors.observation import Status
@@ -85,7 +86,10 @@ def one(n: int, seed: int, sensor: ReflectorSensor) -> dict[str, Any]:
     return {"group": f"{len(visible)} visible", "error_deg": error, "answers": answers}
 
 
-def run(*, readings: int = 10_000, seed: int = 1) -> None:
+def run(
+    *, readings: int = 10_000, seed: int = 1,
+    scene: Annotated[str, "group, client or glint: scenes with a rival, tracked"] = "",
+) -> None:  # fmt: skip
     """Every subset of three to five of Bales' five reflectors: right, wrong, ambiguous or none.
 
     Pictures of the tests' plain simulator: 1 to 8 m, tilt to 35°, every roll, blur of 0.6 to 0.9
@@ -94,6 +98,9 @@ def run(*, readings: int = 10_000, seed: int = 1) -> None:
     error where it is reported). OpenCV's SQPNP and poselib's RANSAC have our centroids with the
     right names, and no false spots.
     """
+    if scene:
+        compare(readings, seed, scene)
+        return
     sensor = ReflectorSensor(CAMERA, [FIVE], tracking=TrackingOptions(confirm=False))
     done = [one(n, seed, sensor) for n in range(readings)]
     counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -13,15 +14,25 @@ from rendezview_service.client import Client
 harness = tests_module("service.fuzz")
 
 
-def run(model: Path, *, count: int = 50000, seed: int = 0) -> None:
+def run(model: Path, *, count: int = 50000, seed: int = 0, hostile_s: float = 0.0) -> None:
     """Malformed frames and messages, by the ten thousand: none may crash, hang or leak.
 
     Half of the cases go to every route with every method, and to the socket itself; a quarter are
     damaged frames of all kinds, lines of other sensors and JSON that is almost right, by HTTP; a
     quarter the same by WebSocket. Failures: a server error (5xx other than 503), an answer that
     takes more than 10 s, more than 5 s of processor time or 200 MB for a case, a worker that ends,
-    a session that remains, or a service that no longer tracks a good frame.
+    a session that remains, or a service that no longer tracks a good frame. With --hostile-s,
+    clients that take what they can instead, each for so many seconds beside an innocent one.
     """
+    if hostile_s:
+        clients = tests_module("service.hostile_clients")
+        with tempfile.TemporaryDirectory() as logs:
+            served = Served(model, "--record", logs, record_all="false")
+            served.await_ready()
+            for line in clients.campaign(served, Path(logs), hostile_s):
+                print(line, flush=True)
+            served.stop()
+        return
     served = Served(model, spare_worker="false")
     served.await_ready()
     fuzz, start = harness.Fuzz(served, seed), time.monotonic()

@@ -51,9 +51,10 @@ class Processes:
             ticks += int(fields[11]) + int(fields[12])
         return ticks / os.sysconf("SC_CLK_TCK")
 
-    def resident_mb(self) -> float:
-        """Memory of the service and its workers."""
-        pages = [int(Path(f"/proc/{p}/statm").read_text().split()[1]) for p in self.pids()]
+    def resident_mb(self, *pids: int) -> float:
+        """Memory of the service and its workers, or of some of them."""
+        found = [Path(f"/proc/{p}/statm").read_text().split() for p in pids or self.pids()]
+        pages = [int(fields[1]) for fields in found]
         return sum(pages) * resource.getpagesize() / 1e6
 
 

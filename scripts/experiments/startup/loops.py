@@ -33,6 +33,7 @@ from rendezview.sensors.beacons import (
 )
 from rendezview.sensors.beacons.run import Mode, pair_up, record
 from rendezview.sensors.beacons.run import follow as read
+from rendezview.sensors.beam import BeamMesh
 from rendezview.sensors.observation import Status
 from rendezview_ground.evaluate.pictures.contact import fuse_to_contact
 from rendezview_ground.learn import job
@@ -94,7 +95,8 @@ def demo(model: Path, scene: Path) -> list[dict[str, Any]]:
                 for f in frames
             ]
             log, video = folder / "state.jsonl", folder / "ring.webm"
-            fuse_to_contact(frames, poses, ring, laser, log=log, video=video)
+            wall = BeamMesh(mesh.vertices_m, mesh.faces)
+            fuse_to_contact(frames, poses, ring, laser, mesh=wall, log=log, video=video)
 
     return recorded(work)
 
@@ -131,7 +133,7 @@ def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
 
     def work() -> None:
         for motion in (None, MotionOptions(angular_acceleration=0.02, linear_acceleration=0.02)):
-            options = TrackerOptions(motion=motion, calibration_error=True)
+            options = TrackerOptions(motion=motion)
             tracker = StereoTracker.of_target(rig, target, options)
             for k, seen in enumerate(currents):
                 tracker.update(0.1 * k, spots_of(rig, seen)).record()

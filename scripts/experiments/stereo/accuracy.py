@@ -136,7 +136,7 @@ def run(*, seed: int = 11, runs: int = 100) -> None:
             for name, cameras, given in (
                 ("ours, one scan", rig, currents), (f"ours, {AVERAGED} scans", quiet(rig), mean),
             ):  # fmt: skip
-                options = TrackerOptions(motion=None, calibration_error=True)
+                options = TrackerOptions(motion=None)
                 tracker = StereoTracker.of_target(cameras, target, options)
                 readings = (spots_of(cameras, reading) for reading in given)
                 turned[name], off = followed(tracker, readings, poses)

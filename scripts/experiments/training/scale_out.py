@@ -13,7 +13,7 @@ import distributed
 
 from experiments.frame import mesh_of
 from rendezview.sensors.appearance import ViewModel
-from rendezview_ground.evaluate.campaign import CampaignOptions, campaign
+from rendezview_ground.evaluate.assessment import AssessmentOptions, assess
 from rendezview_ground.learn.job import train
 from rendezview_ground.learn.jobs.cluster import Cluster
 from rendezview_ground.learn.jobs.cores import Cores
@@ -36,17 +36,17 @@ def run_training(mesh: Mesh, options: TrainingOptions, executor: ShardExecutor) 
         return path.read_bytes()
 
 
-def run_campaign(model: ViewModel, mesh: Mesh, frames: int, executor: ShardExecutor) -> bytes:
+def run_assessment(model: ViewModel, mesh: Mesh, frames: int, executor: ShardExecutor) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "answers.jsonl"
-        options = CampaignOptions(frames=frames, seed=9)
-        campaign(model, mesh, default_camera(), path, executor, options)
+        options = AssessmentOptions(frames=frames, seed=9)
+        assess(model, mesh, default_camera(), path, executor, options)
         return path.read_bytes()
 
 
 def load_code(mesh: Mesh, model: ViewModel) -> None:
     run_training(mesh, TINY, Cores(1))
-    run_campaign(model, mesh, 4, Cores(1))
+    run_assessment(model, mesh, 4, Cores(1))
 
 
 def run(*, model: Path, frames: Annotated[int, "of the campaign"] = 192) -> None:
@@ -60,7 +60,7 @@ def run(*, model: Path, frames: Annotated[int, "of the campaign"] = 192) -> None
     (_, mesh), loaded = mesh_of(TARGET), ViewModel.load(model)
     works = {
         "training": lambda w: run_training(mesh, MEDIUM, w),
-        "campaign": lambda w: run_campaign(loaded, mesh, frames, w),
+        "campaign": lambda w: run_assessment(loaded, mesh, frames, w),
     }
     cores = os.cpu_count() or 1
     wall: dict[tuple[str, int], float] = {}

@@ -8,9 +8,18 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from tests.ground.evaluate.figures import pixels
 
-from rendezview_ground.evaluate.doctor import Diagnosis, Finding, Mark, diagnose
+from rendezview.io.sequences import open_sequence
+from rendezview_ground.evaluate.doctor import (
+    Diagnosis,
+    Finding,
+    Mark,
+    diagnose,
+    of_frames,
+    of_look_alikes,
+)
 from rendezview_ground.evaluate.doctor_command import doctor
 from rendezview_ground.evaluate.pictures.doctor_pictures import doctor_picture
 from rendezview_ground.mesh.mesh import load_mesh
@@ -51,6 +60,18 @@ def test_open_edges_and_mixed_winding_are_found_where_they_are(tmp_path: Path) -
     assert len(diagnosis.mixed_edges) == 3
     assert "opposite directions at 3 edges" in finding(diagnosis, "opposite").what
     assert diagnosis.healthy
+
+
+def test_a_craft_that_looks_nearly_the_same_from_two_sides_is_told(tmp_path: Path) -> None:
+    wings = trimesh.creation.box((0.6, 5.0, 0.05))
+    mast = trimesh.creation.box((0.1, 0.1, 0.5)).apply_translation((0.4, 0.3, 0.6))
+    craft = trimesh.util.concatenate([trimesh.creation.box((1.2, 1.2, 1.0)), wings, mast])
+    craft.export(tmp_path / "part.stl")
+    (found,) = of_look_alikes(load_mesh(tmp_path / "part.stl", "m"), ())
+    assert "looks nearly the same" in found.what
+    assert found.mark is Mark.NOTE
+    assert "180° about" in found.what
+    assert "ambiguous" in found.cost
 
 
 def test_a_datum_plane_is_named_with_what_it_costs(tmp_path: Path) -> None:
@@ -124,3 +145,31 @@ def test_open_edges_are_drawn_only_where_they_are_seen(tmp_path: Path) -> None:
 def test_doubled_faces_are_counted(tmp_path: Path) -> None:
     diagnosis = examined(trimesh.util.concatenate([body(), body()]), tmp_path)
     assert finding(diagnosis, "24 faces of the same three corners").mark is Mark.NOTE
+
+
+@pytest.mark.parametrize("sides", [6, 10, 12])
+def test_flat_sides_are_no_coarse_export(tmp_path: Path, sides: int) -> None:
+    trimesh.creation.cylinder(1.0, 3.0, sections=sides).export(tmp_path / "part.stl")
+    found = [f for f in diagnose(load_mesh(tmp_path / "part.stl")).findings if "acets" in f.what]
+    assert all(f.mark is Mark.NOTE for f in found)
+    assert all("none if the craft is built of flat sides" in f.cost for f in found)
+    assert len(found) == (sides > 8)  # sharper bends are edges
+
+
+def test_what_is_odd_about_frames_is_marked(tmp_path: Path) -> None:
+    (tmp_path / "camera.json").write_text(
+        '{"width": 64, "height": 48, "fx": 60, "fy": 90, "cx": 31, "cy": 23}'
+    )
+    images = [Image.new("L", (64, 48), grey) for grey in (9, 90)]
+    images[0].save(tmp_path / "a.webp", save_all=True, append_images=images[1:])
+    camera, page = of_frames(open_sequence(tmp_path))
+    assert (camera.mark, page.mark) == (Mark.ACT, Mark.NOTE)
+    assert "fx 60 and fy 90 differ" in camera.what
+    assert "2 pictures each" in page.what
+
+
+def test_a_mesh_of_the_size_of_a_station_is_to_be_acted_on(tmp_path: Path) -> None:
+    trimesh.creation.box((90.0, 30.0, 20.0)).export(tmp_path / "part.stl")
+    diagnosis = diagnose(load_mesh(tmp_path / "part.stl"))
+    assert not diagnosis.healthy
+    assert any("size of a space station" in f.what for f in diagnosis.findings)

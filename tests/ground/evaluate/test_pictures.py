@@ -23,7 +23,7 @@ from rendezview.sensors.appearance.outline.reading import OutlineReading
 from rendezview.sensors.observation import Status
 from rendezview_ground.evaluate import evaluate, frame_overlay, png, write_report
 from rendezview_ground.evaluate.evaluation import Evaluation
-from rendezview_ground.evaluate.page import _STYLE, WEBM, Card, _figure
+from rendezview_ground.evaluate.page import _STYLE, WEBM, Card, figure
 from rendezview_ground.evaluate.pictures.signature_pictures import signature_picture, tree_tests
 from rendezview_ground.evaluate.pictures.sphere_pictures import model_picture, sphere_picture
 from rendezview_ground.evaluate.pictures.track_pictures import (
@@ -256,9 +256,9 @@ def test_a_report_is_one_page_that_needs_nothing_else(run: Run, tmp_path: Path) 
 
 
 def test_a_video_of_known_shape_leaves_room_below_for_its_player() -> None:
-    known = _figure(Card("film", "Film", "of it", b"video", WEBM, 0.75))
+    known = figure(Card("film", "Film", "of it", b"video", WEBM, 0.75))
     assert 'class="apart" style="--tall: 0.7500"' in known
-    assert "apart" not in _figure(Card("film", "Film", "of it", b"video", WEBM))
+    assert "apart" not in figure(Card("film", "Film", "of it", b"video", WEBM))
     assert "video.apart" in _STYLE
 
 

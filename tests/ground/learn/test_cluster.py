@@ -20,7 +20,7 @@ import pytest
 from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
-from rendezview_ground.evaluate.campaign import CampaignOptions, campaign
+from rendezview_ground.evaluate.assessment import AssessmentOptions, assess
 from rendezview_ground.learn.job import train
 from rendezview_ground.learn.jobs.cores import Cores
 from rendezview_ground.learn.jobs.installed import installed
@@ -179,11 +179,11 @@ def test_a_cluster_gives_the_bytes_of_one_machine(tmp_path, bumpy_mesh, several,
 def test_a_campaign_on_a_cluster_gives_the_bytes_of_one_machine(
     tmp_path, bumpy_mesh, camera, several, refining_model
 ):
-    options = CampaignOptions(frames=20, samples=1)
+    options = AssessmentOptions(frames=20, samples=1)
     shared = (refining_model, bumpy_mesh, camera)
-    campaign(*shared, tmp_path / "here", Cores(1), options)
+    assess(*shared, tmp_path / "here", Cores(1), options)
     with cluster.Cluster.connect(several.address) as executor:
-        campaign(*shared, tmp_path / "there", executor, options)
+        assess(*shared, tmp_path / "there", executor, options)
     assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()
 
 

@@ -170,6 +170,7 @@ def test_progress_counts_up_to_the_end_of_each_stage(by_two_jobs):
         "contours",
         "shadows",
         "sketches",
+        "shape",
         "trees",
         "forest",
         "calibration",

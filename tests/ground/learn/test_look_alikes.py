@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from tests.ground.mesh.mesh_samples import grey_mesh
 from tests.sensors.appearance.judge.near_symmetric import twelve_sides
 
-from rendezview.sensors.appearance.model.shape import Shape
 from rendezview_ground.learn.look_alike_words import look_alike_words
 from rendezview_ground.learn.look_alikes import NearSymmetry, look_alikes, rotation_grid
 from rendezview_ground.mesh.mesh import Mesh
@@ -81,19 +80,14 @@ def test_the_grid_of_rotations_leaves_no_gap() -> None:
     assert np.rad2deg(np.arccos(cosines.min())) < 12.0
 
 
-def shape_of(found: list[NearSymmetry]) -> Shape:
-    return Shape(
-        np.eye(3, dtype=np.float32),
-        np.array([[0, 1, 2]], np.int32),
-        np.array([128], np.uint8),
-        np.array([one.turn for one in found]),
-        np.array([one.shift_m for one in found]),
-        np.array([one.alike for one in found]),
+def words_of(found: list[NearSymmetry]) -> str | None:
+    return look_alike_words(
+        np.array([one.turn for one in found]), np.array([one.alike for one in found])
     )
 
 
 def test_look_alikes_are_named_once_each_way(of_drum: list[NearSymmetry]) -> None:
-    words = look_alike_words(shape_of(of_drum))
+    words = words_of(of_drum)
     assert words is not None
     assert "° about z" in words
     assert "33°" not in words
@@ -103,4 +97,4 @@ def test_look_alikes_are_named_once_each_way(of_drum: list[NearSymmetry]) -> Non
 
 
 def test_a_craft_like_no_other_is_not_called_nearly_symmetric() -> None:
-    assert look_alike_words(shape_of([NearSymmetry(about_z(90.0), NOWHERE, 0.7)])) is None
+    assert words_of([NearSymmetry(about_z(90.0), NOWHERE, 0.7)]) is None

@@ -246,9 +246,22 @@ def test_missing_file_folder_and_empty_file_are_named(tmp_path: Path) -> None:
         load_mesh(write(tmp_path / "empty.stl", ""))
 
 
-@pytest.mark.parametrize("name", ["model.iges", "model.xyz", "model"])
-def test_unsupported_format_lists_the_supported_ones(tmp_path: Path, name: str) -> None:
-    with pytest.raises(RendezviewError, match=r"\.stl, \.obj, \.ply, \.glb, \.gltf, \.3mf, \.dae"):
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [
+        ("model.iges", "export it from the CAD program as STEP"),
+        ("model.SLDPRT", "export it from the CAD program as STEP"),
+        ("model.fbx", r"import it in Blender, check its size and axes, .* glTF \(GLB\)"),
+        ("model.3ds", "import it in Blender"),
+        ("model.wrl", "import it in Blender"),
+        ("model.xyz", "export the model as one of them"),
+        ("model", "export the model as one of them"),
+    ],
+)
+def test_unsupported_format_lists_the_supported_ones_and_the_way_there(
+    tmp_path: Path, name: str, advice: str
+) -> None:
+    with pytest.raises(RendezviewError, match=rf"\.stl, \.obj, \.ply, \.off, .*: {advice}"):
         load_mesh(write(tmp_path / name, "x"))
 
 
@@ -354,3 +367,29 @@ def test_public_spacecraft_models_load_with_readable_notes(
     if missing:
         note_with(mesh, missing)
     assert all(note[0] == note[0].upper() and note.endswith(".") for note in mesh.notes)
+
+
+@pytest.mark.parametrize(
+    ("scale", "across", "likely"),
+    [(43.5, "99.67", "cm or in or ft"), (30.0, "68.74", "cm or in or ft")],
+)
+def test_a_size_of_stations_is_asked_about_unless_the_unit_is_given(
+    tmp_path: Path, scale: float, across: str, likely: str
+) -> None:
+    path = export(tmp_path, "stl", box(scale))
+    mesh = load_mesh(path)
+    (doubt,) = mesh.doubts
+    assert doubt.startswith(f"{across} m across is the size of a space station")
+    assert f"{likely} would be a spacecraft" in doubt
+    assert doubt in mesh.notes
+    assert load_mesh(path, "m").doubts == ()
+
+
+@pytest.mark.parametrize("size", [100.0, 226.3, 340.5])
+def test_a_cubesat_in_millimetres_is_refused_with_the_likely_units(
+    tmp_path: Path, size: float
+) -> None:
+    path = export(tmp_path, "stl", trimesh.creation.box((100.0, 100.0, size)))
+    with pytest.raises(RendezviewError, match="mm or in would be a spacecraft"):
+        load_mesh(path)
+    assert load_mesh(path, "mm").extent_m.max() == pytest.approx(1e-3 * size)

@@ -24,17 +24,10 @@ def _gltf(folder: Path, change: dict[str, Any]) -> Path:
     return path
 
 
-def _primitives_of_mode(mode: int) -> dict[str, Any]:
-    return {"meshes": [{"primitives": [{"attributes": {"POSITION": 1}, "mode": mode}]}]}
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"asset": {"version": "1.0"}}, "export it as glTF 2.0"),
-        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "without compression"),
-        ({"extensionsRequired": ["EXT_meshopt_compression"]}, "without compression"),
-        (_primitives_of_mode(6), "plain triangles"),
         ({"buffers": [{"uri": "body%201.bin", "byteLength": 4}]}, "body 1.bin, which is not there"),
         ({"buffers": [{"uri": "../body.bin", "byteLength": 4}]}, "outside the folder of the mesh"),
     ],

@@ -29,9 +29,9 @@ from rendezview.sensors.beacons.detect.discs import expected_size
 from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SIZE
 from rendezview.sensors.beacons.match.acquisition import merged
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
-from rendezview.sensors.beacons.match.choice import mirror
 from rendezview.sensors.beacons.match.judgement import common_variance, least_facing
 from rendezview.sensors.beacons.match.matching import match_all, match_spots, size_score
+from rendezview.sensors.beacons.match.mirrored_pose import mirror
 from rendezview.sensors.beacons.window_fit import WindowFit
 from rendezview.sensors.observation import Status
 
@@ -270,7 +270,9 @@ def test_a_roll_that_happens_to_be_right_is_known_once_the_near_group_was_seen_t
 ):
     patterns = patterns_of(Target.load(CLIENT))
     both, rng = merged(patterns), np.random.default_rng(106)
-    sensor, open_ = ReflectorSensor(paper_camera, patterns), []
+    # The near group 2.8 m away would look the same: the operator knows that it is farther.
+    options = AcquisitionOptions(nearest_m=4.0)
+    sensor, open_ = ReflectorSensor(paper_camera, patterns, acquisition=options), []
     for n in range(6):
         truth = client_far_off(7.0 - 0.02 * n, patterns)
         hidden = (3, 4, 5) if n < 3 else ()  # the near group comes into view

@@ -11,7 +11,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.beacons import SixNumbers, patterns_of, pose_of
 from rendezview.sensors.beacons.constellation import Face
-from rendezview.sensors.beacons.match.choice import mirror, mirror_into
+from rendezview.sensors.beacons.match.mirrored_pose import mirror, mirror_into
 
 
 @pytest.fixture

@@ -136,7 +136,7 @@ def test_wrong_images_are_refused_in_words(ring_camera):
     for image in (
         np.zeros((480, 640)),
         np.full((480, 640), np.nan),
-        np.zeros((480, 640, 3), np.uint8),
+        np.zeros((480, 640, 2), np.uint8),
         np.zeros((0, 0), np.uint8),
         np.zeros((240, 320), np.uint8),
     ):

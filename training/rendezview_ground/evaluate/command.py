@@ -11,14 +11,14 @@ import numpy as np
 import typer
 from rich.console import Console
 
+from rendezview.cli.inputs import given_sequence
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.bundled import find_target
-from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write, make_folder
 from rendezview.io.results import read_results
-from rendezview.io.sequences import open_sequence
+from rendezview.io.trajectories import results_of_tum
 from rendezview_ground.evaluate.bop_models import bop_model
 from rendezview_ground.evaluate.comparison import (
     comparison_dict,
@@ -39,11 +39,16 @@ from rendezview_ground.evaluate.surface import ModelPoints, alike_of
 from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.mesh.symmetries import described, find_symmetries
 
+_TUM = (".tum", ".txt")  # of trajectories
+
 
 def evaluate(
     scene: Annotated[Path, typer.Argument(help="BOP scene or SPEED folder with true poses.")],
     results: Annotated[
-        list[Path], typer.Argument(help="Results, BOP CSV; several are compared side by side.")
+        list[Path],
+        typer.Argument(
+            help="Results, BOP CSV or TUM (.tum, .txt); several are compared side by side."
+        ),
     ],
     target: Annotated[
         str | None,
@@ -83,7 +88,7 @@ def evaluate(
     """
     if not 0.0 <= wrong <= 180.0:
         raise RendezviewError(f"--wrong must be an angle from 0 to 180 degrees, not {wrong}")
-    sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
+    sequence = given_sequence(scene, camera, obj_id)
     reference = _reference(target, unit)
     evaluations: dict[str, Evaluation] = {}
     for path in results:
@@ -92,7 +97,7 @@ def evaluate(
             raise RendezviewError(f"{path}: is given twice: name each results file once")
         evaluations[name] = evaluate_rows(
             sequence,
-            read_results(path),
+            results_of_tum(path, sequence) if path.suffix in _TUM else read_results(path),
             reference.symmetries,
             reference.centre_m,
             wrong_rad=float(np.deg2rad(wrong)),

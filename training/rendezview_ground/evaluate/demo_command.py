@@ -132,6 +132,7 @@ def demo(
             observations[last:],
             ring,
             output / "laser.jsonl",
+            mesh=model.beam_mesh(),
             log=output / "state.jsonl",
             video=output / "ring.webm",
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -13,6 +13,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from rendezview.geometry.geodesic import Geodesic
+from rendezview.geometry.symmetry import Symmetry
+from rendezview.io.sequences import Sequence
+from rendezview_ground.learn.look_alike_words import look_alike_words
+from rendezview_ground.learn.look_alikes import look_alikes
 from rendezview_ground.learn.options import TrainingOptions, view_geometry
 from rendezview_ground.learn.views.drawn_view import draw_view
 from rendezview_ground.mesh.bounding_sphere import smallest_enclosing_sphere
@@ -31,6 +35,7 @@ _BORDER_PX = 4.0  # px around the target. Source: by construction
 _HIDDEN_SHARE = 0.05  # of the area; fewer are no finding. Source: a chosen limit
 # rad; a curved surface bends by this much from facet to facet, an edge of the craft by more.
 _BENDS_RAD = (math.radians(0.5), math.radians(45.0))  # Source: 8 facets to a circle, and more
+_FLAT_RAD = math.radians(25.0)  # sharper bends may be meant. Source: bodies of up to 14 sides
 _FACET_SHARE = 0.001  # of the radius: a finding above it. Source: the range error of `track`
 
 
@@ -58,6 +63,7 @@ class Diagnosis:
 
     mesh: Mesh
     findings: tuple[Finding, ...]
+    symmetries: tuple[Symmetry, ...]
     open_edges: NDArray[np.int64]  # (K, 2) vertices
     mixed_edges: NDArray[np.int64]  # (K, 2) vertices
     far_faces: NDArray[np.bool_]  # (F,) of a body that should not be there
@@ -75,10 +81,11 @@ def diagnose(mesh: Mesh, progress: Callable[[int, int], None] | None = None) -> 
         mesh: cleaned, metres.
         progress: called with the number of views drawn and their total.
     """
-    edges = _Edges.of(mesh.faces)
+    edges, symmetries = _Edges.of(mesh.faces), tuple(find_symmetries(mesh))
     far, far_finding = _far_body(mesh)
     findings = [
         Finding(Mark.FINE, " ".join(mesh.notes[:2]), "read as it is", "none"),
+        *_asked(mesh.doubts, "all ranges, if it is wrong"),
         *[_reading(note) for note in _cleaning_notes(mesh)],
         *far_finding,
         *_open(edges),
@@ -86,11 +93,11 @@ def diagnose(mesh: Mesh, progress: Callable[[int, int], None] | None = None) -> 
         *_doubled(mesh),
         *_facets(mesh, edges),
         *_hidden(mesh, progress),
-        *_symmetric(mesh),
+        *_symmetric(symmetries),
         *_colourless(mesh),
         *_many(mesh),
     ]
-    return Diagnosis(mesh, tuple(findings), edges.open_edges, edges.mixed_edges, far)
+    return Diagnosis(mesh, tuple(findings), symmetries, edges.open_edges, edges.mixed_edges, far)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,12 +131,27 @@ class _Edges:
         return np.asarray(self.ends[(self.count == 2) & ~self.balanced])
 
 
+def of_frames(sequence: Sequence) -> tuple[Finding, ...]:
+    """What is odd about frames, their times and their camera."""
+    doubts = tuple(doubt for frame in sequence.frames[:1] for doubt in frame.camera.doubts)
+    notes = [note for note in sequence.notes if note not in doubts]
+    return (
+        *_asked(doubts, "all poses, if it is wrong"),
+        *[Finding(Mark.NOTE, note, "read so", "see the note") for note in notes],
+    )
+
+
+def _asked(doubts: Iterable[str], cost: str) -> list[Finding]:
+    return [Finding(Mark.ACT, doubt, "taken as it is", cost) for doubt in doubts]
+
+
 def _cleaning_notes(mesh: Mesh) -> list[str]:
     """The notes of reading, without those on topology, which have findings of their own."""
     return [
         note
         for note in mesh.notes[2:]
-        if not note.startswith(("Not watertight", "Mixed winding", "No usable colours"))
+        if note not in mesh.doubts
+        and not note.startswith(("Not watertight", "Mixed winding", "No usable colours"))
     ]
 
 
@@ -245,15 +267,18 @@ def _facets(mesh: Mesh, edges: _Edges) -> list[Finding]:
     depth_m = float(depth[order][np.searchsorted(share, 0.9)])
     _, radius_m = mesh.bounding_sphere
     part = depth_m / radius_m
+    place = int(np.searchsorted(share, 0.9))
+    flat = part > _FACET_SHARE and bool(bend[curved][order][place] > _FLAT_RAD)
     return [
         Finding(
-            Mark.ACT if part > 10.0 * _FACET_SHARE
+            Mark.ACT if part > 10.0 * _FACET_SHARE and not flat
             else Mark.NOTE if part > _FACET_SHARE else Mark.FINE,
             f"Facets of curved surfaces are {1e3 * depth_m:.2g} mm inside them "
             f"({100.0 * part:.2g} % of the radius; 90 % are better).",
             "drawn as they are",
             f"range too short by up to about {100.0 * part:.2g} %"
-            + ("; export with a finer tolerance" if part > _FACET_SHARE else ""),
+            + ("; none if the craft is built of flat sides" if flat
+               else "; export with a finer tolerance" if part > _FACET_SHARE else ""),
         )
     ]  # fmt: skip
 
@@ -287,8 +312,7 @@ def _hidden(mesh: Mesh, progress: Callable[[int, int], None] | None) -> list[Fin
     ]
 
 
-def _symmetric(mesh: Mesh) -> list[Finding]:
-    symmetries = find_symmetries(mesh)
+def _symmetric(symmetries: tuple[Symmetry, ...]) -> list[Finding]:
     if not symmetries:
         return []
     return [
@@ -297,6 +321,25 @@ def _symmetric(mesh: Mesh) -> list[Finding]:
             f"It {described(symmetries)}.",
             "written into the model; poses are one of the equivalent ones",
             "the attitude is known only up to that turn; a coloured marking decides it",
+        )
+    ]
+
+
+def of_look_alikes(mesh: Mesh, symmetries: tuple[Symmetry, ...]) -> list[Finding]:
+    """Turns that change little of a mesh, beside its symmetries: some seconds of work."""
+    near = look_alikes(mesh, mesh.bounding_sphere[0])
+    turns = np.array([one.turn for one in near]).reshape(-1, 3, 3)
+    alike = np.array([one.alike for one in near])
+    words = look_alike_words(turns, alike, symmetries)
+    if words is None:
+        return []
+    return [
+        Finding(
+            Mark.NOTE,
+            f"It {words}.",
+            "the poses that look alike are drawn beside each first pose",
+            "a first pose is ambiguous where the frame does not tell them apart; a prior, the "
+            "Sun's direction or another view does",
         )
     ]
 

@@ -10,9 +10,12 @@ from rich.console import Console
 from rich.table import Table
 
 from rendezview.cli.progress import ProgressBar, say
+from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
+from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write, check_place
-from rendezview_ground.evaluate.doctor import Mark, diagnose
+from rendezview.io.sequences import open_sequence
+from rendezview_ground.evaluate.doctor import Mark, diagnose, of_frames, of_look_alikes
 from rendezview_ground.evaluate.pictures.doctor_pictures import doctor_picture
 from rendezview_ground.evaluate.pictures.palette import png
 from rendezview_ground.mesh.mesh import load_mesh
@@ -34,6 +37,10 @@ def doctor(
     unit: Annotated[
         str | None, typer.Option(help="Unit of the mesh: m, cm, mm, in, ft; overrides the file.")
     ] = None,
+    frames: Annotated[
+        Path | None, typer.Option(help="Frames to question too, with their times and camera.")
+    ] = None,
+    camera: Annotated[Path | None, typer.Option(help="Camera file of the frames.")] = None,
 ) -> None:
     """Say what is wrong with a mesh, what is done about it, and what it costs in accuracy.
 
@@ -48,10 +55,21 @@ def doctor(
         progress = bar.stage("views", 42)
         diagnosis = diagnose(mesh, lambda done, _: progress(done))
     table = Table("", "finding", "what is done", "what it costs", show_lines=True)
-    for finding in diagnosis.findings:
+    findings = (*diagnosis.findings, *of_look_alikes(mesh, diagnosis.symmetries))
+    if frames is not None:
+        seen_by = load_camera(camera) if camera else None
+        findings = (*findings, *of_frames(open_sequence(frames, seen_by)))
+    elif camera is not None:
+        raise RendezviewError("--camera is that of --frames: give them too")
+    for finding in findings:
         table.add_row(_SIGNS[finding.mark], finding.what, finding.done, finding.cost)
     Console().print(table)
     with atomic_write(place, durable=False) as file:
         file.write(png(doctor_picture(diagnosis, f"{found.name}: {mesh.notes[0]}")))
-    advice = "nothing needs to be done" if diagnosis.healthy else "see the lines marked act"
+    healthy = all(finding.mark is not Mark.ACT for finding in findings)
+    advice = (
+        "nothing needs to be done; after training, `rendezview assess` says how accurate it is"
+        if healthy
+        else "see the lines marked act"
+    )
     say(f"{place}: {advice}")

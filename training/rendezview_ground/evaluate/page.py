@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterable
 from collections.abc import Sequence as Ordered
 from dataclasses import dataclass
 from html import escape
@@ -107,27 +108,15 @@ def page(
     by_name = {card.name: card for card in cards}
     strip = "".join(_image(card, f"{card.title} {card.name[6:]}") for card in cards
                     if card.name.startswith("frame_"))  # fmt: skip
-    pair = "".join(_figure(by_name[n]) for n in _PAIR if n in by_name)
-    wide = "".join(_figure(by_name[n]) for n in _WIDE if n in by_name)
+    pair = "".join(figure(by_name[n]) for n in _PAIR if n in by_name)
+    wide = "".join(figure(by_name[n]) for n in _WIDE if n in by_name)
     videos = [card for card in cards if card.kind == WEBM]
-    films = "".join(map(_figure, videos))
+    films = "".join(map(figure, videos))
     others = [c for c in cards if c.kind == PNG and c.name not in (*_PAIR, *_WIDE)
               and not c.name.startswith("frame_")]  # fmt: skip
-    more = "".join(map(_figure, others))
+    more = "".join(map(figure, others))
     camera = sequence.frames[0].camera
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy"
-  content="default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'">
-<title>{escape(target_name)}: recognition report</title>
-<style>{_STYLE}</style>
-</head>
-<body>
-<main>
-<h1>{escape(target_name)}</h1>
+    body = f"""<h1>{escape(target_name)}</h1>
 <p class="quiet">Pose from one camera, {camera.width} × {camera.height} px, in {len(sequence)}
 frames of {escape(sequence.source.name)}</p>
 <div class="tiles">{_tiles(observations, evaluation)}</div>
@@ -144,7 +133,25 @@ a pose or with a wrong pose.</p>
 <h2>All frames</h2>
 <div class="wide">{wide}</div>
 {_facts(model)}
-</main>
+"""
+    return document(f"{target_name}: recognition report", body)
+
+
+def document(title: str, body: str) -> str:
+    """A whole page, without scripts or network."""
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy"
+  content="default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'">
+<title>{escape(title)}</title>
+<style>{_STYLE}</style>
+</head>
+<body>
+<main>
+{body}</main>
 </body>
 </html>
 """
@@ -168,6 +175,11 @@ def _tiles(observations: Ordered[AppearanceObservation], evaluation: Evaluation 
             tiles.append((f"{distance:.2f} %", "median range error", False))
     if spent:
         tiles.append((f"{float(np.median(spent)):.1f} ms", "median time per frame", False))
+    return tiles_of(tiles)
+
+
+def tiles_of(tiles: Ordered[tuple[str, str, bool]]) -> str:
+    """Numbers with their words; true: bad."""
     return "".join(
         f'<div class="tile{" bad" if bad else ""}"><b>{escape(number)}</b>'
         f"<span>{escape(words)}</span></div>"
@@ -179,16 +191,18 @@ def _table(evaluation: Evaluation | None) -> str:
     if evaluation is None:
         return '<p class="quiet" style="margin-top:20px">The sequence has no truth, so \
 there are no errors.</p>'
-    head = "".join(f"<th>{name}</th>" for name in ("error", "median", "95 %", "max", ""))
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
-        for cells in summary_rows(evaluation)
-    )
+    table = table_of(("error", "median", "95 %", "max", ""), summary_rows(evaluation))
     notes = "".join(f'<p class="quiet">{escape(note)}</p>' for note in evaluation.notes)
-    return (
-        f"<h2>Errors of the poses found</h2>"
-        f'<div class="table"><table><tr>{head}</tr>{body}</table></div>{notes}'
+    return f"<h2>Errors of the poses found</h2>{table}{notes}"
+
+
+def table_of(head: Ordered[str], rows: Iterable[Ordered[str]]) -> str:
+    """A table that scrolls on a narrow screen."""
+    heads = "".join(f"<th>{escape(name)}</th>" for name in head)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>" for cells in rows
     )
+    return f'<div class="table"><table><tr>{heads}</tr>{body}</table></div>'
 
 
 def _facts(model: ViewModel) -> str:
@@ -208,7 +222,7 @@ def _facts(model: ViewModel) -> str:
     return f"<details><summary>About the model</summary><dl>{terms}</dl></details>"
 
 
-def _figure(card: Card) -> str:
+def figure(card: Card) -> str:
     words = f"<p>{escape(card.words)}</p>" if card.words else ""
     return (
         f"<figure><figcaption><h3>{escape(card.title)}</h3>{words}</figcaption>"

@@ -13,12 +13,13 @@ import typer
 from matplotlib.figure import Figure
 from rich.console import Console
 
+from rendezview.cli.inputs import given_sequence
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write, atomic_write_text, make_folder
 from rendezview.io.results import read_json_lines, read_results
-from rendezview.io.sequences import Frame, Sequence, open_sequence
+from rendezview.io.sequences import Frame, Sequence
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.io.sequences.images import write_png
 from rendezview.sensors.appearance import ViewModel
@@ -79,7 +80,7 @@ def show(
     elif suffix in (".json", ".yaml", ".yml", ".xml") and what.name not in _SCENE_FILES:
         written = _show_calibration(what, folder)
     else:
-        sequence = open_sequence(what, load_camera(camera) if camera else None)
+        sequence = given_sequence(what, camera)
         written = [_show_scene(sequence, folder)]
     console = Console(stderr=True)
     for path in written:

@@ -13,10 +13,10 @@ import typer
 from rich.console import Console
 
 from rendezview.cli.compiling import compile_ahead
-from rendezview.cli.progress import ProgressBar
+from rendezview.cli.inputs import given_camera, say_once
+from rendezview.cli.progress import ProgressBar, as_json
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
-from rendezview.io.camera_files import load_camera
 from rendezview_ground.learn.command_options import Dask, Jobs
 from rendezview_ground.learn.job import Trained
 from rendezview_ground.learn.jobs.open_executor import open_executor
@@ -86,6 +86,9 @@ def train(
     console = Console(stderr=True)
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)
+    flight_camera = given_camera(camera)
+    if as_json():
+        say_once(*mesh.doubts)
     notes = "\n".join(mesh.notes)
     if console.is_terminal:  # in a log they come at the end, so that an error is one line
         console.print(notes, highlight=False, style="dim", soft_wrap=True)
@@ -119,7 +122,7 @@ def train(
             output,
             unit,
             options=options,
-            camera=load_camera(camera) if camera else None,
+            camera=flight_camera,
             step_rad=float(np.deg2rad(joint_step)),
             executor=executor,
             progress=progress,
@@ -172,9 +175,10 @@ def summary(trained: Trained) -> str:
         )
     if model.symmetries or not model.joints:  # with joints they are not searched
         lines.append(f"the target {described(model.symmetries)}")
-    words = None if model.shape is None else look_alike_words(model.shape, model.symmetries)
-    if words is not None:
-        lines.append(words)
+    shape = model.shape
+    words = shape and look_alike_words(shape.turns, shape.alike, model.symmetries)
+    if words:
+        lines.append(f"{words}: a first pose is given only where the frame tells them apart")
     for k, joint in enumerate(model.joints):
         angles = sorted(
             {float(np.rad2deg(m.angles_rad[k])) for m in (model, *model.configurations)}

@@ -9,18 +9,18 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
-from rendezview.sensors.appearance.model.shape import Shape
 
 _NAMED = 3  # likest turns that are named. Source: by construction
 _SAME_RAD = np.deg2rad(2.0)  # an exact symmetry, as it is found. Source: by construction
 _TOLD = 0.8  # share of the surface; less is not called nearly symmetric. Source: by construction
 
 
-def look_alike_words(shape: Shape, symmetries: Sequence[Symmetry] = ()) -> str | None:
+def look_alike_words(turns: Array, alike: Array, symmetries: Sequence[Symmetry] = ()) -> str | None:
     """Which turns leave most of the surface where it was; None where none does.
 
     Args:
-        shape: of the model.
+        turns: (K, 3, 3) of near-symmetries.
+        alike: (K,) share of the surface that each leaves where it was.
         symmetries: turns that leave all of it; they are left out.
     """
     here = Pose.identity()
@@ -28,24 +28,21 @@ def look_alike_words(shape: Shape, symmetries: Sequence[Symmetry] = ()) -> str |
     def differs(turn: Array) -> bool:
         return bool(angle_between(Pose(turn, np.zeros(3)), here, symmetries) > _SAME_RAD)
 
-    order = np.argsort(-shape.alike, kind="stable")
-    told = [k for k in order if shape.alike[k] >= _TOLD and np.linalg.det(shape.turns[k]) > 0.0]
-    told = [k for k in told if differs(shape.turns[k])]
+    order = np.argsort(-alike, kind="stable")
+    told = [k for k in order if alike[k] >= _TOLD and np.linalg.det(turns[k]) > 0.0]
+    told = [k for k in told if differs(turns[k])]
     if not told:
         return None
     # A turn and the turn back are one.
     shares: dict[str, float] = {}
     for k in told:
-        shares.setdefault(_turn_words(shape.turns[k]), 100.0 * float(shape.alike[k]))
+        shares.setdefault(_turn_words(turns[k]), 100.0 * float(alike[k]))
     named = [
         f"{words} ({share:.0f} % of the surface the same)"
         for words, share in list(shares.items())[:_NAMED]
     ]
     more = f" and {len(shares) - _NAMED} more" if len(shares) > _NAMED else ""
-    return (
-        f"looks nearly the same turned by {', '.join(named)}{more}: a first pose is given only "
-        "where the frame tells them apart"
-    )
+    return f"looks nearly the same turned by {', '.join(named)}{more}"
 
 
 def _turn_words(turn: Array) -> str:

@@ -13,19 +13,22 @@ from itertools import product
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry import so3
-from rendezview.geometry.pose import Array
+from rendezview.geometry.pose import Array, rotation_angle
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.mesh.turned_surface import TurnedSurface
 
 _COARSE_POINTS, _ICP_POINTS = 400, 800  # on the surface
+_ROUGH_POINTS = 10_000  # of the surface, that points come near to at first
 _STEP_RAD = np.deg2rad(12.0)  # of the grid of rotations
 _ON_SURFACE = 0.01  # of the radius; a moved point this near to the surface falls onto it
 _LEAST_LAST_TRIM = 0.003  # of the radius; at last half of the points move a turn
 _TRIMMED, _LEAST_TRIM = 0.8, 0.03  # share of the points, and of the radius, that move a turn
 _ROUNDS, _LAST_ROUNDS = 15, 8  # of closest points; the last of them with the nearest half only
+_REACH = 0.15  # of the radius: a point farther from the surface moves nothing
 _LEAST_USED = 30  # of them
 _SETTLED = 3e-4  # rad, and of the radius
 _DAMPING = 1e-4  # of the planes' weight: what they leave open does not move
@@ -57,13 +60,14 @@ def look_alikes(mesh: Mesh, centre_m: Array, seed: int = 0) -> list[NearSymmetry
         seed: of the surface points.
     """
     surface = TurnedSurface.of(mesh, seed)
-    found = [one for mirrored in (False, True) for one in _turns(surface, mirrored)]
+    rough = cKDTree(surface.points_m[:_ROUGH_POINTS])
+    found = [one for mirrored in (False, True) for one in _turns(surface, rough, mirrored)]
     found.sort(key=lambda one: -one.alike)
     # Two near-symmetries, one after the other, are a third, which the grid may have missed.
     for one, other in product(found[:_MULTIPLIED], repeat=2):
         turn = one.turn @ other.turn
         if all(_angle(turn, known.turn) > _KNOWN_RAD for known in found):
-            found.append(_moved(surface, turn))
+            found.append(_moved(surface, rough, turn))
     found.sort(key=lambda one: -one.alike)
     kept: list[NearSymmetry] = []
     for one in found:
@@ -83,10 +87,10 @@ def _angle(a: Array, b: Array) -> float:
     between = a @ b.T
     if np.linalg.det(between) < 0.0:
         return float("inf")
-    return float(np.arccos(np.clip(0.5 * (np.trace(between) - 1.0), -1.0, 1.0)))
+    return rotation_angle(between)
 
 
-def _turns(surface: TurnedSurface, mirrored: bool) -> list[NearSymmetry]:
+def _turns(surface: TurnedSurface, rough: cKDTree, mirrored: bool) -> list[NearSymmetry]:
     """The likest rotations about the centroid, or rotations with a reflection."""
     grid = rotation_grid(_STEP_RAD)
     if mirrored:
@@ -97,20 +101,24 @@ def _turns(surface: TurnedSurface, mirrored: bool) -> list[NearSymmetry]:
             chosen.append(int(k))
         if len(chosen) == _TRIED:
             break
-    return [_moved(surface, grid[k]) for k in chosen]
+    return [_moved(surface, rough, grid[k]) for k in chosen]
 
 
-def _moved(surface: TurnedSurface, turn: Array) -> NearSymmetry:
-    """The near-symmetry next to a turn."""
+def _moved(surface: TurnedSurface, rough: cKDTree, turn: Array) -> NearSymmetry:
+    """The near-symmetry next to a turn; ``rough``: of the first points, for the first rounds."""
     own, shift = surface.points_m[surface.tested[:_ICP_POINTS]], np.zeros(3)
-    near_m = _ON_SURFACE * surface.radius_m
+    near_m, reach_m = _ON_SURFACE * surface.radius_m, _REACH * surface.radius_m
     for k in range(_ROUNDS):
-        moved = own @ turn.T + shift
-        far, nearest = surface.tree.query(moved)
-        limit = max(_LEAST_TRIM * surface.radius_m, float(np.quantile(far, _TRIMMED)))
+        moved, tree = own @ turn.T + shift, rough if k < _ROUNDS - _LAST_ROUNDS else surface.tree
+        far, nearest = tree.query(moved, distance_upper_bound=reach_m)
+        limit = max(
+            _LEAST_TRIM * surface.radius_m, float(np.quantile(far, _TRIMMED, method="lower"))
+        )
         if k >= _ROUNDS - _LAST_ROUNDS:  # parts that differ would draw it aside
-            limit = max(_LEAST_LAST_TRIM * surface.radius_m, float(np.median(far)))
-        used = far <= limit
+            limit = max(
+                _LEAST_LAST_TRIM * surface.radius_m, float(np.quantile(far, 0.5, method="lower"))
+            )
+        used = (far <= limit) & np.isfinite(far)
         if np.count_nonzero(used) < _LEAST_USED:
             break
         step = _step(surface, moved[used], nearest[used])
@@ -118,8 +126,8 @@ def _moved(surface: TurnedSurface, turn: Array) -> NearSymmetry:
         turn, shift = small @ turn, small @ shift + surface.radius_m * step[3:]
         if k >= _ROUNDS - _LAST_ROUNDS and np.abs(step).max() < _SETTLED:
             break
-    forth, _ = surface.tree.query(own @ turn.T + shift)
-    back, _ = surface.tree.query((own - shift) @ turn)
+    forth, _ = surface.tree.query(own @ turn.T + shift, distance_upper_bound=near_m)
+    back, _ = surface.tree.query((own - shift) @ turn, distance_upper_bound=near_m)
     return NearSymmetry(turn, shift, 0.5 * float((forth < near_m).mean() + (back < near_m).mean()))
 
 

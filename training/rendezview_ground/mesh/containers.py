@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import re
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from rendezview.errors import RendezviewError
 from rendezview_ground.mesh.colours import GREY, Rgb, linear_from_srgb
 
 _MOST_UNPACKED = 2_000_000_000  # bytes, all parts of a 3MF file. Source: a chosen limit
@@ -102,23 +104,38 @@ def _hex_rgb(text: str) -> list[float]:
     return values
 
 
-def check_3mf_size(path: Path) -> None:
-    """Refuse an archive that unpacks to much more than a mesh needs.
+def has_decimal_commas(collada: bytes) -> bool:
+    """Whether the unit of a Collada file has a comma, as all its numbers then."""
+    return re.search(rb"<unit\b[^>]*\bmeter=[\"']\d+,\d", collada) is not None
+
+
+def check_3mf(path: Path) -> None:
+    """Refuse an archive that unpacks to much more than a mesh needs, or keeps its bodies elsewhere.
 
     Raises:
         ValueError: its parts are too large together.
+        RendezviewError: the items of its build are in other parts.
     """
     with zipfile.ZipFile(path) as archive:
         total = sum(part.file_size for part in archive.infolist())
     if total > _MOST_UNPACKED:
         raise ValueError(f"it unpacks to {total / 1e9:.1f} GB, more than {_MOST_UNPACKED / 1e9:g}")
+    if re.search(rb"<(?:\w+:)?item\b[^>]*\w:path=", _content_of_3mf(path)):
+        raise RendezviewError(
+            f"{path}: its bodies are in other parts of the archive (production extension), which "
+            "are not read: export it as one 3MF part, STL or GLB"
+        )
 
 
 def _model_of_3mf(path: Path) -> ElementTree.Element:
+    return ElementTree.fromstring(_content_of_3mf(path))
+
+
+def _content_of_3mf(path: Path) -> bytes:
     with zipfile.ZipFile(path) as archive:
         for name in archive.namelist():
             if "3d/3dmodel.model" in name.lower():
-                return ElementTree.fromstring(archive.read(name))
+                return archive.read(name)
     raise ValueError("no 3D/3dmodel.model inside")
 
 
@@ -126,7 +143,7 @@ def _dae_metre(path: Path) -> float | None:
     """``<asset><unit meter=…>`` of the document, or None."""
     for _, element in ElementTree.iterparse(path, events=("end",)):
         if _tag(element) == "unit":
-            metre = float(element.get("meter", "1"))
+            metre = float(element.get("meter", "1").replace(",", "."))
             if not (np.isfinite(metre) and metre > 0):
                 raise ValueError(f"<unit meter={metre:g}> is not a length")
             return metre

@@ -18,23 +18,27 @@ from numpy.typing import NDArray
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
-from rendezview_ground.mesh.colours import Rgb, grey, stl_face_rgb, visual_face_rgb
+from rendezview_ground.mesh.colours import Rgb, grey, visual_face_rgb
 from rendezview_ground.mesh.containers import (
-    check_3mf_size,
+    check_3mf,
     colours_of_3mf,
     file_unit,
+    has_decimal_commas,
     refers_to_texture,
 )
-from rendezview_ground.mesh.gltf import GLTF_SUFFIXES, check_gltf
+from rendezview_ground.mesh.gltf import GLTF_SUFFIXES, plain_gltf
 from rendezview_ground.mesh.mesh_file import MeshFile, joined
 from rendezview_ground.mesh.notes import counted
 from rendezview_ground.mesh.obj import read_obj
 from rendezview_ground.mesh.scenes import nodes_below, step_note, triangulate_step
+from rendezview_ground.mesh.stl import read_stl
+from rendezview_ground.mesh.text import COMMA_NOTE
 from rendezview_ground.mesh.usd import USD_SUFFIXES, read_usd
 
 STEP_SUFFIXES = (".step", ".stp")
 
 _TEXTURE_TROUBLE = re.compile(r"pillow|image|texture|bumpmap", re.IGNORECASE)
+_HEADER = 65_536  # bytes in which that of a PLY or OFF file ends
 _LOGGERS = ("trimesh", "collada")
 
 
@@ -80,11 +84,47 @@ def _read_usd(path: Path, node: str | None) -> MeshFile:
 
 
 def _read_gltf(path: Path, node: str | None) -> MeshFile:
-    check_gltf(path)
-    return _read_with_trimesh(path, node)
+    plain, notes = plain_gltf(path)
+    found = _read_with_trimesh(path, node, None if plain is None else (plain, "glb"))
+    return replace(found, notes=(*notes, *found.notes))
 
 
-def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
+def _read_ply(path: Path, node: str | None) -> MeshFile:
+    """PLY, whose comments may be in any encoding."""
+    with path.open("rb") as stream:
+        start = stream.read(_HEADER)
+    end = start.find(b"end_header")
+    if end < 0 or start[:end].isascii():
+        return _read_with_trimesh(path, node)
+    plain = start[:end].decode("ascii", errors="replace").encode("ascii", errors="replace")
+    return _read_with_trimesh(path, node, (plain + path.read_bytes()[end:], "ply"))
+
+
+def _read_dae(path: Path, node: str | None) -> MeshFile:
+    """Collada, whose numbers may have decimal commas throughout."""
+    content = path.read_bytes()
+    if not has_decimal_commas(content):
+        return _read_with_trimesh(path, node)
+    points = re.sub(rb"(?<=\d),(?=\d)", b".", content)
+    found = _read_with_trimesh(path, node, (points, "dae"))
+    return replace(found, notes=(COMMA_NOTE, *found.notes))
+
+
+def _read_off(path: Path, node: str | None) -> MeshFile:
+    """OFF, whose end trimesh does not miss."""
+    found = _read_with_trimesh(path, node)
+    with path.open("rb") as stream:
+        start = re.sub(rb"#.*", b"", stream.read(_HEADER))
+    counts = re.search(rb"OFF\s*\d+\s+(\d+)", start)
+    if counts and len(found.faces) < int(counts[1]):
+        raise ValueError(f"{counts[1].decode()} faces are announced, {len(found.faces)} are there")
+    return found
+
+
+def _read_with_trimesh(
+    path: Path, node: str | None, replaced: tuple[bytes, str] | None = None
+) -> MeshFile:
+    """The triangles of a file, or of the content and its kind that replace it."""
     suffix = path.suffix.lower()
     if suffix in STEP_SUFFIXES:
         with tempfile.TemporaryDirectory() as folder:
@@ -96,10 +136,8 @@ def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
             unit=(1.0, "STEP, converted to metres"),
             notes=(step_note(count, found.faces), *found.notes),
         )
-    if suffix == ".stl":
-        _check_stl_length(path)
     if suffix == ".3mf":
-        check_3mf_size(path)
+        check_3mf(path)
     unit = file_unit(path)
     with _quiet() as messages:
         import trimesh
@@ -107,7 +145,13 @@ def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
         options: dict[str, Any] = {"process": False}
         if suffix == ".3mf":
             options["postprocess"] = False  # it would rename and merge bodies
-        scene = trimesh.load_scene(str(path), file_type=suffix[1:], **options)
+        if replaced is None:
+            scene = trimesh.load_scene(str(path), file_type=suffix[1:], **options)
+        else:
+            beside = trimesh.resolvers.FilePathResolver(str(path))
+            scene = trimesh.load_scene(
+                io.BytesIO(replaced[0]), file_type=replaced[1], resolver=beside, **options
+            )
     notes = _texture_notes(path, messages)
     lost_texture = any(note.startswith("Textures") for note in notes)
     colours = _special_colours(path, scene, notes)
@@ -132,7 +176,8 @@ def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
         if rgb is None:
             grey_faces += len(faces)
             rgb = grey(len(faces))
-        parts.append((vertices @ matrix[:3, :3].T + matrix[:3, 3], faces, rgb))
+        with np.errstate(invalid="ignore"):  # NaN, which is dropped and counted later
+            parts.append((vertices @ matrix[:3, :3].T + matrix[:3, 3], faces, rgb))
     if len(parts) > 1:
         notes.append(f"{len(parts)} bodies joined into one.")
     if others:
@@ -144,44 +189,14 @@ def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
 
 
 def _special_colours(path: Path, scene: Any, notes: list[str]) -> dict[str, Rgb]:
-    """Colours by geometry name that trimesh does not read: 3MF, binary STL."""
+    """Colours by geometry name that trimesh does not read: 3MF."""
     if path.suffix.lower() == ".3mf":
         colours = colours_of_3mf(path)
         counts = [len(geometry.faces) for geometry in scene.geometry.values()]
         if [len(rgb) for rgb in colours] == counts:
             return dict(zip(scene.geometry, colours, strict=True))
         notes.append("Colours ignored: the 3MF file spreads its meshes over several parts.")
-    if path.suffix.lower() == ".stl":
-        with path.open("rb") as stream:
-            header = stream.read(80)
-        for name, geometry in scene.geometry.items():
-            words = getattr(geometry, "face_attributes", {}).get("stl")
-            found = None if words is None else stl_face_rgb(np.asarray(words), header)
-            if found is not None:
-                notes.append(f"{counted(found[1], 'face')} with an STL colour.")
-                return {name: found[0]}
     return {}
-
-
-def _check_stl_length(path: Path) -> None:
-    """Refuse a text without its end, and a binary file whose length contradicts its header."""
-    with path.open("rb") as stream:
-        start = stream.read(1024)
-        size = stream.seek(0, io.SEEK_END)
-        stream.seek(max(size - 1024, 0))
-        end = stream.read()
-    if b"\0" not in start and b"facet" in start.lower():
-        if b"endsolid" not in end.lower():
-            raise ValueError("the text ends without `endsolid`: it is cut short")
-        return
-    if len(start) < 84:
-        raise ValueError(f"{size} bytes are too few for an STL file")
-    count = int.from_bytes(start[80:84], "little")
-    if size != 84 + 50 * count:
-        raise ValueError(
-            f"the header announces {count} triangles ({84 + 50 * count} bytes) "
-            f"but the file has {size} bytes"
-        )
 
 
 def _texture_notes(path: Path, messages: list[tuple[int, str]]) -> list[str]:
@@ -252,12 +267,13 @@ def _quiet() -> Iterator[list[tuple[int, str]]]:
 
 # Reader of each suffix. A new format is a file with a reader, and its line here.
 READERS: dict[str, Callable[[Path, str | None], MeshFile]] = {
-    ".stl": _read_with_trimesh,
+    ".stl": read_stl,
     ".obj": _read_obj,
-    ".ply": _read_with_trimesh,
+    ".ply": _read_ply,
+    ".off": _read_off,
     **dict.fromkeys(GLTF_SUFFIXES, _read_gltf),
     ".3mf": _read_with_trimesh,
-    ".dae": _read_with_trimesh,
+    ".dae": _read_dae,
     **dict.fromkeys(STEP_SUFFIXES, _read_with_trimesh),
     **dict.fromkeys(USD_SUFFIXES, _read_usd),
 }

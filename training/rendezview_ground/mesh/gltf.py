@@ -1,7 +1,8 @@
-"""Checks of a glTF file's header: what trimesh would read wrongly, or refuse in riddles."""
+"""What trimesh would read wrongly in a glTF file, or refuse in riddles."""
 
 from __future__ import annotations
 
+import codecs
 import json
 import struct
 from pathlib import Path
@@ -9,38 +10,35 @@ from typing import Any
 from urllib.parse import unquote
 
 from rendezview.errors import RendezviewError
+from rendezview_ground.mesh.gltf_buffers import Buffers
+from rendezview_ground.mesh.gltf_plain import is_plain, not_honoured, plain_glb
 
 GLTF_SUFFIXES = (".glb", ".gltf")
 # Source: glTF 2.0, 4.4 "GLB file format": magic, version, length; then length and type of a chunk
 _GLB_HEADER = struct.Struct("<4sIIII")
 _JSON_CHUNK = 0x4E4F534A  # Source: glTF 2.0, 4.4.3.2, "JSON"
-_TRIANGLE_FAN = 6  # Source: glTF 2.0, 3.7.2.1, mode of a primitive
-_COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+_CHUNK_BYTES = 8  # before a chunk's content. Source: glTF 2.0, 4.4.3
 
 
-def check_gltf(path: Path) -> None:
-    """Refuse a glTF file whose triangles cannot be read, in words that say why.
+def plain_gltf(path: Path) -> tuple[bytes | None, list[str]]:
+    """A file that the reader does not fully know, as GLB that it knows, and notes on it.
 
-    What is damaged in other ways is left to the reader of the file.
+    None for a file that is read as it is. What is damaged in other ways is left to the reader.
 
     Raises:
-        RendezviewError: glTF 1, compressed geometry, triangle fans, or a file of its geometry is
-            missing or lies outside its folder.
+        RendezviewError: glTF 1, a required extension that is not honoured, packed geometry without
+            the package that unpacks it, or a file of its geometry is missing or lies outside its
+            folder.
     """
-    header = _header(path)
+    header, place = _header(path)
     version = str(_entry(header, "asset").get("version", "2.0"))
     if version.split(".")[0] == "1":
         raise RendezviewError(f"{path} is a file of glTF {version}: export it as glTF 2.0")
-    required = header.get("extensionsRequired")
-    for name in _COMPRESSED:
-        if isinstance(required, list) and name in required:
-            raise RendezviewError(
-                f"{path}: its geometry is compressed ({name}), which is not read here: export it "
-                "without compression"
-            )
-    if any(primitive.get("mode") == _TRIANGLE_FAN for primitive in _primitives(header)):
+    unknown = not_honoured(header)
+    if unknown:
         raise RendezviewError(
-            f"{path}: it holds triangle fans, which are not read here: export plain triangles"
+            f"{path}: it requires {' and '.join(unknown)}, which is not honoured here: export it "
+            "without"
         )
     for buffer in _entries(header, "buffers"):
         uri = buffer.get("uri")
@@ -56,28 +54,34 @@ def check_gltf(path: Path) -> None:
                     f"{path}: its geometry is in {beside}, which is not there: put that file "
                     "beside it, or export one GLB file"
                 )
+    with path.open("rb") as stream:
+        marked = stream.read(3) == codecs.BOM_UTF8
+    if not _entries(header, "meshes") or (is_plain(header, _primitives(header)) and not marked):
+        return None, []
+    return plain_glb(header, Buffers(path, header, place))
 
 
-def _header(path: Path) -> dict[str, Any]:
-    """The JSON of a file; empty where there is none to read."""
+def _header(path: Path) -> tuple[dict[str, Any], int]:
+    """The JSON of a file, empty where there is none to read, and where its binary part starts."""
     with path.open("rb") as stream:
         if path.suffix.lower() == ".gltf":
             text = stream.read()
         else:
             start = stream.read(_GLB_HEADER.size)
             if len(start) < _GLB_HEADER.size:
-                return {}
+                return {}, 0
             magic, version, _, length, kind = _GLB_HEADER.unpack(start)
             if magic == b"glTF" and version == 1:
-                return {"asset": {"version": "1.0"}}
+                return {"asset": {"version": "1.0"}}, 0
             if magic != b"glTF" or kind != _JSON_CHUNK:
-                return {}
+                return {}, 0
             text = stream.read(length)
+        place = stream.tell() + _CHUNK_BYTES
     try:
         header = json.loads(text)
     except ValueError:
-        return {}
-    return header if isinstance(header, dict) else {}
+        return {}, 0
+    return (header, place) if isinstance(header, dict) else ({}, 0)
 
 
 def _entry(header: dict[str, Any], name: str) -> dict[str, Any]:

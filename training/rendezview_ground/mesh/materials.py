@@ -6,11 +6,13 @@ import os
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
 from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.colours import Rgb, grey, linear_from_srgb, texture_face_rgb
+from rendezview_ground.mesh.text import decoded
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +45,7 @@ def read_materials(folder: Path, libraries: list[str]) -> tuple[dict[str, Materi
                 notes.append(f"Material library {name} not found beside the mesh: faces are grey.")
                 continue
             try:
-                text = path.read_text(encoding="utf-8", errors="replace")
+                text = decoded(path.read_bytes())
             except OSError as error:
                 notes.append(f"Material library {name} not readable ({error}): faces are grey.")
                 continue
@@ -113,10 +115,11 @@ def _find(folder: Path, entry: str) -> Path | None:
 
     Files elsewhere are not opened: a mesh may come from somebody else.
     """
-    written = PurePosixPath(entry.strip().strip('"').replace("\\", "/"))
-    if not written.name:
-        return None
-    for candidate in (folder / written, folder / written.name):
+    plain = entry.strip().strip('"')
+    # As it is, with escaped spaces, and as an address.
+    names = dict.fromkeys([plain, plain.replace("\\ ", " "), unquote(plain)])
+    places = [PurePosixPath(name.replace("\\", "/")) for name in names]
+    for candidate in (folder / p for place in places if place.name for p in (place, place.name)):
         inside = os.path.realpath(candidate).startswith(os.path.realpath(folder) + os.sep)
         if inside and os.path.isfile(candidate):  # never raises, for any name
             return candidate

@@ -17,17 +17,29 @@ from rendezview_ground.mesh.colours import GREY, Rgb
 from rendezview_ground.mesh.files import READERS, read_mesh_file
 from rendezview_ground.mesh.mesh_file import MeshFile
 from rendezview_ground.mesh.notes import counted, topology_notes
+from rendezview_ground.mesh.plausible import metres_per_unit
 
 MAX_FACES = 20_000_000  # of a mesh
 MAX_FILE_BYTES = 2 * 2**30  # bytes of a mesh file
-# Diameters outside these ranges mean a wrong unit. The narrow range applies where the unit is a
-# guess or a convention of the format, the wide one where it is stated.
-GUESSED_DIAMETER_M = (0.05, 300.0)  # m
-STATED_DIAMETER_M = (0.005, 1000.0)  # m
 
 _GREY_FROM_RGB = np.array([0.2126, 0.7152, 0.0722])  # luminance weights. Source: ITU-R BT.709
 _LARGEST_COORDINATE = 1e15  # in the unit of the file; its powers still fit a double
-_CAD_SUFFIXES = frozenset({".iges", ".igs", ".sldprt", ".sldasm", ".blend"})
+# What turns other formats into one that is read. Units and axes of FBX, 3DS and VRML are not in
+# their numbers: a program that shows the model applies them.
+_CAD = "export it from the CAD program as STEP or STL"
+_SCENE = "import it in Blender, check its size and axes, and export it as glTF (GLB)"
+_ADVICE = {
+    **dict.fromkeys(
+        (".iges", ".igs", ".sldprt", ".sldasm", ".ipt", ".iam", ".catpart", ".catproduct", ".prt",
+         ".asm", ".x_t", ".x_b", ".sat", ".3dm", ".fcstd", ".f3d", ".jt", ".dwg", ".dxf"),
+        _CAD,
+    ),
+    **dict.fromkeys(
+        (".blend", ".fbx", ".3ds", ".wrl", ".vrml", ".x3d", ".x3dv", ".max", ".ma", ".mb", ".c4d",
+         ".lwo", ".lws", ".ase", ".x", ".md2", ".md3", ".abc", ".skp", ".b3d", ".ac"),
+        _SCENE,
+    ),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +57,7 @@ class Mesh:
     face_part: NDArray[np.uint8] | None = None
     # (F,) how far the craft is as the mesh has it, 0 to 1; None: all of it
     face_trust: NDArray[np.float32] | None = None
+    doubts: tuple[str, ...] = ()  # those of the notes that ask whether the mesh is meant so
 
     @property
     def bounding_sphere(self) -> tuple[Array, float]:
@@ -68,8 +81,8 @@ def load_mesh(path: Path, unit: str | None = None) -> Mesh:
     """Read a mesh file as one clean mesh in metres, with all its bodies.
 
     Args:
-        path: STL, OBJ, PLY, GLB, glTF, 3MF, DAE, STEP or USD file; ``FILE#NODE`` for one node of a
-            scene, with what hangs below it.
+        path: STL, OBJ, PLY, OFF, GLB, glTF, 3MF, DAE, STEP or USD file; ``FILE#NODE`` for one
+            node of a scene, with what hangs below it.
         unit: of the file's numbers; overrides the file. Without it, 3MF, DAE, glTF and USD files
             state their unit; the others are read as metres if the size is then plausible.
 
@@ -85,7 +98,7 @@ def load_mesh(path: Path, unit: str | None = None) -> Mesh:
     content = read_mesh_file(path, node)
     _check_count(path, len(content.faces))
     vertices, faces, rgb, notes = _cleaned(path, content)
-    factor, unit_note = _scale(path, vertices, content, unit)
+    factor, unit_note, doubts = metres_per_unit(path, vertices, content, unit)
     kind = path.suffix[1:].upper()
     found = (
         f"{kind} file with {counted(len(faces), 'triangle')} "
@@ -95,7 +108,8 @@ def load_mesh(path: Path, unit: str | None = None) -> Mesh:
         vertices_m=vertices * factor,
         faces=faces.astype(np.int32),
         face_rgb=np.ascontiguousarray(np.clip(rgb, 0.0, 1.0), dtype=np.float32),
-        notes=(found, unit_note, *content.notes, *notes, *topology_notes(faces)),
+        notes=(found, unit_note, *doubts, *content.notes, *notes, *topology_notes(faces)),
+        doubts=doubts,
     )
 
 
@@ -107,12 +121,10 @@ def _check_file(path: Path) -> None:
     suffix = path.suffix.lower()
     if suffix not in READERS:
         known = ", ".join(READERS)
-        advice = (
-            " Export it from the CAD program as one of them." if suffix in _CAD_SUFFIXES else ""
-        )
+        advice = _ADVICE.get(suffix, "export the model as one of them")
         raise RendezviewError(
-            f"{path}: mesh format {suffix or 'without a suffix'} is not supported; "
-            f"use {known}.{advice}"
+            f"{path}: mesh format {suffix or 'without a suffix'} is not supported ({known} are): "
+            f"{advice}"
         )
     size = path.stat().st_size
     if size == 0:
@@ -198,46 +210,3 @@ def _merged(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[n
     rank[order] = np.arange(len(order))
     number[used] = rank[inverse.reshape(-1)]
     return positions[first[order]], number[faces]
-
-
-def _scale(path: Path, vertices: Array, content: MeshFile, unit: str | None) -> tuple[float, str]:
-    """Metres per unit of the file, and the note that states its origin."""
-    diameter = 2.0 * smallest_enclosing_sphere(vertices)[1]
-    extent = np.ptp(vertices, axis=0)
-    limits, source = STATED_DIAMETER_M, ""
-    if unit is not None:
-        factor = METRES_PER_UNIT[unit]
-        source = f"Unit {unit} as given"
-        if content.unit is not None and not np.isclose(content.unit[0], factor):
-            source += f", not {content.unit[1]} as the file states"
-    elif content.unit is not None:
-        factor = content.unit[0]
-        source = f"Unit from the file: {content.unit[1]}"
-        if path.suffix.lower() in (".glb", ".gltf"):
-            limits = GUESSED_DIAMETER_M  # a convention of the format, not a statement of the author
-    else:
-        factor, limits = 1.0, GUESSED_DIAMETER_M
-    if not limits[0] <= diameter * factor <= limits[1]:
-        raise RendezviewError(_absurd_size(path, diameter, factor, source))
-    size = " × ".join(f"{value:.{_decimals(diameter * factor)}f}" for value in extent * factor)
-    if source:
-        return factor, f"{source}: {size} m."
-    return (
-        factor,
-        f"No unit in the file: taken as metres, {size} m; give --unit mm if that is wrong.",
-    )
-
-
-def _absurd_size(path: Path, diameter: float, factor: float, source: str) -> str:
-    options = ", ".join(
-        f"{name}: {diameter * metres:.4g} m" for name, metres in METRES_PER_UNIT.items()
-    )
-    said = source or "No unit in the file, and metres do not fit"
-    return (
-        f"{path}: the target would be {diameter * factor:.4g} m across. {said}. "
-        f"Give the right unit (--unit); the diameter would be {options}."
-    )
-
-
-def _decimals(diameter_m: float) -> int:
-    return 2 if diameter_m >= 1.0 else 3 if diameter_m >= 0.1 else 4

@@ -19,6 +19,7 @@ from rendezview_ground.mesh.colours import Rgb, grey, linear_from_srgb
 from rendezview_ground.mesh.materials import read_materials
 from rendezview_ground.mesh.notes import counted
 from rendezview_ground.mesh.polygon import triangulate
+from rendezview_ground.mesh.text import COMMA_NOTE, decoded, is_text, with_points
 
 _LINES_AND_POINTS = frozenset({"l", "p"})
 _FREE_FORM = frozenset({"curv", "curv2", "surf"})
@@ -44,13 +45,14 @@ class _Content:
 def read_obj(path: Path) -> tuple[Array, NDArray[np.int64], Rgb, list[str]]:
     """Vertices (V, 3) in the unit of the file, faces (F, 3), their colours, and notes."""
     data = path.read_bytes()
-    if b"\0" in data:
+    if not is_text(data):
         raise RendezviewError(
             f"{path} is not an OBJ file: it holds binary data. "
             "If it is a mesh in another format, give it that format's suffix."
         )
-    content = _parse(path, data.decode("utf-8", errors="replace"))
-    notes: list[str] = []
+    text, commas = with_points(decoded(data), "v")
+    content = _parse(path, text)
+    notes = [COMMA_NOTE] if commas else []
     vertices = np.array(content.positions, dtype=np.float64).reshape(-1, 3)
     _check_indices(path, content)
     triangles: list[tuple[int, int, int]] = []  # corners within their polygon

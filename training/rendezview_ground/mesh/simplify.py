@@ -28,8 +28,8 @@ _LEAST_FACES = 1000  # of one colour; fewer stay as they are. Source: by constru
 _ROUNDS = 100  # over all edges. Source: the default of pyfqmr
 
 
-def simplified(mesh: Mesh, tolerance_m: float, many: int = MANY_FACES) -> Mesh:
-    """The mesh with fewer triangles, if it has more than ``many``.
+def simplified(mesh: Mesh, tolerance_m: float, many: int | None = None) -> Mesh:
+    """The mesh with fewer triangles, if it has more than ``many``, or than `MANY_FACES`.
 
     Borders stay where they are: open edges, and the edges between parts that differ in colour,
     joint or trust.
@@ -39,7 +39,7 @@ def simplified(mesh: Mesh, tolerance_m: float, many: int = MANY_FACES) -> Mesh:
         tolerance_m: see the module.
         many: faces; a mesh with no more stays as it is.
     """
-    if len(mesh.faces) <= many:
+    if len(mesh.faces) <= (MANY_FACES if many is None else many):
         return mesh
     group = _groups(mesh)
     order = np.argsort(group, kind="stable")

@@ -11,11 +11,11 @@ import numpy as np
 import typer
 from rich.console import Console
 
+from rendezview.cli.inputs import given_camera, say_once
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.bundled import find_target
-from rendezview.io.camera_files import load_camera
 from rendezview.io.files import check_place
 from rendezview.io.target import Target
 from rendezview.sensors.beacons.rig_files import load_rig
@@ -182,8 +182,9 @@ def simulate(
     else:
         mesh = with_parts(load_mesh(found.mesh_path, unit or found.unit), found, unit)
         mesh = with_blankets(mesh, found, unit, np.random.default_rng([seed, PARTS_STREAM]))
+    say_once(*mesh.doubts)
     moving = joint_motion([parts.joint for parts in found.joints], joint or [])
-    flight_camera = load_camera(camera) if camera else default_camera()
+    flight_camera = given_camera(camera) or default_camera()
     options = SceneOptions(
         sky_frame="camera" if kind is Kind.TUMBLE else "target",
         sun_phase_rad=float(np.deg2rad(sun_phase)),

@@ -12,6 +12,7 @@ import numpy as np
 from rendezview.errors import RendezviewError
 from rendezview.geometry.joint import Joint, within
 from rendezview.geometry.pose import Array
+from rendezview.io.files import atomic_write_text
 from rendezview_ground.mesh.joints import posed
 from rendezview_ground.mesh.mesh import Mesh
 
@@ -41,7 +42,7 @@ class JointMotion:
             str(k): dict(zip(names, np.rad2deg(self.angles_rad(t)).tolist(), strict=True))
             for k, t in enumerate(times_s)
         }
-        (folder / JOINTS_FILE).write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        atomic_write_text(folder / JOINTS_FILE, json.dumps(rows, indent=1) + "\n")
 
 
 def joint_motion(joints: Sequence[Joint], settings: Sequence[str]) -> JointMotion:

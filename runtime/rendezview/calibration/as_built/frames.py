@@ -61,7 +61,7 @@ def posed(
     camera, model = recognizer.camera, recognizer.model
     used = []
     for k, image in enumerate(frames):
-        frame = check_frame(image, camera.width, camera.height)
+        frame = check_frame(image, camera)
         prior = None if priors is None else priors[k]
         seen = recognizer.recognize(frame, prior)
         if seen.pose is None:

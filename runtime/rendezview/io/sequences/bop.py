@@ -15,11 +15,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
+from rendezview.geometry.camera import Camera, intrinsics_of
 from rendezview.geometry.pose import Pose, nearest_rotation
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import checked, read_json
-from rendezview.io.sequences.fitting import bits_of, check_sizes, depth_note, sampled
+from rendezview.io.plausible import questioned
+from rendezview.io.sequences.fitting import fitted
 from rendezview.io.sequences.frame import Frame, Sequence
 from rendezview.io.sequences.images import list_images, read_grey
 
@@ -28,14 +29,18 @@ _Nine = Annotated[list[FiniteFloat], Field(min_length=9, max_length=9)]
 _Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 
 
-class _SceneCamera(BaseModel):
+class SceneCamera(BaseModel):
+    """A frame's camera."""
+
     model_config = ConfigDict(strict=True)
 
     cam_K: _Nine  # row-wise, px
     timestamp_s: FiniteFloat | None = None
 
 
-class _SceneTruth(BaseModel):
+class SceneTruth(BaseModel):
+    """An object in a frame."""
+
     model_config = ConfigDict(strict=True)
 
     cam_R_m2c: _Nine  # row-wise
@@ -43,8 +48,8 @@ class _SceneTruth(BaseModel):
     obj_id: int
 
 
-_SCENE_CAMERA = TypeAdapter(dict[str, _SceneCamera])
-_SCENE_TRUTH = TypeAdapter(dict[str, list[_SceneTruth]])
+_SCENE_CAMERA = TypeAdapter(dict[str, SceneCamera])
+_SCENE_TRUTH = TypeAdapter(dict[str, list[SceneTruth]])
 _CAMERA_EXTRA = TypeAdapter(dict[str, object])
 
 
@@ -61,7 +66,8 @@ def open_bop_scene(
     Args:
         folder: has ``scene_camera.json``.
         camera: used for all frames instead of the scene's own.
-        obj_id: the object that is the target, if frames show several.
+        obj_id: the object that is the target, if frames show several. Frames with several
+            instances of it have no truth.
 
     Raises:
         RendezviewError: a file is missing or wrong, or frames show several objects
@@ -74,22 +80,23 @@ def open_bop_scene(
     )
     if not cameras:
         raise RendezviewError(f"{cameras_path}: lists no frames: write the scene again")
-    truth: dict[int, list[_SceneTruth]] = {}
+    truth: dict[int, list[SceneTruth]] = {}
     if truth_path.is_file():
         truth = _by_number(
             checked(_SCENE_TRUTH, read_json(truth_path, "BOP truth"), str(truth_path)), truth_path
         )
     images_folder, images = _images(folder)
     base = camera if camera is not None else _scene_camera(folder, next(iter(images.values())))
-    samples = sampled(list(images.values()))
-    check_sizes(samples, base, images_folder)
-    bits = bits_of(samples, base)
+    bits, notes = fitted(list(images.values()), base, images_folder)
     frames = []
+    several = 0
     for im_id, entry in sorted(cameras.items()):
         own = camera
         if own is None:
-            own = _with_matrix(base, entry.cam_K, f"{cameras_path}: {im_id}.cam_K")
-        target = _chosen(truth.get(im_id, []), obj_id, f"{truth_path}: {im_id}")
+            own = with_matrix(base, entry.cam_K, f"{cameras_path}: {im_id}.cam_K")
+        shown = chosen(truth.get(im_id, []), obj_id, f"{truth_path}: {im_id}")
+        target = shown[0] if len(shown) == 1 else None
+        several += len(shown) > 1
         path = images.get(im_id, images_folder / f"{im_id:06d}.png")
         frames.append(
             Frame(
@@ -99,17 +106,24 @@ def open_bop_scene(
                 camera=own,
                 camera_from_target=None
                 if target is None
-                else _pose(target, f"{truth_path}: {im_id}"),
-                obj_id=target.obj_id if target is not None else (obj_id or 1),
+                else pose_of(target, f"{truth_path}: {im_id}"),
+                obj_id=shown[0].obj_id if shown else (obj_id or 1),
                 fetch=partial(read_grey, path, bits),
             )
         )
+    notes = (*notes, *instances_note(several, len(frames)))
     return Sequence(
         scene_id=_scene_id(folder),
         frames=tuple(frames),
         source=folder,
-        notes=depth_note(bits, base),
+        notes=notes,
     )
+
+
+def instances_note(several: int, frames: int) -> tuple[str, ...]:
+    """What is said of frames that show the target several times."""
+    said = f"{several} of {frames} frames show the target several times: they have no truth"
+    return (said,) if several else ()
 
 
 def _by_number(entries: dict[str, Entry], path: Path) -> dict[int, Entry]:
@@ -144,34 +158,44 @@ def _scene_camera(folder: Path, first_image: Path) -> Camera:
     return Camera(width, height, 1.0, 1.0, 0.0, 0.0)  # its matrix is replaced for every frame
 
 
-def _with_matrix(camera: Camera, values: list[float], where: str) -> Camera:
-    fx, skew, cx, below, fy, cy, *last = values
-    if abs(skew) > 1e-6 * abs(fx) or below != 0.0 or last != [0.0, 0.0, 1.0]:
-        raise RendezviewError(
-            f"{where}: must be [fx 0 cx; 0 fy cy; 0 0 1] row-wise (no skew), not {values}: "
-            f"correct the scene"
-        )
-    if (fx, fy, cx, cy) == (camera.fx, camera.fy, camera.cx, camera.cy):
-        return camera  # one object for all frames of a fixed camera
+def with_matrix(camera: Camera, values: list[float], where: str) -> Camera:
+    """The camera with the matrix of a frame.
+
+    Raises:
+        RendezviewError: none, or one from which nothing good can follow.
+    """
     try:
-        return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy)
+        fx, fy, cx, cy = intrinsics_of(values)
+        if (fx, fy, cx, cy) == (camera.fx, camera.fy, camera.cx, camera.cy):
+            return camera  # one object for all frames of a fixed camera
+        return questioned(replace(camera, fx=fx, fy=fy, cx=cx, cy=cy), "give it by --camera")
     except ValueError as error:
         raise RendezviewError(f"{where}: {error}: correct the scene") from error
 
 
-def _chosen(entries: list[_SceneTruth], obj_id: int | None, where: str) -> _SceneTruth | None:
+def chosen(entries: list[SceneTruth], obj_id: int | None, where: str) -> list[SceneTruth]:
+    """The instances of the target.
+
+    Raises:
+        RendezviewError: several objects without ``obj_id``.
+    """
     if obj_id is not None:
         entries = [entry for entry in entries if entry.obj_id == obj_id]
-    if len(entries) > 1:
+    if len({entry.obj_id for entry in entries}) > 1:
         objects = ", ".join(str(entry.obj_id) for entry in entries)
         raise RendezviewError(
             f"{where}: several objects ({objects}) but one target is tracked: choose one "
             f"by its obj_id, or keep one entry per frame"
         )
-    return entries[0] if entries else None
+    return entries
 
 
-def _pose(entry: _SceneTruth, where: str) -> Pose:
+def pose_of(entry: SceneTruth, where: str) -> Pose:
+    """camera_from_target of an object.
+
+    Raises:
+        RendezviewError: not a rotation.
+    """
     try:
         rotation = nearest_rotation(np.reshape(entry.cam_R_m2c, (3, 3)))
     except ValueError as error:

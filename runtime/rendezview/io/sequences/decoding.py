@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import struct
-import threading
 import zlib
-from collections.abc import Iterator
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.io.grey_frame import eight_bits
 from rendezview.io.sequences.frame import GreyImage
+from rendezview.io.sequences.picture import AS_STORED
+from rendezview.io.sequences.picture_marks import marks_of, tiff_as_stored
+from rendezview.io.sequences.quiet import quiet_opencv
 
 PNG = b"\x89PNG\r\n\x1a\n"  # first bytes of a file
 JPEG = b"\xff\xd8\xff"
@@ -24,53 +24,20 @@ _SCAN = b"\xff\xda"  # marker of a scan: in packed data 0xff is followed by othe
 _MOST_SCANS = 64
 _SURPLUS = 65_536  # bytes that a PNG may unpack to beyond its picture. Source: a chosen limit
 _SAMPLES = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # a pixel, by colour type. Source: PNG, table 11.1
-_PACKED_TEXT = (b"zTXt", b"iTXt", b"iCCP")  # chunks that are unpacked too
-_MOST_PACKED_TEXT = 65_536  # bytes of them together. Source: a chosen limit
+# Chunks that are given to the decoder: it would apply others to the levels (gAMA, sRGB: up to 65 of
+# 255 where colour becomes grey), or unpack them (texts, profiles).
+_DECODED = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
+# Chunks of a PNG beyond one per KiB of the file; libpng's own have 8 KiB. Source: a chosen limit
+_MOST_CHUNKS = 1000
 _AT_ONCE = 1 << 20  # bytes that are unpacked at once. Source: chosen
 _INTERLACED_ROWS = 8  # filter bytes a row and pass, at most. Source: PNG, section 8.2
 
-# A picture rotated by its EXIF tag does not fit its calibration.
-# IMREAD_GRAYSCALE alone drops the low eight of 16 bits.
-_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+_TIFF = (b"II*\0", b"MM\0*")
+_WITH_ALPHA = (b"\x89PNG", b"RIFF")
 _ANIMATED = (b"acTL", b"fcTL", b"fdAT")
 
 Levels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]  # grey, (height, width), as stored
 Bytes = bytes | bytearray | memoryview | npt.NDArray[np.uint8]
-
-
-@contextlib.contextmanager
-def quiet_opencv() -> Iterator[None]:
-    """Silence OpenCV's own messages: our error describes the fault. Threads may overlap."""
-    _silence.enter()
-    try:
-        yield
-    finally:
-        _silence.leave()
-
-
-class _Silence:
-    """OpenCV's log level, which is global: the first thread silences it, the last restores it."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._threads = 0
-        self._level = 0
-
-    def enter(self) -> None:
-        with self._lock:
-            if self._threads == 0:
-                self._level = cv2.utils.logging.getLogLevel()
-                cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-            self._threads += 1
-
-    def leave(self) -> None:
-        with self._lock:
-            self._threads -= 1
-            if self._threads == 0:
-                cv2.utils.logging.setLogLevel(self._level)
-
-
-_silence = _Silence()
 
 
 def decode_grey(content: Bytes, bits: int = 16) -> GreyImage | None:
@@ -90,74 +57,83 @@ def decode_grey(content: Bytes, bits: int = 16) -> GreyImage | None:
     return None if levels is None else eight_bits(levels, bits)
 
 
-def eight_bits(levels: npt.NDArray[Any], bits: int) -> GreyImage:
-    """Grey levels in eight bits, the highest of ``bits``.
-
-    Raises:
-        RendezviewError: a level needs more bits.
-    """
-    if levels.dtype == np.uint8:
-        return np.asarray(levels, dtype=np.uint8)
-    peak = int(levels.max(initial=0))
-    if peak >= 1 << bits:
-        raise RendezviewError(
-            f"a level of {peak} needs more than {bits} bits: put the camera's bit_depth into the "
-            "camera file"
-        )
-    return (levels >> (bits - 8)).astype(np.uint8)
-
-
 def decode_levels(content: Bytes) -> Levels | None:
     """A PNG, JPEG … as grey levels of 8 or 16 bits, as stored: not rotated by its EXIF tag.
 
+    Gamma and profiles are not applied. What is transparent lies over black.
+
     None if it is damaged, cut short, animated, of floating-point levels, or not a picture; or if
-    a small file would cost much time: a JPEG of hundreds of scans, a PNG that unpacks to more than
-    its picture. The checksums of a PNG are checked first, because OpenCV's decoder can hang over a
-    damaged one.
+    a small file would cost much time: a JPEG of hundreds of scans, a PNG of many thousand chunks or
+    one that unpacks to more than its picture. The checksums of a PNG are checked first, because
+    OpenCV's decoder can hang over a damaged one.
     """
     if len(content) == 0:
         return None
     data = np.frombuffer(content, dtype=np.uint8)
     start = data[: len(PNG)].tobytes()
-    if start == PNG and not _png_is_whole(data.data):
-        return None
+    if start == PNG:
+        plain = _plain_png(data.data)
+        if plain is None:
+            return None
+        data = np.frombuffer(plain, dtype=np.uint8)
+    if start[:4] in _TIFF:
+        data = np.frombuffer(tiff_as_stored(data.tobytes()), dtype=np.uint8)
     if start[:3] == JPEG and data.tobytes().count(_SCAN) > _MOST_SCANS:
         return None
     try:
         with quiet_opencv():
-            image = cv2.imdecode(data, _AS_STORED)
+            image = cv2.imdecode(data, AS_STORED)
+            if image is None or image.dtype not in (np.uint8, np.uint16):
+                return None
+            if start[:4] in _WITH_ALPHA and marks_of(data.tobytes()).transparent:
+                image = _over_black(image, cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
     except cv2.error:
-        return None
-    if image is None or image.dtype not in (np.uint8, np.uint16):
         return None
     return image  # type: ignore[return-value]  # its type was checked
 
 
-def _png_is_whole(view: memoryview) -> bool:
-    """Whether all chunks have the right checksum, and there is a single picture."""
-    place, text_bytes = len(PNG), 0
+def is_animated(content: bytes) -> bool:
+    """Whether a PNG holds several pictures."""
+    return content.startswith(PNG) and content[:_AT_ONCE].find(_ANIMATED[0]) > 0
+
+
+def _over_black(grey: npt.NDArray[Any], whole: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
+    """Grey levels with the transparency of the whole picture."""
+    if whole is None or whole.ndim != 3 or whole.shape[2] != 4 or whole.dtype != grey.dtype:
+        return grey
+    alpha, most = whole[:, :, 3], np.iinfo(grey.dtype).max
+    if (alpha == most).all():
+        return grey
+    dimmed: npt.NDArray[Any] = (grey.astype(np.uint64) * alpha + most // 2) // most
+    return dimmed.astype(grey.dtype)
+
+
+def _plain_png(view: memoryview) -> bytes | None:
+    """The chunks that are decoded; None if a checksum is wrong, or there is no single picture."""
+    place = len(PNG)
+    kept = [bytes(view[:place])]
     pixels: _Unpacked | None = None
-    while place + 12 <= len(view):
+    for _ in range(_MOST_CHUNKS + len(view) // 1024):
+        if place + 12 > len(view):
+            return None
         length, kind = struct.unpack(">I4s", view[place : place + 8])
         end = place + 12 + length
         if end > len(view) or kind in _ANIMATED:
-            return False
+            return None
         (checksum,) = struct.unpack(">I", view[end - 4 : end])
         if zlib.crc32(view[place + 4 : end - 4]) != checksum:
-            return False
+            return None
         content = view[place + 8 : end - 4]
         if kind == b"IHDR" and length == 13:
             pixels = _Unpacked.of(bytes(content))
         elif kind == b"IDAT" and (pixels is None or not pixels.takes(content)):
-            return False
-        elif kind in _PACKED_TEXT:
-            text_bytes += length
-            if text_bytes > _MOST_PACKED_TEXT:
-                return False
-        elif kind == b"IEND":
-            return True  # what follows is not read
+            return None
+        if kind in _DECODED:
+            kept.append(bytes(view[place:end]))
+        if kind == b"IEND":
+            return b"".join(kept)  # what follows is not read
         place = end
-    return False
+    return None
 
 
 class _Unpacked:

@@ -2,58 +2,84 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import BIT_DEPTHS, Camera
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import read_bytes
+from rendezview.io.plausible import comb_doubts
 from rendezview.io.sequences.decoding import Levels, decode_levels
 from rendezview.io.sequences.misfit import misfit
+from rendezview.io.sequences.picture_marks import Marks, mark_notes, marks_of
 
 _SAMPLES = 5  # pictures of a sequence that are looked at before it runs. Source: a chosen limit
 _MOST_CAMERA_FILES = 30  # that are read to name one that fits. Source: a chosen limit
 _CAMERA_SUFFIXES = (".yaml", ".yml", ".json", ".xml")
 
 
-def sampled(paths: Sequence[Path]) -> list[Levels]:
-    """Some pictures of a sequence from first to last, as stored, without unreadable ones."""
-    places = np.unique(np.linspace(0, len(paths) - 1, _SAMPLES).round().astype(int))
-    pictures = []
-    for place in places:
-        try:
-            content = read_bytes(paths[place], "an image")
-        except RendezviewError:
-            continue
+def sampled(count: int) -> npt.NDArray[np.intp]:
+    """Places, evenly spread, of the few of so many pictures that are looked at before a run."""
+    return np.unique(np.linspace(0, count - 1, _SAMPLES).round().astype(np.intp))
+
+
+def decoded(contents: Iterable[bytes]) -> tuple[list[Levels], list[Marks]]:
+    """Levels and marks of the files that are pictures."""
+    pictures: list[Levels] = []
+    marks: list[Marks] = []
+    for content in contents:
         picture = decode_levels(content)
         if picture is not None:
             pictures.append(picture)
-    return pictures
+            marks.append(marks_of(content))
+    return pictures, marks
 
 
-def bits_of(pictures: Iterable[Levels], camera: Camera) -> int | None:
-    """Bits of pictures with 16-bit levels; None for 8-bit levels.
+def fitted(
+    paths: Sequence[Path], camera: Camera, folder: Path
+) -> tuple[int | None, tuple[str, ...]]:
+    """Bits of 16-bit levels (None: the levels have 8), and notes on the pictures.
 
-    Those of the camera, else the fewest that hold all levels of the pictures. The sequence is read
-    with this number, and a frame with a higher level is an error, not a guess.
+    Some pictures from first to last are read, unreadable ones left out. The bits are those of the
+    camera, else the fewest that hold all their levels. The sequence is read with this number, and a
+    frame with a higher level is an error, not a guess.
+
+    Raises:
+        RendezviewError: the camera fits none of the pictures.
     """
+
+    def readable() -> Iterator[bytes]:
+        for place in sampled(len(paths)):
+            with contextlib.suppress(RendezviewError):
+                yield read_bytes(paths[place], "an image")
+
+    pictures, marks = decoded(readable())
+    return fitted_levels(pictures, marks, camera, folder)
+
+
+def fitted_levels(
+    pictures: Sequence[Levels], marks: Sequence[Marks], camera: Camera, folder: Path
+) -> tuple[int | None, tuple[str, ...]]:
+    """As `fitted`, of pictures that were read, and their marks."""
+    check_sizes(pictures, camera, folder)
+    bits, notes = _bits_of(pictures, camera)
+    combed = (doubt.what for doubt in comb_doubts(pictures))
+    return bits, (*notes, *mark_notes(marks), *combed)
+
+
+def _bits_of(pictures: Sequence[Levels], camera: Camera) -> tuple[int | None, tuple[str, ...]]:
+    """Bits in use, and what a command says of a number that no file gives."""
     peaks = [int(picture.max()) for picture in pictures if picture.dtype == np.uint16]
-    if not peaks:
-        return None
-    if camera.bit_depth is not None:
-        return camera.bit_depth
-    return next(bits for bits in BIT_DEPTHS if max(peaks) < 1 << bits)
-
-
-def depth_note(bits: int | None, camera: Camera) -> tuple[str, ...]:
-    """What a command says of a number of bits that no file gives."""
-    if bits is None or camera.bit_depth is not None:
-        return ()
-    return (
+    if not peaks or camera.bit_depth is not None:
+        return camera.bit_depth if peaks else None, ()
+    bits = next(bits for bits in BIT_DEPTHS if max(peaks) < 1 << bits)
+    return bits, (
         f"the pictures have 16-bit levels, of which {bits} bits are used: put bit_depth into the "
         "camera file if that is wrong",
     )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 import numpy.typing as npt
@@ -53,6 +54,16 @@ class Sequence:
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence: ...
+    def __getitem__(self, index: int | slice) -> Frame | Sequence:
+        """A frame by its place, or a part as a sequence."""
+        if isinstance(index, slice):
+            return replace(self, frames=self.frames[index])
+        return self.frames[index]
 
     def __iter__(self) -> Iterator[Frame]:
         return iter(self.frames)

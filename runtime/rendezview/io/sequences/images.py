@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -13,13 +14,14 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write, read_bytes
-from rendezview.io.sequences.decoding import decode_grey
+from rendezview.io.sequences.decoding import decode_grey, is_animated
 from rendezview.io.sequences.frame import GreyImage
+from rendezview.io.sequences.stacks import first_levels, has_format
 
 IMAGE_SUFFIXES = frozenset(
-    {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp"}
+    {".png", ".jpg", ".jpeg", ".jfif", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp"}
 )
-CAMERA_NAMES = ("camera.json", "camera.yaml", "camera.yml")
+CAMERA_NAMES = ("camera.json", "camera.yaml", "camera.yml", "cam_K.txt")
 
 
 def read_grey(path: Path, bits: int | None = None) -> GreyImage:
@@ -38,10 +40,8 @@ def read_grey(path: Path, bits: int | None = None) -> GreyImage:
     except RendezviewError as error:
         raise RendezviewError(f"{path}: {error}") from error
     if image is None:
-        raise RendezviewError(
-            f"{path}: not an image that can be read (damaged, cut short or of another "
-            f"kind): replace the file"
-        )
+        why = "animated" if is_animated(content) else "damaged, cut short or of another kind"
+        raise RendezviewError(f"{path}: not an image that can be read ({why}): replace the file")
     return image
 
 
@@ -58,15 +58,16 @@ def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
         file.write(content.tobytes())
 
 
-def list_images(folder: Path) -> list[Path]:
+def list_images(
+    folder: Path,
+    wanted: Callable[[Path], bool] = lambda path: path.suffix.lower() in IMAGE_SUFFIXES,
+) -> list[Path]:
     """The image files of a folder in natural order (2.png before 10.png), without hidden files."""
     try:
         found = [
             path
             for path in folder.iterdir()
-            if path.suffix.lower() in IMAGE_SUFFIXES
-            and not path.name.startswith(".")
-            and path.is_file()
+            if wanted(path) and not path.name.startswith(".") and path.is_file()
         ]
     except OSError as error:
         raise RendezviewError(
@@ -81,21 +82,29 @@ def natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
     return [(int(p), "") if p[0] in "0123456789" else (-1, p.lower()) for p in parts], name
 
 
-def camera_beside(folder: Path) -> Camera | None:
-    """The camera of ``camera.json``, ``camera.yaml`` or ``camera.yml`` in a folder, if any."""
+def camera_beside(folder: Path, image: Path | None = None) -> Camera | None:
+    """The camera of one of `CAMERA_NAMES` in a folder, if any; an image has the size it lacks."""
+
+    def size() -> tuple[int, int]:
+        assert image is not None
+        levels = first_levels(image) if has_format(image) else read_grey(image)
+        return levels.shape[1], levels.shape[0]
+
     for name in CAMERA_NAMES:
         if (folder / name).is_file():
-            return load_camera(folder / name)
+            return load_camera(folder / name, None if image is None else size)
     return None
 
 
-def required_camera(camera: Camera | None, folder: Path, source: Path) -> Camera:
-    """The camera given, else the one found in ``folder``.
+def required_camera(
+    camera: Camera | None, folder: Path, source: Path, image: Path | None = None
+) -> Camera:
+    """The camera given, else the one found in ``folder``; ``image`` as for `camera_beside`.
 
     Raises:
         RendezviewError: there is none.
     """
-    found = camera if camera is not None else camera_beside(folder)
+    found = camera if camera is not None else camera_beside(folder, image)
     if found is None:
         raise RendezviewError(
             f"{source}: no camera: give a camera file, or put one into {folder} "

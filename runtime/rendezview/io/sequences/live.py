@@ -18,8 +18,8 @@ import numpy as np
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
-from rendezview.io.sequences.decoding import quiet_opencv
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
+from rendezview.io.sequences.quiet import quiet_opencv
 
 _STREAM = re.compile(r"(rtsp|rtsps|http|https|udp|tcp)://.+")
 _TIMED = re.compile(r"(rtsp|rtsps|udp)://.+")  # pictures come with the sender's times

@@ -13,10 +13,14 @@ from typing import Any
 
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences.message_images import Calibration, PackedPicture, RawPicture
-from rendezview.io.sequences.recordings import Content, Message
+from rendezview.io.sequences.message_video import VideoPart
+from rendezview.io.sequences.recordings import Content, CutOff, Message
 from rendezview.io.sequences.ros_messages import CALIBRATIONS, PICTURES, message, short_name
 
-_FOXGLOVE = ("foxglove.RawImage", "foxglove.CompressedImage", "foxglove.CameraCalibration")
+_FOXGLOVE = (
+    "foxglove.RawImage", "foxglove.CompressedImage", "foxglove.CompressedVideo",
+    "foxglove.CameraCalibration",
+)  # fmt: skip
 _NEEDED = "pip install 'rendezview[{}]'"
 _MOST_RECORD = 4_000_000_000  # bytes; a longer record is damage. Source: a chosen limit
 _Decoder = Callable[[str, int, bytes], Message]
@@ -26,6 +30,7 @@ def mcap_messages(path: Path) -> Iterator[Message]:
     """Pictures and calibrations, in the order of the file.
 
     Raises:
+        CutOff: at the end of a file that was cut off.
         RendezviewError: a package is not installed, or this is no MCAP file.
     """
     try:
@@ -56,7 +61,7 @@ def mcap_messages(path: Path) -> Iterator[Message]:
                     if decoder is not None:
                         yield decoder(topics[record.channel_id], record.log_time, record.data)
     except EndOfFile:
-        return  # the file was cut off
+        raise CutOff(f"cut off at byte {path.stat().st_size}") from None
     except RendezviewError:
         raise
     except OSError as error:
@@ -114,12 +119,13 @@ def _foxglove(path: Path, name: str, encoding: str) -> _Decoder:
         try:
             from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
             from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+            from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
             from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
         except ModuleNotFoundError as error:
             raise RendezviewError(
                 f"{path}: Foxglove's messages need {error.name}: {_NEEDED.format('service')}"
             ) from None
-        kinds: tuple[Any, ...] = (RawImage, CompressedImage, CameraCalibration)
+        kinds: tuple[Any, ...] = (RawImage, CompressedImage, CompressedVideo, CameraCalibration)
         parse = kinds[_FOXGLOVE.index(name)].FromString
         read = _protobuf_content
 
@@ -139,6 +145,8 @@ def _protobuf_content(name: str, found: Any) -> tuple[float, Content]:
         )
     if name == "foxglove.CompressedImage":
         return stamp_s, PackedPicture(found.data)
+    if name == "foxglove.CompressedVideo":
+        return stamp_s, VideoPart(found.format, found.data)
     return stamp_s, Calibration(
         found.width, found.height, found.distortion_model, tuple(found.D), tuple(found.K),
         tuple(found.P),
@@ -156,6 +164,8 @@ def _json_content(name: str, found: Any) -> tuple[float, Content]:
     data = base64.b64decode(found["data"])
     if name == "foxglove.CompressedImage":
         return stamp_s, PackedPicture(data)
+    if name == "foxglove.CompressedVideo":
+        return stamp_s, VideoPart(found["format"], data)
     return stamp_s, RawPicture(
         found["width"], found["height"], found["step"], found["encoding"], data
     )

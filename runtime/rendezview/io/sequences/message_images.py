@@ -16,7 +16,8 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import camera_from_keys
-from rendezview.io.sequences.decoding import decode_levels, eight_bits
+from rendezview.io.grey_frame import eight_bits
+from rendezview.io.sequences.decoding import decode_levels
 from rendezview.io.sequences.frame import GreyImage
 
 # Channels, and the conversion to grey; None: already grey.

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
 from pathlib import Path
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.files import StrPath
+from rendezview.io.plausible import time_doubts
 from rendezview.io.sequences.bop import open_bop_scene
+from rendezview.io.sequences.bop_shards import open_bop_shard
 from rendezview.io.sequences.folder import open_image_folder, open_images
 from rendezview.io.sequences.frame import Sequence
 from rendezview.io.sequences.images import IMAGE_SUFFIXES, read_grey, required_camera
 from rendezview.io.sequences.mcap_messages import mcap_messages
+from rendezview.io.sequences.order import in_order
 from rendezview.io.sequences.recordings import open_recording, split_topic
 from rendezview.io.sequences.ros_messages import BAG_SUFFIXES, bag_messages, is_ros2_folder
 from rendezview.io.sequences.speed import (
@@ -20,13 +25,14 @@ from rendezview.io.sequences.speed import (
     open_speed,
     speed_camera_file,
 )
+from rendezview.io.sequences.stacks import has_format
 from rendezview.io.sequences.video import VIDEO_SUFFIXES, open_video
 
 
 def open_sequence(
     path: StrPath, camera: Camera | None = None, *, obj_id: int | None = None
 ) -> Sequence:
-    """Open a BOP scene, a SPEED folder, images, a video, a ROS bag or an MCAP file.
+    """Open a BOP scene or shard, a SPEED folder, images, a video, a ROS bag or an MCAP file.
 
     At most five images are read (of a recording, all messages once); frames are read on demand.
 
@@ -38,9 +44,33 @@ def open_sequence(
             without calibration messages.
         obj_id: the object of a BOP scene that is the target, if frames show several.
 
+    What is odd about the frames, their times and their camera is in the notes of the sequence.
+
     Raises:
-        RendezviewError: missing, none of these kinds, incomplete, or no camera.
+        RendezviewError: missing, none of these kinds, incomplete, no camera, or one from which
+            nothing good can follow.
     """
+    opened = _risen(_opened(path, camera, obj_id))
+    cameras = dict.fromkeys(d for frame in opened.frames[:1] for d in frame.camera.doubts)
+    times = (doubt.what for doubt in time_doubts([frame.time_s for frame in opened]))
+    return replace(opened, notes=(*opened.notes, *cameras, *times))
+
+
+def _risen(sequence: Sequence) -> Sequence:
+    """A sequence whose times rise, if all its frames have one."""
+    times_s = [frame.time_s for frame in sequence if frame.time_s is not None]
+    if len(times_s) < len(sequence) or all(a < b for a, b in itertools.pairwise(times_s)):
+        return sequence
+    if len(set(times_s)) == 1:
+        frames = tuple(replace(frame, time_s=None) for frame in sequence)
+        said = f"all {len(frames)} frames have one time, {times_s[0]:g} s, which is left out"
+        return replace(sequence, frames=frames, notes=(*sequence.notes, said))
+    order, notes = in_order(times_s)
+    frames = tuple(sequence.frames[k] for k in order)
+    return replace(sequence, frames=frames, notes=(*sequence.notes, *notes))
+
+
+def _opened(path: StrPath, camera: Camera | None, obj_id: int | None) -> Sequence:
     source, topic = Path(path), None
     if not source.exists():
         text, topic = split_topic(str(path))
@@ -62,16 +92,20 @@ def open_sequence(
         )
     if source.name in ("scene_camera.json", "scene_gt.json"):
         return open_bop_scene(source.parent, camera, obj_id)
+    if suffix == ".tar":
+        return open_bop_shard(source, camera, obj_id)
     if suffix == ".json" and is_label_file(source):
         return open_speed(source, camera)
     if suffix in VIDEO_SUFFIXES:
         return open_video(source, camera)
-    if suffix in IMAGE_SUFFIXES:
-        read_grey(source)
-        return open_images([source], required_camera(camera, source.parent, source), source)
+    if suffix in IMAGE_SUFFIXES or has_format(source):
+        if not has_format(source):
+            read_grey(source)
+        return open_images([source], required_camera(camera, source.parent, source, source), source)
     raise RendezviewError(
-        f"{path}: no sequence of images: give a BOP scene, a folder of images, a SPEED folder, a "
-        f"ROS bag (.bag .db3), an .mcap file or a video ({' '.join(sorted(VIDEO_SUFFIXES))})"
+        f"{path}: no sequence of images that is read: give a BOP scene, a folder of images (PNG, "
+        f"JPEG, TIFF, FITS …), a SPEED folder, a ROS bag (.bag .db3), an .mcap file or a video "
+        f"({' '.join(sorted(VIDEO_SUFFIXES))})"
     )
 
 

@@ -7,6 +7,8 @@ messages whose topic is most like that of the pictures, unless one is given.
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,8 +20,16 @@ from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 from rendezview.io.sequences.images import camera_beside
 from rendezview.io.sequences.message_images import Calibration, PackedPicture, RawPicture, grey
+from rendezview.io.sequences.message_video import VideoPart, VideoTopic
+from rendezview.io.sequences.order import in_order
+from rendezview.io.sequences.video import VideoReader
 
-Content = RawPicture | PackedPicture | Calibration
+Content = RawPicture | PackedPicture | VideoPart | Calibration
+_KEPT = 8  # undecoded messages, for pictures that come late. Source: a chosen limit
+
+
+class CutOff(RendezviewError):
+    """The recording ends within a record; all before it was given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +51,9 @@ class _Found:
 
     stamps_s: dict[str, list[float]]  # of the pictures, by topic
     logged_s: dict[str, list[float]]  # times of recording
+    keys: dict[str, list[bool]]  # of topics with video: key pictures
     calibrations: dict[str, Calibration]  # the first, by topic
+    cut_off: str | None = None
 
 
 def split_topic(text: str) -> tuple[str, str | None]:
@@ -53,10 +65,11 @@ def split_topic(text: str) -> tuple[str, str | None]:
 def open_recording(
     path: Path, messages: Messages, topic: str | None = None, camera: Camera | None = None
 ) -> Sequence:
-    """The pictures of one topic, numbered from 0 in the order of the recording.
+    """The pictures of one topic, numbered from 0 in the order of their times.
 
     Their times are the stamps of their headers, usually seconds since 1970; if none has a stamp,
-    the times of recording. The recording is read once to find them.
+    the times of recording. The recording is read once to find them. Pictures without a stamp, and
+    all but the first of one stamp, are left out, which the notes count.
 
     Args:
         path: the recording.
@@ -72,20 +85,30 @@ def open_recording(
     own = camera if camera is not None else _camera(path, found, chosen)
     stamps_s = found.stamps_s[chosen]
     times_s = stamps_s if any(stamps_s) else found.logged_s[chosen]
-    reader = RecordingReader(path, messages, chosen, own.bit_depth)
+    reader: RecordingReader | VideoReader
+    if chosen in found.keys:
+        lead = next((k for k, key in enumerate(found.keys[chosen]) if key), len(times_s))
+        reader = VideoReader(VideoTopic(path, partial(_parts, path, messages, chosen, lead)))
+    else:
+        lead, reader = 0, RecordingReader(path, messages, chosen, own.bit_depth)
+    order, notes = in_order(times_s, lead)
+    if found.cut_off is not None:
+        notes.append(f"{found.cut_off}: {len(times_s)} pictures of {chosen} before it")
+    if not order:
+        raise RendezviewError(f"{path}: no picture of {chosen} can be read: {'; '.join(notes)}")
     frames = tuple(
         Frame(
-            im_id=index,
+            im_id=number,
             name=f"{path.name}#{chosen}, frame {index}",
-            time_s=time_s,
+            time_s=times_s[index],
             camera=own,
             camera_from_target=None,
             obj_id=1,
-            fetch=partial(reader.read, index),
+            fetch=partial(reader.read, index - lead),
         )
-        for index, time_s in enumerate(times_s)
+        for number, index in enumerate(order)
     )
-    return Sequence(scene_id=1, frames=frames, source=path)
+    return Sequence(scene_id=1, frames=frames, source=path, notes=tuple(notes))
 
 
 class RecordingReader:
@@ -98,6 +121,7 @@ class RecordingReader:
         self._source = path, messages, topic, bits
         self._pass: Iterator[Message] | None = None
         self._next = 0  # number of the picture that comes next
+        self._kept: dict[int, Message] = {}  # the last ones, undecoded, by number
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[type[RecordingReader], tuple[Path, Messages, str, int | None]]:
@@ -112,35 +136,57 @@ class RecordingReader:
         path, messages, topic, bits = self._source
         where = f"{path}#{topic}, frame {index}"
         with self._lock:
-            if self._pass is None or index < self._next:
+            if index not in self._kept and (self._pass is None or index < self._next):
                 self._pass, self._next = _of_topic(path, messages, topic), 0
-            for message in self._pass:
+                self._kept.clear()
+            while index not in self._kept and self._pass is not None:
+                message = next(self._pass, None)
+                if message is None:
+                    self._pass = None
+                    break
+                self._kept[self._next] = message
+                self._kept.pop(self._next - _KEPT, None)
                 self._next += 1
-                if self._next > index:
-                    content = _decoded(path, message)[1]
-                    if isinstance(content, Calibration):
-                        break
-                    return grey(content, where, bits)
-            self._pass = None
+            kept = self._kept.get(index)
+        content = None if kept is None else _decoded(path, kept)[1]
+        if isinstance(content, RawPicture | PackedPicture):
+            return grey(content, where, bits)
         raise RendezviewError(f"{where}: is no longer there: the recording has changed")
 
 
 def _first_pass(path: Path, messages: Messages) -> _Found:
-    found = _Found({}, {}, {})
-    for message in messages(path):
-        if message.calibrates:
-            if message.topic not in found.calibrations:
-                content = _decoded(path, message)[1]
-                if isinstance(content, Calibration):
-                    found.calibrations[message.topic] = content
-            continue
-        found.stamps_s.setdefault(message.topic, []).append(_decoded(path, message)[0])
-        found.logged_s.setdefault(message.topic, []).append(1e-9 * message.logged_ns)
+    found = _Found({}, {}, {}, {})
+    try:
+        for message in messages(path):
+            if message.calibrates:
+                if message.topic not in found.calibrations:
+                    content = _decoded(path, message)[1]
+                    if isinstance(content, Calibration):
+                        found.calibrations[message.topic] = content
+                continue
+            stamp_s, content = _decoded(path, message)
+            if isinstance(content, VideoPart):
+                found.keys.setdefault(message.topic, []).append(content.is_key)
+            found.stamps_s.setdefault(message.topic, []).append(stamp_s)
+            found.logged_s.setdefault(message.topic, []).append(1e-9 * message.logged_ns)
+    except CutOff as cut:
+        found.cut_off = str(cut)
     return found
 
 
 def _of_topic(path: Path, messages: Messages, topic: str) -> Iterator[Message]:
-    return (m for m in messages(path) if m.topic == topic and not m.calibrates)
+    with contextlib.suppress(CutOff):
+        for message in messages(path):
+            if message.topic == topic and not message.calibrates:
+                yield message
+
+
+def _parts(path: Path, messages: Messages, topic: str, lead: int) -> Iterator[VideoPart]:
+    """The video of a topic, from its first key picture."""
+    for message in itertools.islice(_of_topic(path, messages, topic), lead, None):
+        content = _decoded(path, message)[1]
+        if isinstance(content, VideoPart):
+            yield content
 
 
 def _decoded(path: Path, message: Message) -> tuple[float, Content]:
@@ -159,8 +205,10 @@ def _topic(path: Path, found: _Found, topic: str | None) -> str:
     topics = sorted(found.stamps_s)
     if not topics:
         raise RendezviewError(
-            f"{path}: holds no pictures (sensor_msgs Image or CompressedImage, foxglove RawImage "
-            "or CompressedImage): record a camera's topic"
+            f"{path}: holds no pictures (sensor_msgs Image or CompressedImage, foxglove RawImage, "
+            "CompressedImage or CompressedVideo)"
+            + (f": it is {found.cut_off}, before the first one" if found.cut_off else "")
+            + ": record a camera's topic"
         )
     listed = ", ".join(f"{name} ({len(found.stamps_s[name])})" for name in topics)
     if topic is not None:

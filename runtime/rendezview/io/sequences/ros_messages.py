@@ -12,13 +12,15 @@ from typing import Any
 
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences.message_images import Calibration, PackedPicture, RawPicture
+from rendezview.io.sequences.message_video import VideoPart
 from rendezview.io.sequences.recordings import Content, Message
 
 BAG_SUFFIXES = frozenset({".bag", ".db3"})
 
 _NEEDED = "pip install 'rendezview[ros]'"
 # Type names without ``/msg``, which only ROS 2 has.
-PICTURES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
+VIDEOS = ("ffmpeg_image_transport_msgs/FFMPEGPacket", "foxglove_msgs/CompressedVideo")
+PICTURES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", *VIDEOS)
 CALIBRATIONS = ("sensor_msgs/CameraInfo",)
 
 
@@ -80,7 +82,7 @@ def message(
 
     def decode() -> tuple[float, Content]:
         found = deserialize(data, type_name)
-        stamp = found.header.stamp
+        stamp = found.timestamp if hasattr(found, "timestamp") else found.header.stamp
         return stamp.sec + 1e-9 * stamp.nanosec, _content(type_name, found)
 
     return Message(topic, calibrates, logged_ns, decode)
@@ -99,6 +101,9 @@ def _content(type_name: str, found: Any) -> Content:
         )
     if kind == "sensor_msgs/CompressedImage":
         return PackedPicture(found.data)
+    if kind in VIDEOS:
+        name = found.encoding if hasattr(found, "encoding") else found.format
+        return VideoPart(name, found.data)
     ros1 = hasattr(found, "K")  # ROS 1 has capitals
     k, d, p = (found.K, found.D, found.P) if ros1 else (found.k, found.d, found.p)
     roi = found.roi

@@ -30,7 +30,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import checked, read_json
-from rendezview.io.sequences.fitting import bits_of, check_sizes, depth_note, sampled
+from rendezview.io.sequences.fitting import fitted
 from rendezview.io.sequences.frame import Frame, Sequence
 from rendezview.io.sequences.images import read_grey
 
@@ -108,9 +108,7 @@ def open_speed(path: Path, camera: Camera | None = None) -> Sequence:
     if not labels:
         raise RendezviewError(f"{labels_path}: the list of labels is empty: use another file")
     images = _images_folder(labels_path, labels[0].filename)
-    samples = sampled([images / label.filename for label in labels])
-    check_sizes(samples, camera, images)
-    bits = bits_of(samples, camera)
+    bits, notes = fitted([images / label.filename for label in labels], camera, images)
     frames = tuple(
         Frame(
             im_id=index,
@@ -123,7 +121,7 @@ def open_speed(path: Path, camera: Camera | None = None) -> Sequence:
         )
         for index, label in enumerate(labels)
     )
-    return Sequence(scene_id=1, frames=frames, source=path, notes=depth_note(bits, camera))
+    return Sequence(scene_id=1, frames=frames, source=path, notes=notes)
 
 
 def _images_folder(labels_path: Path, first: str) -> Path:

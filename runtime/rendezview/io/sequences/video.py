@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 from functools import partial
@@ -12,18 +13,34 @@ import numpy as np
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
-from rendezview.io.sequences.decoding import quiet_opencv
 from rendezview.io.sequences.fitting import check_sizes
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 from rendezview.io.sequences.images import required_camera
+from rendezview.io.sequences.message_video import VideoTopic
+from rendezview.io.sequences.quiet import quiet_opencv
 
 VIDEO_SUFFIXES = frozenset(
-    {".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".wmv", ".ogv"}
+    {
+        ".mp4",
+        ".m4v",
+        ".mov",
+        ".avi",
+        ".mkv",
+        ".webm",
+        ".mpg",
+        ".mpeg",
+        ".ts",
+        ".wmv",
+        ".ogv",
+        ".flv",
+    }
 )
+
+_ROUNDING_S = 2e-3  # s; Matroska and FLV count milliseconds. Source: their standards
 
 
 def open_video(path: Path, camera: Camera | None = None) -> Sequence:
-    """The frames of a video, numbered from 0; their times are number / frame rate.
+    """The frames of a video, numbered from 0, with the times at which they are shown.
 
     Args:
         path: the video.
@@ -34,33 +51,68 @@ def open_video(path: Path, camera: Camera | None = None) -> Sequence:
     """
     if not path.is_file():
         raise RendezviewError(f"{path}: no such file; expected a video: check the path")
-    capture = _capture(path)
-    count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-    rate_hz = capture.get(cv2.CAP_PROP_FPS)
-    if count <= 0:  # some containers do not have the count
-        count = 0
-        while capture.grab():
-            count += 1
-    capture.release()
-    if count == 0:
+    times_s, even = _times(path)
+    if not times_s:
         raise RendezviewError(f"{path}: this video has no frames: record or convert it again")
     found = required_camera(camera, path.parent, path)
-    timed = math.isfinite(rate_hz) and rate_hz > 0.0
     reader = VideoReader(path)
     check_sizes(_first(VideoReader(path)), found, path.parent)
     frames = tuple(
         Frame(
             im_id=index,
             name=f"{path.name}, frame {index}",
-            time_s=index / rate_hz if timed else None,
+            time_s=time_s,
             camera=found,
             camera_from_target=None,
             obj_id=1,
             fetch=partial(reader.read, index),
         )
-        for index in range(count)
+        for index, time_s in enumerate(times_s)
     )
-    return Sequence(scene_id=1, frames=frames, source=path)
+    steps = [b - a for a, b in itertools.pairwise(times_s) if a is not None and b is not None]
+    uneven = f"the frames come {min(steps):.3g} to {max(steps):.3g} s apart" if not even else ""
+    return Sequence(scene_id=1, frames=frames, source=path, notes=(uneven,) if uneven else ())
+
+
+def _times(path: Path) -> tuple[list[float | None], bool]:
+    """When each frame is shown, s, or None where the file does not say; whether they are even.
+
+    The packets say it, without decoding. They are trusted if there are as many as the file
+    announces, at its rate. If not, all frames are decoded once: some formats have packets that show
+    nothing, and edits hide frames.
+    """
+    capture = _capture(path)
+    count, rate_hz = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), capture.get(cv2.CAP_PROP_FPS)
+    step_s = 1.0 / rate_hz if math.isfinite(rate_hz) and rate_hz > 0.0 else None
+    capture.set(cv2.CAP_PROP_FORMAT, -1)  # packets
+    packets = sorted(_stamps(capture))
+    if len(packets) != count or not _is_even(packets, step_s):
+        shown = _stamps(_capture(path))
+        rising = all(a < b for a, b in itertools.pairwise(shown))
+        if shown and not rising and len(packets) == len(shown):
+            shown, rising = packets, all(a < b for a, b in itertools.pairwise(packets))
+        if rising and len(shown) > 1 and not _is_even(shown, step_s):
+            return [time_s - shown[0] for time_s in shown], False
+        count = len(shown)
+    return [None if step_s is None else index * step_s for index in range(count)], True
+
+
+def _stamps(capture: cv2.VideoCapture) -> list[float]:
+    stamps = []
+    while capture.grab():
+        stamps.append(1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC))
+    capture.release()
+    return stamps
+
+
+def _is_even(stamps_s: list[float], step_s: float | None) -> bool:
+    """Whether frames come at a rate, to the rounding of a container's clock."""
+    if step_s is None or not stamps_s:
+        return False
+    return all(
+        abs(stamp_s - stamps_s[0] - index * step_s) < _ROUNDING_S
+        for index, stamp_s in enumerate(stamps_s)
+    )
 
 
 class VideoReader:
@@ -71,14 +123,14 @@ class VideoReader:
     and it can be sent to another process.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path | VideoTopic) -> None:
         self._path = path
         self._capture: cv2.VideoCapture | None = None
         self._next = 0  # number of the next frame
         self._last: tuple[int, GreyImage] | None = None  # kept for the next call
         self._lock = threading.Lock()
 
-    def __reduce__(self) -> tuple[type[VideoReader], tuple[Path]]:
+    def __reduce__(self) -> tuple[type[VideoReader], tuple[Path | VideoTopic]]:
         return VideoReader, (self._path,)
 
     def read(self, index: int) -> GreyImage:
@@ -124,11 +176,14 @@ def _first(reader: VideoReader) -> list[GreyImage]:
         return []
 
 
-def _capture(path: Path) -> cv2.VideoCapture:
+def _capture(path: Path | VideoTopic) -> cv2.VideoCapture:
     # Other back ends accept files that are not videos, and print messages.
     has_ffmpeg = cv2.videoio_registry.hasBackend(cv2.CAP_FFMPEG)
-    with quiet_opencv():
-        capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG if has_ffmpeg else cv2.CAP_ANY)
+    if isinstance(path, Path):
+        with quiet_opencv():
+            capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG if has_ffmpeg else cv2.CAP_ANY)
+    else:
+        capture = path.open()
     if not capture.isOpened():
         raise RendezviewError(
             f"{path}: not a video that can be read: check the file, or convert it "

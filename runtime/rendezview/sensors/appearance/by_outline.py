@@ -7,6 +7,7 @@ first two steps, `OutlineRecognition.recognize` the others.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import accumulate, pairwise
@@ -31,9 +32,11 @@ from rendezview.sensors.appearance.outline.silhouette import (
     Silhouette,
     SilhouetteOptions,
     find_silhouette,
+    silhouette_of_mask,
 )
 from rendezview.sensors.appearance.outline.voted import VotedPose
 from rendezview.sensors.appearance.outline.votes import Matcher, MatchOptions
+from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.observation import Status
 
 # Log odds of the forest about a pose that no refinement confirms.
@@ -69,7 +72,15 @@ class OutlineRecognition:
         self._foreground = Foreground()
         self._forest_scores = self.matcher.forest_scores
         self._voted = None if self._forest_scores is None else VotedPose(model, self._forest_scores)
+        self._region: Region | None = None
         self._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
+
+    def with_camera(self, camera: Camera, region: Region) -> OutlineRecognition:
+        """The same in the part of a frame that a camera sees, where the target is."""
+        other = copy(self)
+        other.camera, other._region = camera, region
+        other._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
+        return other
 
     def trace(
         self, frame: Picture, prior: Pose | None, clock: StageClock, *, bright_sky: bool
@@ -82,9 +93,17 @@ class OutlineRecognition:
             clock: counts the stages ``silhouette`` and ``signature``.
             bright_sky: whether the network looks for the target first.
         """
-        bodies = find_bodies(frame, self._foreground) if bright_sky else None
+        bodies: list[Silhouette] | Missing | None = None
+        region = self._region
+        if region is not None and region.mask is not None:
+            told = silhouette_of_mask(region.mask)
+            bodies = told if isinstance(told, Missing) else [told]
+        elif bright_sky:
+            bodies = find_bodies(frame, self._foreground)
         if bodies is None or isinstance(bodies, Missing):
             expected_px = None
+            if region is not None and region.place_px is not None:
+                expected_px = region.place_px - region.part[:2]
             if prior is not None:
                 centre = prior.apply(self.model.centre_m)
                 expected_px = self.camera.project(centre) if centre[2] > 0.0 else None

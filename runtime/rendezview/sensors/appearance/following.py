@@ -20,7 +20,6 @@ from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.tracker import Tracker, TrackerOptions
 from rendezview.sensors.run import observe
-from rendezview.sensors.sensor import AidedSensor
 
 
 def follow(
@@ -36,6 +35,8 @@ def follow(
     sketch: bool = True,
     integrity: IntegrityOptions | None = None,
     expected: Callable[[Frame], tuple[Pose, Array] | None] | None = None,
+    where: Callable[[Frame], npt.ArrayLike | None] | None = None,
+    first_where: npt.ArrayLike | None = None,
     watch: Callable[[Frame, GreyImage | None, AppearanceObservation], None] | None = None,
 ) -> Iterator[tuple[Frame, AppearanceObservation]]:
     """One observation for each frame, in order.
@@ -54,6 +55,9 @@ def follow(
         integrity: each pose gets a protection level and alarms.
         expected: the pose of a frame by other sensors, camera_from_target with its covariance
             (6, 6): where a target that is lost is searched, see `Tracker.expect`.
+        where: the target is in each frame, as for `Recognizer.recognize`'s ``roi``.
+        first_where: the same in the first frames, until there is a pose; in all if
+            ``independent``.
         watch: called with every frame, its picture (None: unreadable) and its observation.
 
     A frame that cannot be read gives the status ``UNREADABLE``; the run goes on.
@@ -71,10 +75,11 @@ def follow(
                 model, frame.camera, silhouette, refine=refine, sketch=sketch
             )
         recognizer = recognizers[frame.camera]
+        roi = first_where if where is None else where(frame)
         if independent:
             known = None if expected is None else expected(frame)
             near = None if known is None else known[0]
-            alone = recognizer.recognize(image, near, sun_camera=sun_camera, time_s=time_s)
+            alone = recognizer.recognize(image, near, sun_camera=sun_camera, time_s=time_s, roi=roi)
             if integrity is None:
                 return alone
             look = partial(recognizer.second_estimate, image)
@@ -84,8 +89,9 @@ def follow(
         tracker.recognizer = recognizer
         if expected is not None and tracker.lost and (known := expected(frame)) is not None:
             tracker.expect(*known)
-        sensor: AidedSensor[GreyImage, npt.ArrayLike, AppearanceObservation] = tracker
-        return sensor.update(time_s, image, sun_camera)
+        if where is None and tracker.prior is not None:
+            roi = None  # it knows where to look
+        return tracker.update(time_s, image, sun_camera, roi)
 
     for frame, image, observation in observe(
         sequence, seen_in, AppearanceObservation, ordered=not independent

@@ -25,7 +25,7 @@ from rendezview.sensors.protection import Protection
 CLOSE_MARGIN = 0.1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class AppearanceObservation(Observation):
     """A pose by appearance, with the active nodes; or the reason for none."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from rendezview.sensors.appearance.joints import JointFilter
 from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
+from rendezview.sensors.arguments import check_prior, check_recognizer, check_time
 from rendezview.sensors.observation import Status
 
 # rad; rivals nearer than this are the same answer. Source: by hand; pose-trials (0.1) sequences
@@ -47,6 +49,9 @@ class TrackerOptions:
     # 0 … 1; a restart needs more than a pose near a prediction. Source: by hand;
     # pose-trials (0.1) sequences
     restart_confidence: float = 0.9
+    # share of the range; a restart farther off than that, or than the search reached near the
+    # prediction, waits for the next frame to confirm it. Source: a chosen limit
+    restart_range: float = 0.25
     # frames; a pose that a search confirmed is accepted so long … Source: by hand;
     # pose-trials (0.1) sequences
     confirmed_frames: int = 15
@@ -76,6 +81,15 @@ class _Motion:
         return bool(self.turn_rad_s.any() or self.move_m_s.any())
 
 
+class _Frame(NamedTuple):
+    """What `Tracker.update` is given; see there."""
+
+    time_s: float
+    image: npt.ArrayLike
+    sun_camera: npt.ArrayLike | None
+    roi: npt.ArrayLike | None
+
+
 class Tracker:
     """Tracks one target through the frames of one camera, in order of time.
 
@@ -99,12 +113,15 @@ class Tracker:
             options: when to let go of the last pose.
             integrity: each pose gets a protection level and alarms; ``None``: it gets none.
         """
+        check_recognizer(recognizer)
+        check_prior(prior)
         self.recognizer = recognizer
         self.options = options or TrackerOptions()
         self._motion = None if prior is None else _Motion(prior, None, np.zeros(3), np.zeros(3))
         self._last_time_s = -np.inf
         self._misses = 0
         self._rivals: list[tuple[Pose, float]] = []
+        self._jump: Pose | None = None  # of the frame before, to be confirmed
         self._confirmed = (0.0, 0)  # inlier ratio in the last search, frames since
         self._expected: tuple[Pose, float] | None = None  # at the next frame, and how far off, rad
         self._joints: JointFilter | None = None  # of a target with joints, after its first pose
@@ -169,34 +186,34 @@ class Tracker:
         return self._joints.predicted(time_s, self.options.longest_prediction_s)
 
     def update(
-        self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None = None
-    ) -> AppearanceObservation:
+        self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None = None,
+        roi: npt.ArrayLike | None = None,
+    ) -> AppearanceObservation:  # fmt: skip
         """Look at the next frame.
 
         Args:
             time_s: when the frame was taken.
-            image: (H, W) uint8 grey levels, of the camera's size.
+            image: as for `Recognizer.recognize`.
             sun_camera: (3,) towards the Sun, camera frame, if it is known.
+            roi: where the target is, as for `Recognizer.recognize`.
 
         Raises:
             ValueError: the time is not finite, or not later than that of the frame before.
             RendezviewError: the image does not fit the camera.
         """
         with self._lock:
-            if not (np.isfinite(time_s) and time_s > self._last_time_s):
-                raise ValueError(
-                    f"frames must come in order of time: {time_s} s after {self._last_time_s} s"
-                )
+            check_time(time_s, self._last_time_s)
             self._last_time_s = time_s
             self._age(time_s)
+            frame = _Frame(time_s, image, sun_camera, roi)
             expected, self._expected = self._expected, None
             predicted = self.predicted(time_s) if self._monitor is not None else None
             if expected is not None and self.lost:
-                observation = self._look_at(expected, time_s, image, sun_camera)
+                observation = self._look_at(expected, frame)
             elif self._motion is None and self._rivals:
-                observation = self._decide(time_s, image, sun_camera)
+                observation = self._decide(frame)
             else:
-                observation = self._look(time_s, image, sun_camera)
+                observation = self._look(frame)
             observation = self._with_joints(observation, time_s)
             if observation.pose is None:
                 self._misses += 1
@@ -207,6 +224,16 @@ class Tracker:
             look = partial(self.recognizer.second_estimate, image)
             centre_m = self.recognizer.model.centre_m
             return self._monitor.protected(observation, time_s, predicted, centre_m, look)
+
+    def _seen(
+        self, frame: _Frame, prior: Pose | None = None, error_rad: float | None = None,
+        enough_inliers: float = 1.0, *, angles_rad: Array | None = None, thorough: bool = True,
+    ) -> AppearanceObservation:  # fmt: skip
+        """What the recognizer observes."""
+        return self.recognizer.recognize(
+            frame.image, prior, error_rad, frame.sun_camera, enough_inliers,
+            angles_rad=angles_rad, time_s=frame.time_s, roi=frame.roi, thorough=thorough,
+        )  # fmt: skip
 
     def _with_joints(
         self, observation: AppearanceObservation, time_s: float
@@ -229,58 +256,68 @@ class Tracker:
         elif time_s - since_s > self.options.longest_outage_s:
             self._motion = None
 
-    def _look_at(
-        self,
-        expected: tuple[Pose, float],
-        time_s: float,
-        image: npt.ArrayLike,
-        sun_camera: npt.ArrayLike | None,
-    ) -> AppearanceObservation:
+    def _look_at(self, expected: tuple[Pose, float], frame: _Frame) -> AppearanceObservation:
         """Near an expected pose, and as without it where the target is not there."""
-        observation = self.recognizer.recognize(
-            image, expected[0], expected[1], sun_camera, time_s=time_s
-        )
+        observation = self._seen(frame, *expected)
         if observation.pose is not None:
             self._motion = None  # the rates are those of the poses before it was lost
             return observation
         if self._motion is None and self._rivals:
-            return self._decide(time_s, image, sun_camera)
-        return self._look(time_s, image, sun_camera)
+            return self._decide(frame)
+        return self._look(frame)
 
-    def _look(
-        self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None
-    ) -> AppearanceObservation:
+    def _look(self, frame: _Frame) -> AppearanceObservation:
         """Near the prediction, and everywhere after a few frames without a pose."""
         options = self.options
-        prior = self.predicted(time_s)
+        prior = self.predicted(frame.time_s)
+        if self._jump is not None:
+            confirmed = self._confirm(self._jump, frame)
+            if confirmed is not None:
+                return confirmed
         error_rad = min(
             self.recognizer.prior_error_rad + self._misses * options.widening_rad,
             options.widest_rad,
         )
-        observation = self.recognizer.recognize(
-            image, prior, error_rad, sun_camera, self._enough_inliers(),
-            angles_rad=self._predicted_angles(time_s), time_s=time_s,
+        observation = self._seen(
+            frame, prior, error_rad, self._enough_inliers(),
+            angles_rad=self._predicted_angles(frame.time_s),
         )  # fmt: skip
         late = prior is not None and self._misses >= options.restart_after
         if prior is not None and self.recognizer.overflows(prior):
             due = self._misses % options.close_restart == options.close_restart - 1
             late = due and observation.silhouette is not None
         if late and observation.pose is None and self.recognizer.search is not None:
-            again = self.recognizer.recognize(image, None, None, sun_camera, time_s=time_s)
+            again = self._seen(frame, thorough=self._motion is None)
             if again.pose is not None and (again.confidence or 0.0) >= options.restart_confidence:
-                self._motion = None  # a restart: no rates from the pose before
-                return self._as_before(again, prior, time_s, image, sun_camera)
+                restarted = self._as_before(again, prior, frame)
+                if prior is None or self._may_follow(prior, restarted, error_rad):
+                    self._motion = None  # a restart: no rates from the pose before
+                    return restarted
+                self._jump = restarted.pose
+                return _unconfirmed(restarted)
         if observation.status is Status.AMBIGUOUS and self._motion is None:
             self._rivals = [(pose, 0.0) for pose in observation.candidates]
         return observation
 
+    def _may_follow(self, prior: Pose, seen: AppearanceObservation, error_rad: float) -> bool:
+        """Whether a restart lies where the target may have moved to since the last pose."""
+        assert seen.pose is not None
+        centre_m = self.recognizer.model.centre_m
+        before_m, now_m = (float(np.linalg.norm(p.apply(centre_m))) for p in (prior, seen.pose))
+        near = abs(np.log(now_m / max(before_m, 1e-9))) <= np.log1p(self.options.restart_range)
+        return bool(near) and seen.pose.angle_to(prior) <= error_rad
+
+    def _confirm(self, jump: Pose, frame: _Frame) -> AppearanceObservation | None:
+        """The pose next to the one of the frame before; None where it is not there again."""
+        self._jump = None
+        seen = self._seen(frame, jump)
+        if seen.pose is None or not self._may_follow(jump, seen, self.recognizer.prior_error_rad):
+            return None
+        self._motion = None  # a restart: no rates from the pose before
+        return seen
+
     def _as_before(
-        self,
-        again: AppearanceObservation,
-        prior: Pose | None,
-        time_s: float,
-        image: npt.ArrayLike,
-        sun_camera: npt.ArrayLike | None,
+        self, again: AppearanceObservation, prior: Pose | None, frame: _Frame
     ) -> AppearanceObservation:
         """Of the poses that look alike after a restart, the one that was tracked before."""
         if again.pose is None or prior is None:
@@ -288,7 +325,7 @@ class Tracker:
         same = nearest_alike(again.pose, prior, self.recognizer.model.symmetries)
         if same.angle_to(again.pose) < _SAME_RAD:
             return again
-        there = self.recognizer.recognize(image, same, None, sun_camera, time_s=time_s)
+        there = self._seen(frame, same)
         return again if there.pose is None else there
 
     def _enough_inliers(self) -> float:
@@ -298,13 +335,11 @@ class Tracker:
             return 1.0
         return self.options.confirmed_share * inliers
 
-    def _decide(
-        self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None
-    ) -> AppearanceObservation:
+    def _decide(self, frame: _Frame) -> AppearanceObservation:
         """Compare all rivals with the next frame; a pose is given when one leads."""
         looks = []
         for pose, merit in self._rivals:
-            observation = self.recognizer.recognize(image, pose, None, sun_camera, time_s=time_s)
+            observation = self._seen(frame, pose)
             found = observation.found
             if found is not None:
                 looks.append((merit + found.merit, observation, found.best.pose))
@@ -317,7 +352,7 @@ class Tracker:
                 del looks[k]
         if not looks:
             self._rivals = []
-            return self.recognizer.recognize(image, None, None, sun_camera, time_s=time_s)
+            return self._seen(frame, thorough=self._motion is None)
         best = looks[0]
         lead = best[0] - looks[1][0] if len(looks) > 1 else np.inf
         if lead >= self.options.decisive_lead and best[1].pose is not None:
@@ -340,7 +375,7 @@ class Tracker:
             rates = rates_between(last.pose, pose, time_s - last.time_s, centre_m)
             turn_rad_s, move_m_s = rates[:3], rates[3:]
         self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s)
-        self._misses, self._rivals = 0, []
+        self._misses, self._rivals, self._jump = 0, [], None
         found = observation.found
         if found is None or isinstance(found, SketchFound):  # its inlier ratio is another
             self._confirmed = (0.0, 0)
@@ -348,3 +383,14 @@ class Tracker:
             self._confirmed = (self._confirmed[0], self._confirmed[1] + 1)
         else:
             self._confirmed = (found.best.inlier_ratio, 0)
+
+
+def _unconfirmed(seen: AppearanceObservation) -> AppearanceObservation:
+    return replace(
+        seen,
+        status=Status.AMBIGUOUS,
+        reason="the pose found is far from where the target was lost; the next frame decides",
+        pose=None,
+        covariance=None,
+        joints=None,
+    )

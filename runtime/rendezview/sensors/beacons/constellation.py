@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -128,6 +128,11 @@ class ReflectorPattern:
             if np.linalg.norm(np.cross(b - a, c - a)) > _FLAT * longest**2:
                 found.append((left, centre, right))
         return found
+
+    def mirrored(self) -> ReflectorPattern:
+        """Its mirror image: what a mirrored picture shows."""
+        image = np.array([-1.0, 1.0, 1.0])
+        return replace(self, positions_m=self.positions_m * image, normals=self.normals * image)
 
     def symmetries(self, tolerance_m: float = 1e-6) -> list[tuple[int, ...]]:
         """The renumberings other than none that a rotation of the pattern makes.

@@ -17,7 +17,7 @@ from rendezview.sensors.measurement import Measurement
 from rendezview.sensors.observation import Observation, Status
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class ReflectorObservation(Observation):
     """The outcome of one pair of pictures; there is a pose only with ``Status.OK``."""
 
@@ -78,6 +78,17 @@ def refused(
     )  # fmt: skip
 
 
+def undecided(
+    reason: str, time_s: float, spots: SpotTable, names: tuple[str | None, ...],
+    stage_ms: dict[str, float], *, tracked: bool,
+) -> ReflectorObservation:  # fmt: skip
+    """A reading whose spots several poses may show."""
+    return ReflectorObservation(
+        Status.AMBIGUOUS, reason, time_s=time_s, spots=spots, reflectors=names, tracked=tracked,
+        stage_ms=stage_ms,
+    )  # fmt: skip
+
+
 def missed(
     time_s: float, spots: SpotTable, names: tuple[str, ...], lost: list[str],
     stage_ms: dict[str, float], *, search: bool, strange: bool,
@@ -90,7 +101,8 @@ def missed(
     if strange:
         return ReflectorObservation(
             Status.AMBIGUOUS,
-            "the spots where reflectors were expected contradict each other: they may be others",
+            "the spots where reflectors were expected contradict each other or the motion: they "
+            "may be others",
             time_s=time_s, tracked=True, stage_ms=stage_ms,
         )  # fmt: skip
     if names:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from rendezview.estimation.rates import RateBank, RateOptions
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import Face
+from rendezview.sensors.beacons.pose.refinement import Refined
+from rendezview.sensors.beacons.track import TrackingOptions
 
 _LONGEST_S = 30.0  # s between two readings: the motion is forgotten. Source: by construction
 
@@ -41,6 +43,23 @@ class RateEstimator:
         """Forget the readings: the target was lost."""
         self._bank.clear()
         self._readings = 0
+
+    def jumps(self, time_s: float, refined: Refined, options: TrackingOptions, sure: bool) -> bool:
+        """Whether a pose breaks with the motion so far; never where that is unknown.
+
+        ``sure``: the last reading gave a pose. After a gap only the likeliest motion counts: others
+        would by then allow anything.
+        """
+        if not self._readings or time_s - self._last_s > _LONGEST_S:
+            return False
+        pose, (turn, share) = refined.camera_from_target, options.jump_floor
+        place, covariance = pose.translation_m, refined.covariance.copy()
+        variances = covariance.reshape(-1)[::7]
+        variances[:3] += turn**2
+        variances[3:] += share**2 * float(place @ place)
+        odds = options.jump_odds if sure else math.inf
+        limit = options.jump_limit if sure else options.gap_limit
+        return self._bank.surprise(time_s, pose, covariance, odds, limit) > limit
 
     def add(self, time_s: float, pose: Pose, covariance: Array, face: Face) -> Rates | None:
         """Take a reading in; None while there is only one. ``face``: of the six numbers."""

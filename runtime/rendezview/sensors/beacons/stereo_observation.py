@@ -25,7 +25,7 @@ class Names:
     leds: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class StereoObservation(Observation):
     """One reading's answer; `pose` and `covariance` are in the frame of the first camera."""
 

@@ -44,7 +44,7 @@ class TrackerOptions:
     # after that the last estimate is no longer used. Source: a chosen limit
     longest_outage_s: float = 5.0
     # Add the covariance of the rig's calibration to each pose's: 7 ms where the pose has moved.
-    calibration_error: bool = False
+    calibration_error: bool = True
     # normalised; unnamed spots are looked for so far from the forecast. Source: by hand; see
     # stereo-accuracy (0.1) --part identity
     window: float = 0.03
@@ -141,7 +141,8 @@ class StereoTracker:
             fit = iterate(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
             if fit is None or not fit.agrees:
                 fit = agree(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
-        if fit is None or (isinstance(fit, Disagreement) and not fit.ambiguous):
+        known = all(found.identified for found in named)  # else there is nothing to locate
+        if fit is None or (isinstance(fit, Disagreement) and not fit.ambiguous and known):
             restarted = True
             fit = self.locate(sights, forecast)
         if isinstance(fit, Disagreement):

@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from rendezview.estimation.rates import RateOptions
 from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.beacons.pose.refinement import Refined
+from rendezview.sensors.beacons.windows import carry
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +39,19 @@ class TrackingOptions:
     confirm: bool = True  # a first find counts when the next reading agrees
     # Of a redundant fit: a spot further off is no reflector. Source: normal distribution, 2·10⁻⁹
     gate_sigma: float = 6.0
+    # χ² of a pose of few spots against the motion, beyond which it is not given. Source: experiment
+    # reflector-hidden --scene glint; steady, swinging and jittering motion stays below
+    jump_limit: float = 20.0
+    gap_limit: float = 8.0  # … after a reading without a pose. Source: likewise
+    # × the χ² by which a kind of motion is behind the likeliest: a cost. Source: likewise
+    jump_odds: float = 5.0
+    # … whose σ is at least so many rad, and share of the range: a smaller jump misleads nobody.
+    # Source: by construction, 5° and 3 % over the root of jump_limit; at half of it an
+    # approach that slows down is lost
+    jump_floor: tuple[float, float] = (0.0195, 0.0067)
+    # Readings after the target was found again, in which every spot of the picture counts.
+    # Source: experiment reflector-hidden --scene glint
+    fresh: int = 10
     # error of a centroid beside the noise: pixels, lens, reflector edge. Source: by hand; doubled,
     # NEES falls from 0.53 to 0.29
     floor_px: float = 0.01
@@ -77,6 +92,34 @@ class Track:
             time_s, pose, nowhere, nowhere.copy(), time_s, np.full(reflectors, np.nan), 2.0,
             not roll_known, np.zeros((6, 6)), unseen=never,
         )  # fmt: skip
+
+    @classmethod
+    def after(
+        cls, last: Track | None, time_s: float, table: Array, refined: Refined, noise: float,
+        ambiguous: bool, branch: Branch, coast: int,
+    ) -> Track:  # fmt: skip
+        """The memory after a reading; ``table`` (N, 20): its spots, NaN where not visible."""
+        count = len(table)
+        bright, unseen = np.empty(count), np.empty(count, np.int64)
+        since, dim = np.zeros(count, np.int64), np.full(count, np.nan)
+        before, before_s = np.full((count, 2), np.nan), time_s
+        if last is not None:
+            since, dim = last.unseen, last.brightness
+            if last.misses <= coast:
+                before, before_s = last.places, last.time_s
+        carry(table, dim, since, bright, unseen)
+        return cls(
+            time_s, refined.camera_from_target, table[:, :2].copy(), before, before_s, bright,
+            noise, ambiguous, refined.covariance, unseen=unseen, branch=branch,
+        )  # fmt: skip
+
+    def follow(self, time_s: float, seen: npt.NDArray[np.int64], table: Array) -> None:
+        """Keep the places of visible reflectors, too few for a pose: they move the windows."""
+        places = np.full_like(self.places, np.nan)
+        places[seen] = table[seen, :2]
+        self.before, self.before_s = self.places, self.time_s
+        self.places, self.time_s = places, time_s
+        self.unseen = np.where(np.isfinite(places[:, 0]), 0, self.unseen + 1)
 
 
 def checked_acceleration(acceleration: npt.ArrayLike) -> Array:

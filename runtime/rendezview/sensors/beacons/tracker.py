@@ -17,7 +17,13 @@ from rendezview.sensors.beacons.detect.hidden_noise import HiddenNoise
 from rendezview.sensors.beacons.detect.spots import MOST_CERTAIN, SpotTable, find_spots
 from rendezview.sensors.beacons.match.acquisition import Acquirer, merged
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
-from rendezview.sensors.beacons.observation import ReflectorObservation, missed, refused
+from rendezview.sensors.beacons.match.choice import FEW
+from rendezview.sensors.beacons.observation import (
+    ReflectorObservation,
+    missed,
+    refused,
+    undecided,
+)
 from rendezview.sensors.beacons.pose.refinement import Refined
 from rendezview.sensors.beacons.rates import RateEstimator
 from rendezview.sensors.beacons.tolerance import DotSizes, fit_dots
@@ -28,7 +34,7 @@ from rendezview.sensors.beacons.track import (
     checked_acceleration,
 )
 from rendezview.sensors.beacons.window_fit import WindowFit
-from rendezview.sensors.beacons.windows import VISIBLE, carry
+from rendezview.sensors.beacons.windows import VISIBLE
 from rendezview.sensors.observation import Status
 
 _NEARER = 0.8  # × the range: a group that is left out is compared again. Source: by construction
@@ -67,13 +73,11 @@ class ReflectorSensor:
         self._rates = RateEstimator(self.tracking.rates)
         self._track: Track | None = None
         self._unconfirmed: tuple[float, Pose, Array] | None = None
+        self._fresh = 0  # readings since it was found again, in which the whole picture counts
         self._note: str | None = None  # of the acquisition
         self._noted_m = np.inf  # range of that
         self._last_s = -np.inf
         self._lock = threading.Lock()
-        n = len(self.constellation)
-        self._never, self._dim = np.zeros(n, np.int64), np.full(n, np.nan)
-        self._nowhere = np.full((n, 2), np.nan)
         self._group_of = [pattern.name for pattern in patterns for _ in pattern.names]
         self._centre = self.constellation.centre_m
 
@@ -85,13 +89,14 @@ class ReflectorSensor:
     def start(self, time_s: float, pose: Pose, *, roll_known: bool = True) -> None:
         """Begin to track from a pose of another camera or sensor."""
         with self._lock:
-            self._track = Track.begun(time_s, pose, len(self._never), roll_known=roll_known)
+            self._track = Track.begun(time_s, pose, len(self._group_of), roll_known=roll_known)
             self._rates.clear()
 
     def forget(self) -> None:
         """Begin anew: the next reading knows nothing of those before."""
         with self._lock:
             self._track, self._unconfirmed, self._note, self._last_s = None, None, None, -np.inf
+            self._fresh = 0
             self._rates = RateEstimator(self.tracking.rates)
             self._dots.clear()
             if self.patterns is not self._given[0]:
@@ -135,6 +140,9 @@ class ReflectorSensor:
         spots = self._spots(frames)
         middle = time.perf_counter()
         found = self.acquirer.acquire(spots, prior)
+        if prior is not None and not self._continues(time_s, found):
+            # The last pose is too old to choose by its range.
+            found, prior = self.acquirer.acquire(spots), None
         missing = found.status in (Status.NO_SPOTS, Status.NOT_FOUND)
         if missing and frames.dark is not None and len(spots) <= MOST_CERTAIN:
             # Discs as faint as the threshold fall to pieces.
@@ -142,8 +150,10 @@ class ReflectorSensor:
             again = self.acquirer.acquire(faint, prior)
             if again.refined is not None:
                 spots, found = faint, again
-        if found.status is Status.NOT_FOUND and prior is None:
+        mirrored = self.acquirer.mirrored(spots, found) if prior is None else None
+        if mirrored is None and found.status is Status.NOT_FOUND and prior is None:
             found = self._with_other_dots(spots) or found
+        found = mirrored or found
         end = time.perf_counter()
         stage_ms = {"spots": 1e3 * (middle - begin), "triplets": 1e3 * (end - middle)}
         if found.refined is None:
@@ -164,6 +174,7 @@ class ReflectorSensor:
                 stage_ms=stage_ms,
             )  # fmt: skip
         ambiguous = found.roll_ambiguous
+        self._fresh = self.tracking.fresh if self._track is not None else 0
         if prior is not None and self._track is not None:  # it stays as well known as it was
             ambiguous = self._track.roll_ambiguous and not self._resolves(found.reflectors)
         return self._adopt(time_s, found, spots, ambiguous, stage_ms)
@@ -194,13 +205,9 @@ class ReflectorSensor:
         self._fit = WindowFit(self.camera, self.constellation, options, self.tracking)
 
     def _adopt(
-        self,
-        time_s: float,
-        found: Acquisition,
-        spots: SpotTable,
-        ambiguous: bool,
+        self, time_s: float, found: Acquisition, spots: SpotTable, ambiguous: bool,
         stage_ms: dict[str, float],
-    ) -> ReflectorObservation:
+    ) -> ReflectorObservation:  # fmt: skip
         """Track what was found from here on."""
         assert found.refined is not None
         table = found.table(spots, len(self.constellation))
@@ -239,6 +246,8 @@ class ReflectorSensor:
         if refined is None and not np.isfinite(track.before).any():
             # The motion is not known: windows are of little use.
             return self._acquire(time_s, frames)
+        if refined is not None and self._jumps(time_s, refined, seen):
+            refined, seen, branch = None, seen[:0], Branch.SURE
         contradiction = self._contradiction(time_s, frames, track, refined, seen, stage_ms)
         if contradiction is not None:
             return contradiction
@@ -254,34 +263,30 @@ class ReflectorSensor:
         self._remember(time_s, table, refined, noise, ambiguous, branch)
         if branch is Branch.OPEN:
             self._rates.clear()
-            return ReflectorObservation(
-                Status.AMBIGUOUS,
+            return undecided(
                 f"two poses show the same {len(seen)} spots, and the motion does not tell them "
-                "apart: uncover more reflectors",
-                time_s=time_s, spots=spots, reflectors=names, tracked=True, stage_ms=stage_ms,
+                "apart: uncover more reflectors", time_s, spots, names, stage_ms, tracked=True,
             )  # fmt: skip
         return self._reading(time_s, refined, spots, names, None, stage_ms, ambiguous, tracked=True)
 
     def _contradiction(
-        self,
-        time_s: float,
-        frames: LitDark,
-        track: Track,
-        refined: Refined | None,
-        seen: npt.NDArray[np.int64],
-        stage_ms: dict[str, float],
-    ) -> ReflectorObservation | None:
+        self, time_s: float, frames: LitDark, track: Track, refined: Refined | None,
+        seen: npt.NDArray[np.int64], stage_ms: dict[str, float],
+    ) -> ReflectorObservation | None:  # fmt: skip
         """The reading, where a search of the whole picture finds a pose that explains more spots.
 
         It is searched while a reflector that should be visible is not, or while the roll is open
         and another group could tell it. A second reading that agrees takes the track over. A group
-        that is left out and fits as well is compared again as the target comes nearer.
+        that is left out and fits as well is compared again as the target comes nearer. So are all
+        spots for some readings after the target was found again.
         Where the windows show no pose, one near the last is taken at once: the camera jerked.
         """
         several = track.roll_ambiguous and len(self.patterns) > 1
         range_m = self._range_m(track.pose)
         doubted = self._note is not None and range_m < _NEARER * self._noted_m
-        if not (several or doubted or refined is None or self._fit.misses(seen)):
+        self._fresh = max(self._fresh - 1, 0)
+        fresh = self._fresh > 0 and len(seen) <= FEW
+        if not (several or doubted or fresh or refined is None or self._fit.misses(seen)):
             self._unconfirmed = None
             return None
         begin = time.perf_counter()
@@ -290,12 +295,16 @@ class ReflectorSensor:
         found = self.acquirer.acquire(spots) if more else None
         jerked = self.acquirer.acquire(spots, track.pose) if found and refined is None else None
         stage_ms["search"] = 1e3 * (time.perf_counter() - begin)
-        if jerked is not None and jerked.is_near(track.pose, self._centre):
+        if jerked and self._continues(time_s, jerked) and jerked.is_near(track.pose, self._centre):
             ambiguous = track.roll_ambiguous and not self._resolves(jerked.reflectors)
             return self._adopt(time_s, jerked, spots, ambiguous, stage_ms)
         if found is not None and found.left_out:
             self._track = None
             return refused(found, time_s, spots, stage_ms)
+        if found is not None and found.status is Status.AMBIGUOUS and fresh and refined:
+            reason = "other spots pass for the target, too, since it was found again"
+            names = (None,) * len(spots)
+            return undecided(reason, time_s, spots, names, stage_ms, tracked=True)
         if found is None or found.refined is None or found.reflectors is None:
             return None
         if doubted:
@@ -305,20 +314,21 @@ class ReflectorSensor:
         if refined is not None:
             alike = self.acquirer.alike(found, refined.camera_from_target)
             confirms = alike and several and self._resolves(found.reflectors)
-            if len(found.reflectors) <= len(seen) or (alike and not confirms):
+            fewer = len(found.reflectors) <= len(seen) and not fresh
+            if fewer or (alike and not confirms):
                 return None
+        if refined is None and not self._continues(time_s, found):
+            return None
         if self._agrees(found):
             self._track = None
             return self._adopt(time_s, found, spots, found.roll_ambiguous, stage_ms)
         self._unconfirmed = (time_s, pose, found.table(spots, len(self.constellation)))
         if refined is None or confirms:
             return None
-        return ReflectorObservation(
-            Status.AMBIGUOUS,
+        return undecided(
             f"another pose explains {len(found.reflectors)} spots and the one that was followed "
             f"{len(seen)}: the next reading decides",
-            time_s=time_s, spots=spots, reflectors=found.names(self.constellation, len(spots)),
-            group=found.group, stage_ms=stage_ms,
+            time_s, spots, found.names(self.constellation, len(spots)), stage_ms, tracked=False,
         )  # fmt: skip
 
     def _miss(
@@ -326,18 +336,23 @@ class ReflectorSensor:
         names: tuple[str, ...], stage_ms: dict[str, float], strange: bool,
     ) -> ReflectorObservation:  # fmt: skip
         track.misses += 1
-        self._rates.clear()
         if len(seen) and track.misses <= self.tracking.coast:
-            # Visible reflectors still move the windows of the others.
-            places = np.full_like(track.places, np.nan)
-            places[seen] = self._fit.table[seen, :2]
             self._fit.nudge(track, seen)
-            track.before, track.before_s = track.places, track.time_s
-            track.places, track.time_s = places, time_s
-            track.unseen = np.where(np.isfinite(places[:, 0]), 0, track.unseen + 1)
+            track.follow(time_s, seen, self._fit.table)
         lost = self._fit.missing(names)
         search = not self.is_tracking
         return missed(time_s, spots, names, lost, stage_ms, search=search, strange=strange)
+
+    def _jumps(self, time_s: float, refined: Refined, seen: npt.NDArray[np.int64]) -> bool:
+        """Whether a pose of few spots, which do not confirm each other, breaks with the motion."""
+        sure = self._track is not None and not self._track.misses
+        return len(seen) <= FEW and self._rates.jumps(time_s, refined, self.tracking, sure)
+
+    def _continues(self, time_s: float, found: Acquisition) -> bool:
+        """Whether there is a pose that does not break with the motion."""
+        if found.refined is None or found.reflectors is None:
+            return False
+        return not self._jumps(time_s, found.refined, found.reflectors)
 
     def _range_m(self, pose: Pose) -> float:
         return float(np.linalg.norm(pose.apply(self._centre)))
@@ -347,39 +362,20 @@ class ReflectorSensor:
         return seen is not None and len({self._group_of[k] for k in seen}) > 1
 
     def _remember(
-        self,
-        time_s: float,
-        table: Array,
-        refined: Refined,
-        noise: float,
-        ambiguous: bool,
+        self, time_s: float, table: Array, refined: Refined, noise: float, ambiguous: bool,
         branch: Branch,
-    ) -> None:
+    ) -> None:  # fmt: skip
         last = self._track
-        bright, unseen = np.empty(len(table)), np.empty(len(table), np.int64)
-        since, before, before_s = self._never, self._nowhere, time_s
-        if last is not None:
-            since, before, before_s = last.unseen, last.places, last.time_s
         if last is None or last.misses > self.tracking.coast:
-            before, before_s = self._nowhere, time_s
             self._rates.clear()
-        carry(table, self._dim if last is None else last.brightness, since, bright, unseen)
-        self._track = Track(
-            time_s, refined.camera_from_target, table[:, :2].copy(), before, before_s, bright,
-            noise, ambiguous, refined.covariance, unseen=unseen, branch=branch,
-        )  # fmt: skip
+        self._track = Track.after(
+            last, time_s, table, refined, noise, ambiguous, branch, self.tracking.coast
+        )
 
     def _reading(
-        self,
-        time_s: float,
-        refined: Refined,
-        spots: SpotTable,
-        names: tuple[str | None, ...],
-        group: str | None,
-        stage_ms: dict[str, float],
-        ambiguous: bool,
-        tracked: bool,
-    ) -> ReflectorObservation:
+        self, time_s: float, refined: Refined, spots: SpotTable, names: tuple[str | None, ...],
+        group: str | None, stage_ms: dict[str, float], ambiguous: bool, tracked: bool,
+    ) -> ReflectorObservation:  # fmt: skip
         begin = time.perf_counter()
         pose = refined.camera_from_target
         whole = next(

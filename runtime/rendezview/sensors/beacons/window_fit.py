@@ -15,9 +15,10 @@ from rendezview.sensors.beacons.detect.discs import camera_numbers
 from rendezview.sensors.beacons.detect.hidden_noise import HiddenNoise
 from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, recentre
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
-from rendezview.sensors.beacons.match.choice import FEW, mirror
+from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.match.judgement import least_facing
 from rendezview.sensors.beacons.match.matching import expect_spots
+from rendezview.sensors.beacons.match.mirrored_pose import mirror
 from rendezview.sensors.beacons.pose.refinement import Refined, adjust, solve_spots
 from rendezview.sensors.beacons.track import Branch, Track, TrackingOptions
 from rendezview.sensors.beacons.windows import (

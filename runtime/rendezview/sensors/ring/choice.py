@@ -41,7 +41,7 @@ def only_one(poses: Sequence[CirclePose]) -> Choice | None:
         return Choice(0, "head-on: the two poses of the circle are one")
     apart = angle_between(poses[0].axis, poses[1].axis)
     if poses[0].covariance is not None:
-        spread = math.sqrt(max(float(np.linalg.eigvalsh(poses[0].covariance[3:, 3:])[-1]), 0.0))
+        spread = poses[0].axis_sigma_rad
         if apart < _ONE_POSE_SIGMAS * spread:
             return Choice(
                 0,
@@ -116,11 +116,7 @@ class MotionChooser:
                 order = (1, 0)
         for track, k in zip(self._axes, order, strict=True):
             track.append(axes[k])
-        covariance = poses[0].covariance
-        spread = 0.0
-        if covariance is not None:
-            spread = math.sqrt(max(float(np.linalg.eigvalsh(covariance[3:, 3:])[-1]), 0.0))
-        self._noise.append(spread)
+        self._noise.append(poses[0].axis_sigma_rad)
         swings = [_swing(track) for track in self._axes]
         still = int(np.argmin(swings))
         noise = float(np.median(self._noise))

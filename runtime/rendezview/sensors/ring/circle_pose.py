@@ -8,7 +8,7 @@ error of the ellipse's roundness.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,7 @@ Array = npt.NDArray[np.float64]
 # (π / 72)² / 6
 RADIUS_SHARE = 3e-4
 _FIXED_POINT_STEPS = 12  # Source: by construction, a bound only
+_LEAST_SYSTEMATIC_PX = 1e-3  # Source: by construction, far below any error
 # Of an axis' standard deviation: beyond it nothing is known. Source: by construction, a bound only
 _LARGEST_ANGLE_RAD = 1.0
 
@@ -47,6 +48,13 @@ class CirclePose:
         """Angle between the axis and the line of sight; 0 is head-on."""
         cosine = -float(self.axis @ self.centre_m) / float(np.linalg.norm(self.centre_m))
         return math.acos(min(max(cosine, -1.0), 1.0))
+
+    @property
+    def axis_sigma_rad(self) -> float:
+        """Largest σ of the axis; 0 without a covariance."""
+        if self.covariance is None:
+            return 0.0
+        return math.sqrt(max(float(np.linalg.eigvalsh(self.covariance[3:, 3:])[-1]), 0.0))
 
 
 def tangent_basis(axis: npt.ArrayLike) -> Array:
@@ -76,6 +84,25 @@ def shape_of_circle(
     ):  # fmt: skip
         return None
     return shape
+
+
+def shapes_of_circles(camera: Camera, centres_m: Array, axes: Array, radius_m: float) -> Array:
+    """`shape_of_circle` of N circles, centres and axes (N, 3): (N, 5), NaN where there is none."""
+    scale = np.array([camera.fx, camera.fy])
+    dual = radius_m**2 * (np.eye(3) - axes[:, :, None] * axes[:, None, :])
+    dual -= centres_m[:, :, None] * centres_m[:, None, :]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        dual /= -dual[:, 2:, 2:]
+        place = -dual[:, :2, 2]
+        spread = (dual[:, :2, :2] + place[:, :, None] * place[:, None, :]) * np.outer(scale, scale)
+        a, b, c = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
+        root = np.sqrt(a * c - b * b)
+        size = np.sqrt(a + c + 2.0 * root)
+        u, v = (place * scale + (camera.cx, camera.cy)).T
+        shapes = np.column_stack([u, v, (a + root) / size, b / size, (c + root) / size])
+    depth2 = radius_m**2 * (1.0 - axes[:, 2] ** 2)
+    shapes[(centres_m[:, 2] <= 0.0) | (centres_m[:, 2] ** 2 <= depth2)] = np.nan
+    return np.asarray(shapes, dtype=np.float64)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -179,6 +206,14 @@ def circle_poses(
             pose = CirclePose(centre, axis, radius_m, covariance)
         poses.append(pose)
     return tuple(sorted(poses, key=lambda pose: float(pose.axis[2])))
+
+
+def widened(camera: Camera, pose: CirclePose, sigma_px: float) -> CirclePose:
+    """A pose whose covariance has a systematic error of its ellipse's numbers, px, as well."""
+    if pose.covariance is None or sigma_px < _LEAST_SYSTEMATIC_PX:
+        return pose
+    more = pose_covariance(camera, pose, sigma_px**2 * np.eye(5))
+    return replace(pose, covariance=pose.covariance + more)
 
 
 def pose_covariance(camera: Camera, pose: CirclePose, shape_covariance: Array) -> Array:

@@ -14,7 +14,7 @@ from rendezview.sensors.ring.circle_pose import CirclePose
 from rendezview.sensors.ring.detector import RingEdge
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class RingObservation(Observation):
     """The ellipses of a frame, and the poses of the ring's circle.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import count
 from typing import Any
 
 from rendezview.geometry.camera import Camera
@@ -29,8 +28,8 @@ def follow(
 ) -> Iterator[tuple[Frame, GreyImage | None, RingObservation]]:
     """One observation of each frame, in the order of the sequence.
 
-    A picture that cannot be read has the status ``UNREADABLE``. The sensor's clock counts the
-    frames: those of a set of single frames may have any times, or none.
+    A picture that cannot be read has the status ``UNREADABLE``. Frames without times count as 1 s
+    apart; where a frame is not later than the one before, the sensor forgets those so far.
 
     Args:
         sequence: the frames.
@@ -41,16 +40,19 @@ def follow(
         independent: each on its own, no memory.
     """
     sensors: dict[Camera, RingSensor] = {}
-    clock = count()
+    last_s: dict[Camera, float] = {}
 
     def look(frame: Frame, _: float, image: GreyImage) -> RingObservation:
         if frame.camera not in sensors:
             sensors[frame.camera] = RingSensor(frame.camera, radius_m, options, circles)
-        if independent:
+        before = last_s.get(frame.camera, -1.0)
+        time_s = before + 1.0 if frame.time_s is None else frame.time_s
+        if independent or time_s <= before:
             sensors[frame.camera].reset()
+        last_s[frame.camera] = time_s
         sensor: AidedSensor[GreyImage, RingPrior, RingObservation] = sensors[frame.camera]
         known = prior(frame) if prior else None
-        return replace(sensor.update(float(next(clock)), image, known), time_s=frame.time_s)
+        return replace(sensor.update(time_s, image, known), time_s=frame.time_s)
 
     return observe(sequence, look, RingObservation, ordered=False)
 

@@ -11,18 +11,22 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
+from rendezview.sensors.arguments import check_time
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring.choice import Choice, MotionChooser, by_attitude, by_plane, only_one
-from rendezview.sensors.ring.circle_pose import CirclePose, pose_covariance, shape_of_circle
+from rendezview.sensors.ring.circle_pose import CirclePose, shape_of_circle, widened
 from rendezview.sensors.ring.concentric import joint_poses
 from rendezview.sensors.ring.detector import Detection, RingDetector, RingEdge, RingOptions
 from rendezview.sensors.ring.ellipse import Ellipse
+from rendezview.sensors.ring.memory import Memory
 from rendezview.sensors.ring.observation import RingObservation
 from rendezview.sensors.ring.which_circle import (
+    RING,
+    RIVAL_COST,
+    Knowledge,
     Which,
-    by_range,
     ring_of_circle,
-    without_range,
+    which_circle,
 )
 
 Array = npt.NDArray[np.float64]
@@ -32,11 +36,6 @@ _MOST_COMPANIONS = 5  # Source: by construction, a bound of time
 # smaller ones a nozzle or a shield: near head-on they fit as well, and move the place by 1 %.
 _COMPANIONS = (0.8, 1.02)  # Source: ring-vehicle (0.1), seed 22
 _COMPANIONS_BY_SCORE = (0.8, 1.25)  # where the first may be an inner edge. Source: ring-accuracy
-# σ of an ellipse's numbers over that of its edge's systematic part: the ellipse takes in a part.
-_SYSTEMATIC = 1.0  # Source: ring-vehicle (0.1), seed 22
-_LEAST_SYSTEMATIC_PX = 1e-3  # Source: by construction, far below any error
-# Frames without a pose, after which the last one is forgotten. Source: a chosen limit
-_FORGET_FRAMES = 5
 _RANGE_SHARE = 0.05  # of a range without a σ. Source: half the relief of a vehicle
 # Of the semi-axis: how far a ring may have moved since it was known. Source: by hand; see
 # ring-accuracy
@@ -89,19 +88,18 @@ class RingSensor:
             self._forget()
 
     def _forget(self) -> None:
-        self._last: CirclePose | None = None
-        self._pair: tuple[CirclePose, ...] = ()  # of the last frame, where none was chosen
-        self._missed = 0
+        self._memory: Memory | None = None
+        self._remembered_s = 0.0
         self._motion = MotionChooser()
 
     def update(
         self, time_s: float, image: npt.ArrayLike, prior: RingPrior | None = None
     ) -> RingObservation:
-        """Look at the next frame, (H, W) uint8.
+        """Look at the next frame.
 
         Args:
             time_s: of the frame, later than that of the frame before.
-            image: the picture.
+            image: (H, W) grey levels, or (H, W, 3) blue, green, red; see `check_frame`.
             prior: what other sensors know; it wins over the memory of the last frame.
 
         Raises:
@@ -109,10 +107,7 @@ class RingSensor:
             RendezviewError: the image is not one of this camera's.
         """
         with self._lock:
-            if not (math.isfinite(time_s) and time_s > self._last_s):
-                raise ValueError(
-                    f"frames must come in order of time: {time_s} after {self._last_s}"
-                )
+            check_time(time_s, self._last_s)
             detection = self._detector.detect(image)
             self._last_s = time_s
             return self._read(time_s, detection, prior or RingPrior())
@@ -125,143 +120,112 @@ class RingSensor:
                 Status.OK, "no radius is given, so no pose", time_s=time_s,
                 edges=detection.edges, edge=0, stage_ms=detection.stage_ms,
             )  # fmt: skip
-        which = self._select(detection, prior)
+        which = self._select(time_s, detection, prior)
         edge = which.edge
         if edge is None:
             return self._nothing(time_s, detection, which.reason)
-        circles, misfits = self._poses(detection, edge, which.by_score)
+        circles, misfits = self._poses(detection, edge, which.circle, which.by_score)
         if not circles:
             return self._nothing(time_s, detection, "the ellipse is no circle's picture")
-        doubtful = which.alone and self._last is None
-        if which.rivals or which.others or doubtful:
+        if which.rivals or which.doubtful:
             return RingObservation(
                 Status.AMBIGUOUS, which.reason, time_s=time_s, edges=detection.edges, edge=edge,
                 circles=circles, choice=Choice(None, which.reason),
-                rivals=(
-                    *((k, self._poses(detection, k, which.by_score)[0]) for k in which.rivals),
-                    *((k, self._through(detection, k, j)) for k, j in which.others),
+                rivals=tuple(
+                    (k, self._poses(detection, k, j, which.by_score)[0]) for k, j in which.rivals
                 ),
-                doubtful=doubtful,
+                doubtful=which.doubtful,
                 stage_ms=detection.stage_ms,
             )  # fmt: skip
-        choice = self._choose(circles, misfits, prior)
-        if choice.index is not None:
-            self._last, self._missed = circles[choice.index], 0
-        else:
-            self._pair = circles
-        status = Status.AMBIGUOUS if choice.index is None else Status.OK
+        choice = self._choose(circles, misfits, prior, which)
+        chosen = choice.index is not None
+        self._memory = Memory(circles if choice.index is None else (circles[choice.index],))
+        self._remembered_s = time_s
         return RingObservation(
-            status, choice.reason if choice.index is None else None, time_s=time_s,
-            edges=detection.edges, edge=edge, circles=circles, choice=choice,
+            Status.OK if chosen else Status.AMBIGUOUS, None if chosen else choice.reason,
+            time_s=time_s, edges=detection.edges, edge=edge, circles=circles, choice=choice,
             stage_ms=detection.stage_ms,
         )  # fmt: skip
 
     def _poses(
-        self, detection: Detection, edge: int, by_score: bool
+        self, detection: Detection, edge: int, circle: int, by_score: bool
     ) -> tuple[tuple[CirclePose, ...], tuple[float, ...]]:
+        """The ring's poses if an ellipse is one of the target's circles, with their misfits."""
         assert self.radius_m is not None
-        poses, misfits = joint_poses(
-            self.camera, _companions(detection.edges, edge, by_score), self.radius_m
-        )
-        sigma_px = _SYSTEMATIC * detection.edges[edge].systematic_px
-        return tuple(self._widened(pose, sigma_px) for pose in poses), misfits
-
-    def _through(self, detection: Detection, edge: int, circle: int) -> tuple[CirclePose, ...]:
-        """The ring's poses if an ellipse is another of the target's circles."""
-        assert self.radius_m is not None
-        height_m, radius_m = self.circles[circle]
         found = detection.edges[edge]
-        poses, _ = joint_poses(self.camera, [found.ellipse], radius_m)
-        sigma_px = _SYSTEMATIC * found.systematic_px
+        height_m, radius_m = (0.0, self.radius_m) if circle == RING else self.circles[circle]
+        ellipses = [found.ellipse]
+        if circle == RING:
+            ellipses = _companions(detection.edges, edge, by_score)
+        poses, misfits = joint_poses(self.camera, ellipses, radius_m)
         return tuple(
-            ring_of_circle(self._widened(pose, sigma_px), height_m, self.radius_m) for pose in poses
-        )
-
-    def _widened(self, pose: CirclePose, sigma_px: float) -> CirclePose:
-        """A pose whose covariance has the systematic error of its edge as well."""
-        if pose.covariance is None or sigma_px < _LEAST_SYSTEMATIC_PX:
-            return pose
-        more = pose_covariance(self.camera, pose, sigma_px**2 * np.eye(5))
-        return replace(pose, covariance=pose.covariance + more)
+            ring_of_circle(widened(self.camera, pose, found.systematic_px), height_m, self.radius_m)
+            for pose in poses
+        ), misfits
 
     def _nothing(self, time_s: float, detection: Detection, reason: str) -> RingObservation:
-        self._missed += 1
-        if self._missed >= _FORGET_FRAMES:
-            self._forget()
         return RingObservation(
             Status.NOT_FOUND, reason, time_s=time_s,
             edges=detection.edges, stage_ms=detection.stage_ms,
         )  # fmt: skip
 
-    def _select(self, detection: Detection, prior: RingPrior) -> Which:
+    def _select(self, time_s: float, detection: Detection, prior: RingPrior) -> Which:
         """Which ellipse is the ring's edge of the known radius."""
         edges = detection.edges
+        if self._memory is not None:
+            self._memory = replace(self._memory, age_s=time_s - self._remembered_s)
+            if self._memory.is_spent:
+                self._forget()
         if not edges:
             return Which(None, (), detection.reason or "no ellipse")
         assert self.radius_m is not None
-        centre, axis = prior.centre_m, prior.axis
-        memory = None
-        if self._last is not None:
-            memory = self._last
-        elif self._pair:
-            memory = self._pair[0]
-        if centre is None and memory is not None:
-            centre, axis = memory.centre_m, memory.axis
-        expected = None
-        if centre is not None:
-            if axis is None:
-                axis = -np.asarray(centre) / np.linalg.norm(centre)
-            expected = shape_of_circle(self.camera, centre, axis, self.radius_m)
-        aside = np.zeros(len(edges))
-        if expected is not None:
-            half = 0.5 * (expected[2] + expected[4])
-            long = half + math.hypot(0.5 * (expected[2] - expected[4]), expected[3])
-            aside = np.array(
-                [math.hypot(*(edge.ellipse.centre_px - expected[:2])) / long for edge in edges]
-            )
-        if aside.min() > _PLACE_TOLERANCE:
-            return Which(None, (), "no ellipse where the ring should be")
-        given = self._range(prior, known=expected is not None)
-        if given is not None:
-            return by_range(
-                self.camera, edges, self.radius_m, *given, self.circles, aside < _PLACE_TOLERANCE
-            )
-        if expected is None:
-            return without_range(self.camera, edges, self.radius_m, self.circles)
-        sizes = np.array([edge.ellipse.semi_axes_px[0] for edge in edges])
-        cost = aside + 2.0 * np.abs(np.log(sizes / long))
-        best = int(np.argmin(cost))
-        if cost[best] > _PLACE_TOLERANCE:
-            return Which(None, (), "no ellipse where and as large as the ring should be")
-        return Which(best, (), "")
+        possible = None
+        range_m, sigma_m, memory = prior.range_m, prior.range_sigma_m, self._memory
+        if prior.centre_m is not None:
+            memory = None
+            possible = self._in_place(edges, prior.centre_m, prior.axis)
+            if not possible.any():
+                return Which(None, (), "no ellipse where the ring should be")
+            if range_m is None:
+                range_m = float(np.linalg.norm(prior.centre_m))
+        elif memory is not None and sigma_m is None:
+            range_m = None  # a range without an error is that of the first frames
+        if range_m is not None and sigma_m is None:
+            sigma_m = _RANGE_SHARE * range_m
+        known = Knowledge(self.radius_m, self.circles, range_m, sigma_m or 0.0, memory)
+        return which_circle(self.camera, edges, known, possible)
 
-    def _range(self, prior: RingPrior, *, known: bool) -> tuple[float, float] | None:
-        """Given range of the ring and its σ; None where the memory of the last frame decides."""
-        range_m = prior.range_m
-        if range_m is None and prior.centre_m is not None:
-            range_m = float(np.linalg.norm(prior.centre_m))
-        elif prior.range_sigma_m is None and known and prior.centre_m is None:
-            return None  # a range without an error is that of the first frames
-        if range_m is None:
-            return None
-        sigma_m = prior.range_sigma_m
-        return range_m, _RANGE_SHARE * range_m if sigma_m is None else sigma_m
+    def _in_place(
+        self, edges: Sequence[RingEdge], centre_m: Array, axis: Array | None
+    ) -> npt.NDArray[np.bool_]:
+        """(K,) ellipses that lie where a ring at ``centre_m`` is seen."""
+        assert self.radius_m is not None
+        if axis is None:
+            axis = -np.asarray(centre_m) / np.linalg.norm(centre_m)
+        expected = shape_of_circle(self.camera, centre_m, axis, self.radius_m)
+        if expected is None:
+            return np.ones(len(edges), dtype=bool)
+        long = Ellipse.from_shape(expected).semi_axes_px[0]
+        places = np.array([edge.ellipse.centre_px for edge in edges])
+        aside = np.hypot(*(places - expected[:2]).T)
+        return np.asarray(aside < _PLACE_TOLERANCE * long)
 
     def _choose(
-        self, poses: tuple[CirclePose, ...], misfits: tuple[float, ...], prior: RingPrior
-    ) -> Choice:
+        self, poses: tuple[CirclePose, ...], misfits: tuple[float, ...], prior: RingPrior,
+        which: Which,
+    ) -> Choice:  # fmt: skip
         single = only_one(poses)
         if prior.axis is not None:
             return by_attitude(poses, prior.axis)
         if single is not None:
             return single
+        if which.axis is not None and which.other_cost > RIVAL_COST:
+            nearest = int(np.argmax([pose.axis @ which.axis for pose in poses]))
+            return Choice(nearest, "the target's circles and the last frames fit this axis only")
         planar = by_plane(misfits)
         if planar.index is not None:
             return planar
-        moved = self._motion.update(poses)
-        if self._last is not None and self._motion.decided is None:
-            return by_attitude(poses, self._last.axis, "the axis of the last frame")
-        return moved
+        return self._motion.update(poses)
 
 
 def _companions(edges: tuple[RingEdge, ...], first: int, by_score: bool) -> list[Ellipse]:

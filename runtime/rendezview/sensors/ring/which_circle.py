@@ -1,31 +1,41 @@
-"""Which of a frame's ellipses is the edge of the known radius.
+"""Which of a frame's ellipses is which of the target's circles, and where the ring then is.
 
 A vehicle shows many circles about the ring's axis: the ring's own edges, the foot of its adapter, a
-shield, a nozzle. All are real circles, so how well an ellipse is seen does not tell which it is. A
-range does, with its σ; so do other circles of the target, where they are known. Every ellipse gets
-a cost, −2 ln of its likelihood but for a constant. Ellipses that cost little more than the best and
-give another range are its rivals.
+shield, a nozzle. All are real circles, so how well an ellipse is seen does not tell which it is.
+Every ellipse is proposed as the ring's edge and as each known circle, each with both poses of its
+circle. A hypothesis gets a cost: −2 ln of its odds over a chance ellipse, from the range, the
+memory of earlier frames, the known circles that lie where they should, and its own score.
+Hypotheses that cost little more than the best and put the ring elsewhere are its rivals.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
+from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.circle_pose import (
     CirclePose,
     circle_poses,
+    circles_of_picture,
     shape_of_circle,
+    shapes_of_circles,
     tangent_basis,
+    widened,
 )
 from rendezview.sensors.ring.detector import RingEdge
+from rendezview.sensors.ring.memory import SIZES, Memory, odds_cost
 
 Array = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+# In place of a known circle's index: the ring's own edge. Source: by construction
+RING = -1
 
 _RANGE_FLOOR = 0.003  # of the range; least σ of the point it is measured to. Source: a rim's depth
 # From the given range; beyond it an ellipse is none of the ring's. Source: ring-vehicle (0.1),
@@ -33,13 +43,11 @@ _RANGE_FLOOR = 0.003  # of the range; least σ of the point it is measured to. S
 _FARTHEST_SIGMAS = 3.0
 # Of −ln score: a long arc with companions is likelier the ring than a shadow. Source: the same
 _WORTH = 2.0
-_RIVAL_COST = 5.0  # more than the best's; a rival within it may be the ring. Source: the same
+RIVAL_COST = 5.0  # more than the best's; a rival within it may be the ring. Source: the same
+_MOST_RIVALS = 5  # named. Source: by construction, a bound of time
 # Of the range; two edges that differ by less are one, whichever it is. Source: the 0.5 % asked for
 _SAME_RANGE = 0.004
 _RIVAL_SCORE = 0.05  # of the best score, without a range; a weaker one is none. Source: the same
-# Of the semi-axis; circles about one axis lie no further apart. Source: a tilt of 35°, half a
-# radius behind the ring
-_ASIDE = 0.3
 # From here edges of one group are known to be of one plane. Source: the groups' own tolerance
 _PLANE_TILT_RAD = math.radians(10.0)
 # How far a known circle's picture may lie from its ellipse: a share of its size, and so many px.
@@ -50,9 +58,25 @@ _KNOWN_SHARE, _KNOWN_PX = 0.015, 1.0
 _ALONE = (
     "the circle that may be the ring stands alone: no other edge of the frame is about its axis"
 )
-# Cost gained by a known circle that is found, and of one that is not. Source: 2 ln of the odds of
-# 60 % (client, ring-vehicle (0.1), seed 22) to 10 % (by chance)
-_KNOWN_FOUND, _KNOWN_MISSED = 3.6, 1.6
+# Of the known circles that lie in the frame, by a right reading, so many are among the ellipses.
+# Source: pictures of tests/plain_rings.py, 57 % at 1-4 m, 44 % at 4-9 m
+_SHOWN = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Knowledge:
+    """What is known of the ring before a frame; all of it may be missing."""
+
+    radius_m: float
+    circles: Sequence[tuple[float, float]] = ()  # height (m, outwards) and radius (m)
+    range_m: float | None = None  # to the ring's centre
+    range_sigma_m: float = 0.0
+    memory: Memory | None = None
+
+    @property
+    def every_circle(self) -> list[tuple[int, tuple[float, float]]]:
+        """Index, height and radius of the ring and of the known circles."""
+        return [(RING, (0.0, self.radius_m)), *enumerate(self.circles)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,76 +84,200 @@ class Which:
     """The ellipse that is the ring's, and the others that may be it."""
 
     edge: int | None
-    rivals: tuple[int, ...]  # best first, without ``edge``
+    rivals: tuple[tuple[int, int], ...]  # (ellipse, circle), best first, without the best
     reason: str  # why there is none, or what the rivals are
+    circle: int = RING  # the circle that ``edge`` is of
     by_score: bool = False  # nothing but the scores chose it: it may be an inner edge
-    # Ellipses that may be another known circle: (ellipse, index of the circle). The ring then lies
-    # elsewhere. Best first.
-    others: tuple[tuple[int, int], ...] = ()
-    # The ellipse has no companion about its axis, while the frame shows other circles.
-    alone: bool = False
+    # It is not sure that the ellipse is any circle of the target.
+    doubtful: bool = False
+    centre_m: Array | None = None  # (3,) of the ring by the best hypothesis, its
+    axis: Array | None = None  # (3,) with
+    other_cost: float = 0.0  # what the other of the circle's two poses costs more
 
 
-def by_range(
-    camera: Camera,
-    edges: Sequence[RingEdge],
-    radius_m: float,
-    range_m: float,
-    sigma_m: float,
-    circles: Sequence[tuple[float, float]] = (),
-    possible: npt.NDArray[np.bool_] | None = None,
+@dataclass(frozen=True, slots=True, eq=False)
+class _Proposed:
+    """Hypotheses of a frame, one a row; the two poses of a circle follow one another."""
+
+    edge: npt.NDArray[np.int64]  # (N,)
+    circle: npt.NDArray[np.int64]  # (N,) RING or an index
+    centre_m: Array  # (N, 3) of the ring
+    axis: Array  # (N, 3)
+
+    @property
+    def range_m(self) -> Array:
+        """(N,) of the ring."""
+        return np.asarray(np.linalg.norm(self.centre_m, axis=1))
+
+
+def which_circle(
+    camera: Camera, edges: Sequence[RingEdge], known: Knowledge, possible: Bools | None = None
 ) -> Which:
-    """The edge whose circle of the known radius lies at a given range.
+    """The best reading of a frame's ellipses, with those that may as well be right.
 
     Args:
         camera: of the frame.
         edges: of the frame.
-        radius_m: of the ring's edge.
-        range_m: to the ring's centre.
-        sigma_m: its error, one σ.
-        circles: known circles about the same axis: height over the ring's plane (m, outwards
-            positive) and radius (m).
-        possible: (K,) edges that may be it, by their place; None: all.
+        known: what is known of the ring.
+        possible: (K,) edges that may be the ring, by their place; None: all.
     """
-    poses = [circle_poses(camera, edge.ellipse, radius_m) for edge in edges]
-    ranges = np.array([np.linalg.norm(p[0].centre_m) if p else np.inf for p in poses])
-    spread = math.hypot(sigma_m, _RANGE_FLOOR * range_m)
-    off = np.abs(ranges - range_m) / spread
-    near = off < _FARTHEST_SIGMAS
-    if possible is not None:
-        near &= possible
-    if not near.any():
-        return Which(None, (), "no ellipse as large as the ring should be at that range")
-    cost = np.where(near, off**2, np.inf)
-    for k in np.flatnonzero(near).tolist():
-        cost[k] -= _WORTH * math.log(max(edges[k].score, 1e-3))
-        cost[k] += _cost_of_known(camera, edges, k, poses[k], radius_m, circles)
-    by = f"the range of {range_m:.3f} ± {sigma_m:.3f} m"
-    which = _decided(cost, ranges, by)
-    assert which.edge is not None
-    known = [float(ranges[k]) for k in (which.edge, *which.rivals)]
-    others, words = [], []
-    limit = float(cost[which.edge]) + _RIVAL_COST
-    for found in _as_others(camera, edges, radius_m, circles, range_m, spread, possible):
-        own, at_m, k, j = found
-        if own > limit or any(abs(at_m / r - 1.0) < _SAME_RANGE for r in known):
+    found = _propose(camera, edges, known, possible)
+    if len(found.edge) == 0:
+        return Which(None, (), "no ellipse is a circle's picture")
+    if known.range_m is None and known.memory is None and not known.circles:
+        return _by_score(camera, edges, known.radius_m)
+    score = np.array([max(edge.score, 1e-3) for edge in edges])
+    cost = -_WORTH * np.log(score / score.max())[found.edge]
+    cost += _cost_of_known(camera, edges, found, known)
+    own = np.array([_size_sigma(edge) for edge in edges])[found.edge]
+    words = ["the pattern of the target's circles"] if known.circles else []
+    if known.range_m is not None:
+        given = math.hypot(known.range_sigma_m / known.range_m, _RANGE_FLOOR)
+        spread = np.hypot(given, own)
+        off = (found.range_m / known.range_m - 1.0) / spread
+        if not (np.abs(off) < _FARTHEST_SIGMAS).any():
+            return Which(None, (), "no ellipse as large as the ring should be at that range")
+        cost += np.where(np.abs(off) < _FARTHEST_SIGMAS, odds_cost(off**2, spread), np.inf)
+        words = [f"the range of {known.range_m:.3f} ± {known.range_sigma_m:.3f} m"]
+    elif known.memory is not None:
+        words = ["the memory of the last frame", *words]
+    if known.memory is not None:
+        cost += known.memory.cost(found.centre_m, found.axis, own)
+    return _decided(camera, edges, known, found, cost, " and ".join(words))
+
+
+def _propose(
+    camera: Camera, edges: Sequence[RingEdge], known: Knowledge, possible: Bools | None
+) -> _Proposed:
+    """Every possible ellipse as every circle, with both poses."""
+    rows: list[tuple[int, int]] = []
+    places, ways = [], []
+    centres, axes = np.empty((2, 3)), np.empty((2, 3))
+    lens = lens_vector(camera)
+    for k, edge in enumerate(edges):
+        if possible is not None and not possible[k]:
             continue
-        # Where it should lie if the best is the ring: the same reading of the frame, less exact.
-        same = k != which.edge and any(
-            _miss(camera, pose, circles[j], edges[k].ellipse.shape) < 1.0
-            for pose in poses[which.edge]
+        if circles_of_picture(lens, edge.ellipse.shape, 1.0, centres, axes) == 0:
+            continue
+        for j, (height_m, circle_m) in known.every_circle:
+            rows += [(k, j), (k, j)]
+            places.append(circle_m * centres - height_m * axes)
+            ways.append(axes.copy())
+    table = np.array(rows, dtype=np.int64).reshape(-1, 2)
+    none = [np.empty((0, 3))]
+    return _Proposed(
+        table[:, 0], table[:, 1], np.concatenate(places or none), np.concatenate(ways or none)
+    )
+
+
+def _cost_of_known(
+    camera: Camera, edges: Sequence[RingEdge], found: _Proposed, known: Knowledge
+) -> Array:
+    """(N,) cost of the target's other circles at each hypothesis: found, missed, or out of sight.
+
+    Between found and missed the cost rises with the square of the misfit.
+    """
+    cost = np.zeros(len(found.edge))
+    if not known.circles:
+        return cost
+    shapes = np.array([edge.ellipse.shape for edge in edges])
+    for j, (height_m, circle_m) in known.every_circle:
+        expected = shapes_of_circles(
+            camera, found.centre_m + height_m * found.axis, found.axis, circle_m
         )
-        if not same:
-            known.append(at_m)
-            others.append((k, j))
-            words.append(f"{k} as the circle of {circles[j][1]:g} m (then at {at_m:.2f} m)")
-    if not others:
-        isolated = not circles and not which.rivals and _is_alone(edges, which.edge)
-        return replace(which, alone=True, reason=_ALONE) if isolated else which
-    reason = which.reason or _words(which.edge, [which.edge], ranges, f"{by} does not tell")
-    if not which.reason:
-        reason = reason.rsplit(" or ", 1)[0]
-    return replace(which, others=tuple(others), reason=" or ".join([reason, *words]))
+        size = _size_px(expected)
+        limit = _limit_px(size)
+        miss = np.abs(expected[:, None, :] - shapes).max(axis=2) / limit[:, None]
+        miss[np.arange(len(cost)), found.edge] = np.inf  # an ellipse is one circle
+        # A chance ellipse has any size: so often it lies within the limit.
+        chance = np.fmin(2.0 * limit / (SIZES * size), _SHOWN)
+        missed = 2.0 * np.log((1.0 - chance) / (1.0 - _SHOWN))
+        gain = missed + 2.0 * np.log(_SHOWN / chance)
+        own = missed - gain * (1.0 - np.fmin(miss.min(axis=1), 1.0) ** 2)
+        visible = (
+            (found.circle != j)
+            & np.isfinite(size)
+            & (expected[:, 0] >= 0.0) & (expected[:, 0] < camera.width)
+            & (expected[:, 1] >= 0.0) & (expected[:, 1] < camera.height)
+        )  # fmt: skip
+        cost += np.where(visible, own, 0.0)
+    return cost
+
+
+def _decided(
+    camera: Camera, edges: Sequence[RingEdge], known: Knowledge, found: _Proposed, cost: Array,
+    by: str,
+) -> Which:  # fmt: skip
+    """The least cost, and whose that is little more and whose ring lies elsewhere."""
+    order = np.argsort(cost, kind="stable")
+    best = int(order[0])
+    twin = best ^ 1  # the other pose of the same circle
+    place, axis = found.centre_m[best], found.axis[best]
+    ranges = found.range_m
+    expected = {
+        j: shape_of_circle(camera, place + h * axis, axis, r) for j, (h, r) in known.every_circle
+    }
+    rivals: list[tuple[int, int]] = []
+    named = [best]
+    for i in order[1:].tolist():
+        k, j = int(found.edge[i]), int(found.circle[i])
+        if cost[i] > cost[best] + RIVAL_COST or len(rivals) == _MOST_RIVALS:
+            break
+        if (k, j) == (found.edge[best], found.circle[best]) or (k, j) in rivals:
+            continue
+        apart = np.linalg.norm(found.centre_m[named] - found.centre_m[i], axis=1)
+        if (apart < _SAME_RANGE * ranges[best]).any():
+            continue
+        # Where it should lie if the best is right: the same reading of the frame, less exact.
+        if k != found.edge[best] and _miss(expected[j], edges[k].ellipse.shape) < 1.0:
+            continue
+        rivals.append((k, j))
+        named.append(i)
+    doubtful = bool(cost[best] > -RIVAL_COST) and bool(known.circles or known.memory)
+    reason = ""
+    if rivals:
+        places = " or ".join(_words(found, i, ranges, known) for i in named)
+        reason = f"{by} does not tell which circle is the ring: ellipse {places}"
+    elif doubtful:
+        reason = f"{by} does not tell whether {_words(found, best, ranges, known)} is the ring"
+    elif not known.circles and _is_alone(edges, int(found.edge[best])) and known.memory is None:
+        doubtful, reason = True, _ALONE
+    return Which(
+        int(found.edge[best]), tuple(rivals), reason, int(found.circle[best]),
+        doubtful=doubtful, centre_m=place, axis=axis, other_cost=float(cost[twin] - cost[best]),
+    )  # fmt: skip
+
+
+def _words(found: _Proposed, i: int, ranges: Array, known: Knowledge) -> str:
+    j = int(found.circle[i])
+    own = "" if j == RING else f" as the circle of {known.circles[j][1]:g} m"
+    return f"{found.edge[i]}{own} (then at {ranges[i]:.2f} m)"
+
+
+def _miss(expected: Array | None, shape: Array) -> float:
+    """How far an ellipse is from where a circle should be; 1 is the limit."""
+    if expected is None:
+        return math.inf
+    return float(np.abs(shape - expected).max() / _limit_px(_size_px(expected)))
+
+
+def _size_px(shapes: Array) -> Array:
+    """(…) mean semi-axis of ellipses (…, 5)."""
+    return np.asarray(0.5 * (shapes[..., 2] + shapes[..., 4]))
+
+
+def _limit_px(size_px: Array) -> Array:
+    """(…) how far a known circle's picture may lie from its ellipse."""
+    return np.asarray(_KNOWN_SHARE * size_px + _KNOWN_PX)
+
+
+def _size_sigma(edge: RingEdge) -> float:
+    """σ of an ellipse's size, as a share of it."""
+    shape, covariance = edge.ellipse.shape, edge.ellipse.shape_covariance
+    variance = 2.0 * edge.systematic_px**2
+    if covariance is not None:
+        variance += covariance[2, 2] + covariance[4, 4] + 2.0 * covariance[2, 4]
+    return math.sqrt(max(variance, 0.0)) / float(shape[2] + shape[4])
 
 
 def _is_alone(edges: Sequence[RingEdge], k: int) -> bool:
@@ -137,31 +285,32 @@ def _is_alone(edges: Sequence[RingEdge], k: int) -> bool:
     return len(edges) > 1 and sum(edge.group == edges[k].group for edge in edges) == 1
 
 
-def _as_others(
-    camera: Camera,
-    edges: Sequence[RingEdge],
-    radius_m: float,
-    circles: Sequence[tuple[float, float]],
-    range_m: float,
-    spread_m: float,
-    possible: npt.NDArray[np.bool_] | None,
-) -> list[tuple[float, float, int, int]]:
-    """Ellipses as known circles other than the ring: cost, range of the ring, ellipse, circle."""
-    found = []
-    for j, (height_m, circle_m) in enumerate(circles):
-        rest = [(h - height_m, r) for i, (h, r) in enumerate(circles) if i != j]
-        rest.append((-height_m, radius_m))
-        for k, edge in enumerate(edges):
-            poses = circle_poses(camera, edge.ellipse, circle_m)
-            if not poses or (possible is not None and not possible[k]):
-                continue
-            at_m = float(np.linalg.norm(poses[0].centre_m - height_m * poses[0].axis))
-            off = (at_m - range_m) / spread_m
-            if abs(off) < _FARTHEST_SIGMAS:
-                cost = off**2 - _WORTH * math.log(max(edge.score, 1e-3))
-                cost += _cost_of_known(camera, edges, k, poses, circle_m, rest)
-                found.append((cost, at_m, k, j))
-    return sorted(found)
+def _by_score(camera: Camera, edges: Sequence[RingEdge], radius_m: float) -> Which:
+    """Nothing is known but the radius: it is that of the outermost edge of the best group.
+
+    Other ellipses are rivals unless they are weak, or seen to lie in its plane.
+    """
+    poses = [circle_poses(camera, edge.ellipse, radius_m)[:1] for edge in edges]
+    if not poses[0]:
+        return Which(None, (), "the ellipse is no circle's picture")
+    ranges = [float(np.linalg.norm(pose[0].centre_m)) if pose else math.inf for pose in poses]
+    best, first = edges[0], widened(camera, poses[0][0], edges[0].systematic_px)
+    tilt = first.tilt_rad - first.axis_sigma_rad
+    rivals = []
+    for k in range(1, len(edges)):
+        edge = edges[k]
+        one_plane = edge.group == best.group and tilt > _PLANE_TILT_RAD
+        weak = edge.score < _RIVAL_SCORE * best.score
+        same = abs(ranges[k] / ranges[0] - 1.0) < _SAME_RANGE
+        if not (one_plane or weak or same):
+            rivals.append(k)
+    if not rivals:
+        alone = sum(edge.group == best.group for edge in edges) == 1
+        return Which(0, (), _ALONE if alone else "", by_score=True, doubtful=alone)
+    rivals = rivals[:_MOST_RIVALS]
+    places = " or ".join(f"{k} (then at {ranges[k]:.2f} m)" for k in (0, *rivals))
+    reason = f"no range is given to tell which circle is the ring: ellipse {places}"
+    return Which(0, tuple((k, RING) for k in rivals), reason, by_score=True)
 
 
 def ring_of_circle(pose: CirclePose, height_m: float, radius_m: float) -> CirclePose:
@@ -172,106 +321,3 @@ def ring_of_circle(pose: CirclePose, height_m: float, radius_m: float) -> Circle
         carry[:3, 3:] = -height_m * tangent_basis(pose.axis)
         covariance = carry @ covariance @ carry.T
     return CirclePose(pose.centre_m - height_m * pose.axis, pose.axis, radius_m, covariance)
-
-
-def without_range(
-    camera: Camera,
-    edges: Sequence[RingEdge],
-    radius_m: float,
-    circles: Sequence[tuple[float, float]] = (),
-) -> Which:
-    """The best ellipse, with those that may as well be the ring's.
-
-    With known circles the pattern of all tells which one it is. Otherwise the radius is taken for
-    that of the outermost edge of the best group; circles about the same line of sight are rivals
-    unless they are seen to lie in the ring's plane.
-    """
-    poses = [circle_poses(camera, edge.ellipse, radius_m) for edge in edges]
-    ranges = np.array([np.linalg.norm(p[0].centre_m) if p else np.inf for p in poses])
-    if circles:
-        cost = np.array(
-            [
-                -_WORTH * math.log(max(edge.score, 1e-3))
-                + _cost_of_known(camera, edges, k, poses[k], radius_m, circles)
-                if poses[k]
-                else np.inf
-                for k, edge in enumerate(edges)
-            ]
-        )
-        if np.isfinite(cost).any():
-            return _decided(cost, ranges, "the pattern of the target's circles")
-    best = edges[0]
-    rivals = []
-    tilt = poses[0][0].tilt_rad if poses[0] else 0.0
-    for k in range(1, len(edges)):
-        edge = edges[k]
-        long = max(best.ellipse.semi_axes_px[0], edge.ellipse.semi_axes_px[0])
-        aside = float(np.linalg.norm(edge.ellipse.centre_px - best.ellipse.centre_px))
-        one_plane = edge.group == best.group and tilt > _PLANE_TILT_RAD
-        weak = edge.score < _RIVAL_SCORE * best.score
-        same = abs(ranges[k] / ranges[0] - 1.0) < _SAME_RANGE
-        if aside < _ASIDE * long and not (one_plane or weak or same):
-            rivals.append(k)
-    if not rivals and not circles and _is_alone(edges, 0):
-        return Which(0, (), _ALONE, by_score=True, alone=True)
-    return Which(0, tuple(rivals), _words(0, rivals, ranges, "no range is given to tell"), True)
-
-
-def _decided(cost: Array, ranges: Array, by: str) -> Which:
-    order = np.argsort(cost, kind="stable")
-    best = int(order[0])
-    rivals = [
-        int(k)
-        for k in order[1:]
-        if cost[k] < cost[best] + _RIVAL_COST and abs(ranges[k] / ranges[best] - 1.0) > _SAME_RANGE
-    ]
-    return Which(best, tuple(rivals), _words(best, rivals, ranges, f"{by} does not tell"))
-
-
-def _words(best: int, rivals: Sequence[int], ranges: Array, why: str) -> str:
-    if not rivals:
-        return ""
-    places = " or ".join(f"{k} (then at {ranges[k]:.2f} m)" for k in (best, *rivals))
-    return f"{why} which circle is the ring: ellipse {places}"
-
-
-def _cost_of_known(
-    camera: Camera,
-    edges: Sequence[RingEdge],
-    k: int,
-    poses: Sequence[CirclePose],
-    radius_m: float,
-    circles: Sequence[tuple[float, float]],
-) -> float:
-    """Cost of the known circles if edge ``k`` is the ring's; of its two poses the better one."""
-    if not circles or not poses:
-        return 0.0
-    shapes = np.array([edge.ellipse.shape for j, edge in enumerate(edges) if j != k])
-    best = math.inf
-    for pose in poses:
-        cost = 0.0
-        for height_m, circle_m in circles:
-            centre = pose.centre_m + height_m * pose.axis
-            shape = shape_of_circle(camera, centre, pose.axis, circle_m)
-            if shape is None or not _inside(camera, shape):
-                continue
-            size = 0.5 * (shape[2] + shape[4])
-            miss = np.abs(shapes - shape).max(axis=1) if len(shapes) else np.array([math.inf])
-            found = float(miss.min()) < _KNOWN_SHARE * size + _KNOWN_PX
-            cost += -_KNOWN_FOUND if found else _KNOWN_MISSED
-        best = min(best, cost)
-    return best
-
-
-def _miss(camera: Camera, pose: CirclePose, circle: tuple[float, float], shape: Array) -> float:
-    """How far an ellipse is from where a circle about a ring's axis should be; 1 is the limit."""
-    expected = shape_of_circle(camera, pose.centre_m + circle[0] * pose.axis, pose.axis, circle[1])
-    if expected is None:
-        return math.inf
-    size = float(0.5 * (expected[2] + expected[4]))
-    return float(np.abs(shape - expected).max()) / (_KNOWN_SHARE * size + _KNOWN_PX)
-
-
-def _inside(camera: Camera, shape: Array) -> bool:
-    """Whether the middle of a circle's picture lies in the frame."""
-    return bool(0.0 <= shape[0] < camera.width and 0.0 <= shape[1] < camera.height)

@@ -177,7 +177,10 @@ def test_shading_is_the_correlation_under_the_best_sun_of_three_levels(dark, kno
     side = 2.0 * RADIUS_M * 520.0 / body.centre[2] / 18.0
     even = (0.06 * bright_level) ** 2 if dark else 0.0
     frame = np.array([2.0, 9.0, float(dark), *given])
-    found = shading(body.image, lens_of(BENT), frame, body.tables, body.rotation, body.centre)
+    sun = np.zeros(3)
+    at = body.rotation, body.centre, sun
+    found = shading(body.image, lens_of(BENT), frame, body.tables, *at)
+    np.testing.assert_allclose(sun, suns[node])
     assert every > 1
     for correlated, wide in zip(found, (side, np.inf), strict=True):
         assert correlated == pytest.approx(
@@ -190,8 +193,10 @@ def test_few_visible_points_say_nothing():
     body = Body(5, 100)
     assert 0 < len(body.visible(BENT)[0]) < 60
     frame = np.array([2.0, 9.0, 1.0, 0.0, 0.0, 0.0])
-    arguments = body.image, lens_of(BENT), frame, body.tables, body.rotation, body.centre
-    assert shading(*arguments) == (0.0, 0.0)
+    sun = np.zeros(3)
+    at = body.rotation, body.centre, sun
+    assert shading(body.image, lens_of(BENT), frame, body.tables, *at) == (0.0, 0.0)
+    assert not sun.any()
 
 
 def test_views_near_one_before_at_the_same_roll_are_left_out():

@@ -13,7 +13,12 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.judge.drawn import DrawnEvidence
-from rendezview.sensors.appearance.judge.rivals import Rivals
+from rendezview.sensors.appearance.judge.rivals import Rivals, edge_scores
+from rendezview.sensors.appearance.judge.sketch_choice import (
+    POSE_FEATURES,
+    SketchPose,
+    packaged,
+)
 from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.sky import Sky
@@ -96,10 +101,12 @@ def test_the_sun_is_found_from_nearby(
 
 def test_a_sun_that_is_known_is_used(model: ViewModel, drum: Mesh) -> None:
     frame, known = picture(drum, SIDE), np.array([0.0, 0.0, -1.0])
-    evidence = DrawnEvidence(model.shape, model, CAMERA)
-    drawn = evidence.drawn(evidence.window(frame, Sky.of(frame, known), SIDE), SIDE)
-    assert drawn is not None
-    np.testing.assert_array_equal(drawn.under_best(drawn.under(known)).sun_camera, known)
+    poses = [SIDE, aside(SIDE, 60.0)]
+    weighed = Rivals(model, CAMERA).weigh(
+        frame, Sky.of(frame, known), poses, np.full(2, 18.0), [SUN, SUN]
+    )
+    for one in weighed:
+        np.testing.assert_array_equal(one.sun_camera, known)
 
 
 def test_shadows_fall_where_the_simulator_has_them(model: ViewModel, drum: Mesh) -> None:
@@ -131,6 +138,24 @@ def test_a_lens_is_taken_out_of_the_window(model: ViewModel) -> None:
         assert window.levels[row, column] == pytest.approx(0.5 * u, abs=1.0)
 
 
+@pytest.mark.parametrize("range_m", [6.0, 2.6, 1.4])
+def test_a_window_shows_the_frame_where_its_camera_has_it(model: ViewModel, range_m: float) -> None:
+    """A blurred spot between pixels, in windows of one to four times fewer of them."""
+    u, v, sigma = 171.3, 149.6, 4.0
+    rows, columns = np.mgrid[:320, :320]
+    blob = 200.0 * np.exp(-0.5 * ((columns - u) ** 2 + (rows - v) ** 2) / sigma**2)
+    frame = np.rint(blob).astype(np.uint8)
+    evidence = DrawnEvidence(model.shape, model, CAMERA)
+    pose = Pose(SIDE.rotation, np.array([0.02, -0.03, range_m]))
+    window = evidence.window(frame, Sky(0.0, 1.0, dark=True), pose)
+    at_row, at_column = np.mgrid[: window.levels.shape[0], : window.levels.shape[1]]
+    total = window.levels.sum()
+    x = ((at_column * window.levels).sum() / total - window.cx) / window.fx
+    y = ((at_row * window.levels).sum() / total - window.cy) / window.fy
+    assert x * CAMERA.fx + CAMERA.cx == pytest.approx(u, abs=0.1)
+    assert y * CAMERA.fy + CAMERA.cy == pytest.approx(v, abs=0.1)
+
+
 def test_from_afar_look_alikes_have_the_outline_of_the_pose(model: ViewModel) -> None:
     camera = Camera.from_fov(320, 320, np.deg2rad(3.0))
     side = Pose(SIDE.rotation, np.array([0.3, -0.2, 80.0]))
@@ -159,7 +184,7 @@ def test_from_afar_look_alikes_have_the_outline_of_the_pose(model: ViewModel) ->
 def test_the_frame_tells_turns_by_sixty_degrees_apart(model: ViewModel, drum: Mesh) -> None:
     frame = picture(drum, SIDE)
     poses = [aside(SIDE, angle) for angle in (120.0, 0.0, 60.0)]
-    weighed = Rivals(model, CAMERA).weigh(frame, Sky.of(frame), poses, [1.0] * 3, [SUN] * 3)
+    weighed = Rivals(model, CAMERA).weigh(frame, Sky.of(frame), poses, np.full(3, 18.0), [SUN] * 3)
     assert weighed[0].pose is poses[1]
     assert weighed[0].probability > 0.99
     assert sum(one.probability for one in weighed) == pytest.approx(1.0)
@@ -170,22 +195,56 @@ def test_where_box_and_stub_are_hidden_no_pose_is_sure(model: ViewModel, drum: M
     below = seen(Rotation.from_euler("xyz", [0.0, 0.0, 3.0], degrees=True))
     frame = picture(drum, below)
     poses = [aside(below, angle) for angle in (90.0, 180.0, 270.0)]
-    weighed = Rivals(model, CAMERA).weigh(frame, Sky.of(frame), poses, [1.0] * 3, [SUN] * 3)
+    weighed = Rivals(model, CAMERA).weigh(frame, Sky.of(frame), poses, np.full(3, 18.0), [SUN] * 3)
     assert weighed[0].probability < 0.9
 
 
 def test_a_pose_alone_is_not_drawn(model: ViewModel) -> None:
     frame = np.zeros((320, 320), np.uint8)
-    alone = Rivals(model, CAMERA).weigh(frame, Sky(0.0, 1.0, dark=True), [SIDE], [1.0], [SUN])
+    alone = Rivals(model, CAMERA).weigh(
+        frame, Sky(0.0, 1.0, dark=True), [SIDE], np.array([18.0]), [SUN]
+    )
     assert alone[0].probability == 1.0
     assert np.isnan(alone[0].cost)
 
 
-def test_poses_outside_the_frame_leave_nothing_to_choose(model: ViewModel) -> None:
+def test_poses_that_no_frame_shows_are_not_weighed(model: ViewModel) -> None:
     frame = np.zeros((320, 320), np.uint8)
-    gone = [Pose(SIDE.rotation, np.array([9.0, 0.0, z])) for z in (6.0, 6.5)]
+    tiny = [Pose(SIDE.rotation, np.array([0.0, 0.0, z])) for z in (900.0, 950.0)]
     weighed = Rivals(model, CAMERA).weigh(
-        frame, Sky(0.0, 1.0, dark=True), gone, [1.0, 1.0], [SUN, SUN]
+        frame, Sky(0.0, 1.0, dark=True), tiny, np.full(2, 18.0), [SUN, SUN]
     )
-    assert all(np.isfinite(one.probability) for one in weighed)
-    assert weighed[0].probability < 0.9
+    assert weighed == []
+
+
+def on_a_sketch(pose: Pose, merit: float) -> SketchPose:
+    """A pose on a sketch whose merit is some figure: that of one feature alone."""
+    weight = dict(zip(POSE_FEATURES, packaged().merit, strict=True))["outline"]
+    others = dict.fromkeys(POSE_FEATURES, 0.0)
+    return SketchPose(pose, **(others | {"outline": merit / weight}))
+
+
+def test_a_sketch_speaks_beside_grey_edges_and_no_hold_counts_as_the_worst() -> None:
+    merits = np.array([1.0, 0.9, 0.8])
+    alone = edge_scores(merits)
+    np.testing.assert_allclose(np.diff(alone), [-1.8, -1.8])
+    beside = edge_scores(merits, np.array([2.0, np.nan, 12.0]))
+    assert int(np.argmax(beside)) == 2
+    np.testing.assert_allclose(beside[1] - beside[0], -1.2)
+    np.testing.assert_allclose(np.diff(edge_scores(merits, np.full(3, np.nan))), [-1.2, -1.2])
+
+
+def test_a_sketch_tells_look_alikes_apart_where_the_picture_does_not(
+    model: ViewModel, drum: Mesh
+) -> None:
+    below = seen(Rotation.from_euler("xyz", [0.0, 0.0, 3.0], degrees=True))
+    frame = picture(drum, below)
+    poses = [aside(below, angle) for angle in (90.0, 180.0, 270.0)]
+    sketch = [on_a_sketch(pose, merit) for pose, merit in zip(poses, (5.0, 15.0, 5.0), strict=True)]
+    edges = edge_scores(np.ones(3), np.array([one.merit for one in sketch]))
+    weighed = Rivals(model, CAMERA).weigh(
+        frame, Sky.of(frame), poses, edges, [SUN] * 3, list(sketch)
+    )
+    assert weighed[0].pose is poses[1]
+    assert weighed[0].on_sketch is poses[1]
+    assert weighed[0].probability > 0.95

@@ -19,6 +19,7 @@ from rendezview.io.sequences import Frame
 from rendezview.io.target import DockingRing
 from rendezview.io.video_file import VideoWriter
 from rendezview.sensors.appearance import AppearanceObservation
+from rendezview.sensors.beam import BeamMesh
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring.observation import RingObservation
 from rendezview.sensors.ring.overlay import draw_reading
@@ -63,6 +64,7 @@ def fuse_to_contact(
     ring: DockingRing,
     laser: Path,
     *,
+    mesh: BeamMesh | None,
     log: Path,
     video: Path,
 ) -> Contact:
@@ -73,13 +75,15 @@ def fuse_to_contact(
         observations: of the tracker, one for each frame.
         ring: of the target.
         laser: log of the ranger.
+        mesh: of the target, that its beam meets.
         log: the states, as ``rendezview fuse`` writes them.
         video: the ring in every frame.
     """
     camera = frames[0].camera
     sensor = RingSensor(camera, ring.radius_m, circles=ring.circles)
     fusion = Fusion()
-    echoes = {m.time_s: m for m in read_log(laser, "laser", LogContext(ring)).measurements}
+    context = LogContext(ring, mesh or ())
+    echoes = {m.time_s: m for m in read_log(laser, "laser", context).measurements}
     rows = []
     with JsonLinesWriter(log) as states, VideoWriter(video, _RATE_HZ) as film:
         for frame, observation in zip(frames, observations, strict=True):

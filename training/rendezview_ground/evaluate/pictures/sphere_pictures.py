@@ -54,14 +54,15 @@ def sphere_picture(
     seen_from = direction if direction is not None else truth
     figure = new_figure(6.2, 5.6)
     axes = figure.add_subplot()
-    painted = _Sphere(model.geodesic, np.array([1.0, 0.0, 0.0]) if seen_from is None else seen_from)
+    side = np.array([1.0, 0.0, 0.0]) if seen_from is None else seen_from
+    painted = PaintedSphere(model.geodesic, side)
     colours = painted.draw(axes, np.asarray(values, dtype=np.float64))
     painted.outline(axes, np.asarray(active_nodes, dtype=np.intp))
     if truth is not None:
         painted.mark(axes, truth, "o", TRUTH, "true direction", hollow=True)
     if direction is not None:
         painted.mark(axes, direction, "+", ESTIMATE, "estimated direction")
-    _colour_bar(figure, axes, colours, label)
+    colour_bar(figure, axes, colours, label)
     legend_below(figure, axes)
     return figure
 
@@ -73,10 +74,10 @@ def model_picture(model: ViewModel) -> Figure:
     top = figure.add_gridspec(2, 2, height_ratios=(1.55, 1.0))
     for column, sign in enumerate((1.0, -1.0)):
         axes = figure.add_subplot(top[0, column])
-        painted = _Sphere(model.geodesic, np.array([sign, 0.0, 0.0]))
+        painted = PaintedSphere(model.geodesic, np.array([sign, 0.0, 0.0]))
         colours = painted.draw(axes, values)
         axes.set_title(f"from {'+' if sign > 0 else '−'}X", color=INK, fontsize=11)
-    _colour_bar(figure, figure.axes, colours, label)
+    colour_bar(figure, figure.axes, colours, label)
     trees = range(len(model.forest))
     counts = {
         "depth of the tree, levels": [model.forest.depth(tree) for tree in trees],
@@ -106,16 +107,17 @@ def _accuracy(model: ViewModel) -> tuple[Array, str]:
     return model.training_accuracy, _TRAINING
 
 
-def _colour_bar(
+def colour_bar(
     figure: Figure, axes: Axes | list[Axes], colours: ScalarMappable, label: str
 ) -> None:
+    """A styled bar beside the axes, with what the colours mean."""
     bar = figure.colorbar(colours, ax=axes, shrink=0.75, aspect=28, pad=0.02)
     bar.set_label(label, color=MUTED, fontsize=10)
     bar.ax.tick_params(colors=MUTED, labelsize=9)
     bar.outline.set_visible(False)
 
 
-class _Sphere:
+class PaintedSphere:
     """Orthographic picture of a sphere whose cells are the regions closest to each node."""
 
     def __init__(self, sphere: Geodesic, seen_from: npt.ArrayLike) -> None:

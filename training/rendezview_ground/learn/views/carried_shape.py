@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rendezview.sensors.appearance.model.shape import Shape
+from rendezview.sensors.appearance.model.shape import SHAPE_RELIEF, Shape
 from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT
 from rendezview_ground.learn.look_alikes import look_alikes
 from rendezview_ground.learn.options import ViewGeometry
@@ -14,7 +14,7 @@ from rendezview_ground.mesh.simplify import simplified
 # Faces; a smaller mesh is carried as it is. Source: drawing takes 2 ms with so many
 _MANY_FACES = 8000
 # Of the target's radius, as it may be simplified: a quarter of a pixel where it is drawn
-_TOLERANCE_RADII = 1.0 / 360.0
+_TOLERANCE_RADII = 2.0 * SHAPE_RELIEF
 
 
 def carried_shape(mesh: Mesh, geometry: ViewGeometry, seed: int) -> Shape:

@@ -42,6 +42,9 @@ BRIGHT_PERCENTILE = 80
 # Least cosine between the Sun and the direction to the camera. Source: by construction, phase
 # angles to 107°
 BEHIND = -0.3
+# Of weighted least squares, where many directions are compared. Source: by construction, a bound of
+# time
+ROUNDS = 3
 _CANDIDATES = 6  # directions around the best one, for each step. Source: by construction, a hexagon
 # Component of a unit vector beyond which another axis is crossed with it.
 _KEEP = 0.7  # Source: by construction, any axis not along it
@@ -239,7 +242,12 @@ def _misfit(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def light_strengths(
-    levels: Array, sunlit: Array, albedo: Array, tolerance: float, strengths: Array
+    levels: Array,
+    sunlit: Array,
+    albedo: Array,
+    tolerance: float,
+    strengths: Array,
+    rounds: int = ROUNDS,
 ) -> float:
     """Robust misfit of the best strengths (2,) of one Sun and of the light all around.
 
@@ -251,11 +259,12 @@ def light_strengths(
         albedo: (N,).
         tolerance: grey levels beyond which a level is an outlier.
         strengths: (2,) gets the grey levels of albedo 1 in full sun, and around.
+        rounds: of weighted least squares.
     """
     a, b = 0.0, 0.0
     inverse = 1.0 / (tolerance * tolerance)
     cost = 0.0
-    for step in range(4):
+    for step in range(rounds + 1):
         aa, ab, bb, ca, cb, cost = 1e-9, 0.0, 1e-9, 0.0, 0.0, 0.0
         for i in range(levels.shape[0]):
             x, y = sunlit[i], albedo[i]
@@ -270,7 +279,7 @@ def light_strengths(
             bb += weight * y * y
             ca += weight * x * levels[i]
             cb += weight * y * levels[i]
-        if step == 3:
+        if step == rounds:
             break
         bb *= 1.001
         determinant = aa * bb - ab * ab

@@ -35,7 +35,7 @@ _MARGIN = 1.4  # of the box of the target: side of the square that is sketched. 
 # Source: its cost; no other is better in experiment photo-accuracy (docs/notes/photographs.md)
 _CLOSER_MARGIN = 0.1  # of the box's longer side, around it in closer passes
 _LEAST_SIDE = 0.75  # of SIDE_PX: a smaller square would be magnified. Source: as trained
-_COVERED = 0.5  # probability. Source: by construction
+COVERED = 0.5  # probability. Source: by construction
 _PIECE_SHARE = (
     0.03  # of the largest piece; smaller ones are specks. Source: experiment photo-accuracy
 )
@@ -76,6 +76,12 @@ class Sketch:
     def rest(self) -> Array:
         """(2,) −1, 0 or 1: where the rest of the target lies, to the right and below."""
         return self.crossed[:, 1].astype(float) - self.crossed[:, 0]
+
+    def box_in_frame(self, box: Part) -> Box:
+        """A box of whole pixels of the sketch, right and bottom beyond the last, in the frame."""
+        x0, y0, x1, y1 = (side - 0.5 for side in box)
+        s, u, v = self.scale, self.left_px, self.top_px
+        return float((x0 - u) / s), float((y0 - v) / s), float((x1 - u) / s), float((y1 - v) / s)
 
     @property
     def place(self) -> Array:
@@ -168,7 +174,7 @@ class Sketcher:
             maps = np.ascontiguousarray(maps[:, ::-1, ::-1])
         # Rounding makes the scales of the axes differ by less than half a sketch pixel's share.
         scale = 0.5 * (columns / (right - left) + rows / (bottom - top))
-        cover = maps[COVER] > _COVERED
+        cover = maps[COVER] > COVERED
         across = left == 0 and cover[:, 0].any(), right == width and cover[:, -1].any()
         down = top == 0 and cover[0].any(), bottom == height and cover[-1].any()
         # Pixel k of the frame covers k − 0.5 … k + 0.5, in the sketch likewise.
@@ -234,7 +240,7 @@ def from_squares(squares: Float32s) -> Float32s:
 def _box_of(sketch: Sketch) -> Box | None:
     """The box of the likeliest body and the pieces near it, frame px; None without a body."""
     cover = sketch.maps[COVER]
-    mask = (cover > _COVERED).astype(np.uint8)
+    mask = (cover > COVERED).astype(np.uint8)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     if count < 2:
         return None
@@ -248,11 +254,9 @@ def _box_of(sketch: Sketch) -> Box | None:
     near = (mass > _PIECE_SHARE * mass[main]) & (np.maximum(apart_x, apart_y) < reach)
     near[main] = True
     pieces = boxes[near]
-    x0, y0 = pieces[:, 0].min() - 0.5, pieces[:, 1].min() - 0.5
-    x1 = (pieces[:, 0] + pieces[:, 2]).max() - 0.5
-    y1 = (pieces[:, 1] + pieces[:, 3]).max() - 0.5
-    s, u, v = sketch.scale, sketch.left_px, sketch.top_px
-    return float((x0 - u) / s), float((y0 - v) / s), float((x1 - u) / s), float((y1 - v) / s)
+    right, bottom = (pieces[:, k] + pieces[:, k + 2] for k in (0, 1))
+    box = pieces[:, 0].min(), pieces[:, 1].min(), right.max(), bottom.max()
+    return sketch.box_in_frame((int(box[0]), int(box[1]), int(box[2]), int(box[3])))
 
 
 def _around(box: Box) -> Box:

@@ -23,7 +23,6 @@ from rendezview.sensors.appearance.edges.alignment import (
     LOOSE_PX,
     SPREAD,
     VIEWS,
-    Stage,
     align,
     align_each,
     covariance_of,
@@ -37,6 +36,15 @@ from rendezview.sensors.appearance.edges.articulation import (
 from rendezview.sensors.appearance.edges.lit_inliers import lit_inliers
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
+from rendezview.sensors.appearance.edges.stages import (
+    COARSE_STAGES,
+    CUT_PX,
+    FINE,
+    INEXACT,
+    INEXACT_CUT_PX,
+    QUICK,
+    THOROUGH,
+)
 from rendezview.sensors.appearance.edges.strain import StrainMoves
 from rendezview.sensors.appearance.model.contours import Contours
 from rendezview.sensors.appearance.model.error_model import ErrorModel
@@ -45,35 +53,6 @@ from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.model.view_tables import ViewTables
 from rendezview.sensors.appearance.sky import Sky
 
-# Stages of alignment. Source: experiment pose-accuracy, seeds 1, 88, 99, 123.
-# Many starting poses are aligned roughly, the better ones coarsely, …
-_QUICK = (
-    np.array([Stage(20, 9, 2, smooth_px=4, room_px=4, stride=4)]),
-    np.array([Stage(10, 4, 3, smooth_px=2, room_px=2, stride=2), Stage(5, 1.5, 2)]),
-)
-# … with more points and steps if that leads to no confident pose. Source: seeds 1, 88, 99 and 123
-# of pose-accuracy, docs/notes/refinement.md
-_THOROUGH = (
-    np.array([Stage(20, 9, 3, smooth_px=4, room_px=4, stride=2)]),
-    np.array([Stage(10, 4, 3, smooth_px=2, room_px=2), Stage(5, 1.5, 2)]),
-)
-# Each stage iterates to convergence before the search range shrinks: attitudes 5° apart can lie
-# within half a pixel of each other. The last one uses the three nearest views (commit 5e90c44).
-# Source: seeds 1, 88, 99 and 123 of pose-accuracy, docs/notes/refinement.md
-_FINE = np.array(
-    [
-        Stage(8, 3, 3, room_px=2, stop_px=1.0),
-        Stage(6, 2, 3, damping=1e-4, relaxation=1.3, stop_px=0.6),
-        Stage(5, 1.2, 10, lines=3, fit=1, damping=1e-4, relaxation=1.3, stop_px=0.4),
-        Stage(4, 0.5, 1, lines=3, fit=1, views=3, damping=1e-4, relaxation=1.3),
-    ]
-)
-_COARSE_STAGES = 1  # of the stages above, before a pose is given up. Source: docs/notes/rivals.md
-_CUT_PX = 1.25  # px; 2.5 spreads of the last stage. Source: by construction
-# Where the craft may differ from its mesh, no edge is in place to half a pixel. Source: commit
-# 5cde9da
-_INEXACT = _FINE[:-1]
-_INEXACT_CUT_PX = 3.0  # px; 2.5 spreads of its last stage. Source: by construction
 # px; one σ of an edge's place in the best of cases. Source: fixed with the fit of error_model.json
 _LEAST_SIGMA_PX = 0.1
 # σ by which all edges are off alike: a limb that fades into the dark. Source: a Mitsuba approach of
@@ -174,7 +153,7 @@ class Refiner:
         self.articulation = Articulation(model, self.views) if model.joints else None
         self._lens = (lens_vector(camera), camera.is_distorted)
         inexact = model.shape_error > 0.0
-        self._stages, self._cut_px = (_INEXACT, _INEXACT_CUT_PX) if inexact else (_FINE, _CUT_PX)
+        self._stages, self._cut_px = (INEXACT, INEXACT_CUT_PX) if inexact else (FINE, CUT_PX)
         most = int(self._stages[:, VIEWS].max())
         self._rows = most * contours.kind.shape[2]  # of the measurements
         self._strain = model.shape_uncertainty + _VIEW_STRAIN**2 * np.eye(6)
@@ -197,7 +176,7 @@ class Refiner:
         stages = self._stages[1:] if closely else self._stages
         if least > 0.0 and self.articulation is None:
             edges = np.zeros((self._rows, COLUMNS))
-            first, stages = stages[:_COARSE_STAGES], stages[_COARSE_STAGES:]
+            first, stages = stages[:COARSE_STAGES], stages[COARSE_STAGES:]
             frame = sky.vector
             light = align(image, self._lens, frame, first, self.views, rotation, centre, edges)
             if light == DIVERGED or self._ratio(image, sky, rotation, centre) < least:
@@ -241,7 +220,7 @@ class Refiner:
             thorough: align with more points, in more steps.
             least: inlier ratio after the coarse stages; others are not refined.
         """
-        rough, coarse = _THOROUGH if thorough else _QUICK
+        rough, coarse = THOROUGH if thorough else QUICK
         ratios = np.empty((len(rotations), 3))
         frame = sky.vector
         survivors = max(2 * keep, len(rotations) * 2 // 5)
@@ -376,7 +355,7 @@ class Refiner:
         strained = moves.covariance(arm, strain) + self._shared_offset(centre)
         if self.model.shape_error > 0.0:
             # As for an exact model: the classifier was fitted to that.
-            _, residual = covariance_of(edges, _CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm)
+            _, residual = covariance_of(edges, CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm)
         outline, inner, visible = inlier_ratios(
             image, self._lens, frame, self.views, rotation, centre, CLOSE_PX, 1, edges
         )

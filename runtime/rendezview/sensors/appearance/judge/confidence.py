@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import angle_between
+from rendezview.geometry.symmetry import angle_between, first_of_each
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.refinement import Refined, Refiner
-from rendezview.sensors.appearance.judge.rivals import Rivals, Weighed
+from rendezview.sensors.appearance.judge.rivals import (
+    MERIT_WEIGHT,
+    Rivals,
+    Weighed,
+    edge_scores,
+)
 from rendezview.sensors.appearance.judge.shading import Shade, Shading
+from rendezview.sensors.appearance.judge.sketch_choice import Aligned, SketchPose
 from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
 from rendezview.sensors.appearance.sky import Sky
+
+Bound = Callable[[Pose], bool]  # whether a pose may be the answer at all
+Indices = npt.NDArray[np.intp]
 
 # Weights of the merit, beside an inlier ratio of weight 1.
 # Of mean radii of the silhouette. Source: by hand, seeds of docs/notes/refinement.md
@@ -42,6 +53,7 @@ _RIVAL_RAD = np.deg2rad(5.0)
 # Of overshoot and of margin in the regression, which saturate there. Source: fixed with the fit of
 # error_model.json
 _MOST_FEATURE = 0.3
+_MOST_RIVALS = 16  # that are drawn, of most merit. Source: by construction, a bound of time
 _FRONT = np.array([0.0, 0.0, -1.0])  # Sun behind the camera. Source: by construction
 
 
@@ -127,6 +139,12 @@ class _Candidate:
         return None if self.shade is None else self.shade.agreement
 
 
+def _sun_of(candidate: _Candidate) -> Array:
+    """(3,) where the surface points have the Sun; behind the camera where they do not tell."""
+    shade = candidate.shade
+    return _FRONT if shade is None or not shade.sun_camera.any() else shade.sun_camera
+
+
 @dataclass(slots=True, eq=False)
 class Candidates:
     """All refined poses of one frame; each costs its overshoot and its shading once."""
@@ -139,11 +157,13 @@ class Candidates:
     bodies: list[Outlines]
     forest_scores: ForestScores | None = None
     prior: bool = False  # the search starts from a prior
+    bounds: tuple[Bound, ...] = ()  # of all poses
     _all: list[_Candidate] = field(default_factory=list)
 
     def add(self, refined: list[Refined]) -> None:
-        """Take more poses."""
-        self._all += [_Candidate(r, self._overshoot(r)) for r in refined]
+        """Take more poses, those within the bounds."""
+        may_be = (r for r in refined if all(bound(r.pose) for bound in self.bounds))
+        self._all += [_Candidate(r, self._overshoot(r)) for r in may_be]
 
     @property
     def most_inliers(self) -> Refined | None:
@@ -180,37 +200,64 @@ class Candidates:
             error_model=self.refiner.error_model,
         )
 
-    def weighed(self, rivals: Rivals) -> Found | None:
-        """The likeliest pose beside its rivals, by drawn evidence; None without any pose."""
+    def weighed(self, rivals: Rivals, on_sketch: Aligned | None = None) -> Found | None:
+        """The likeliest pose beside its rivals, by drawn evidence; None without any pose.
+
+        ``on_sketch``: of the sketch, where one was drawn of the frame. Poses that it leads to the
+        same pose are one answer.
+        """
         found = self.choose()
         if found is None:
             return None
-        symmetries = self.refiner.model.symmetries
-        merits = {id(c): merit(c.refined, c.overshoot, c.shading) for c in self._all}
-        least = found.merit - _IN_DOUBT
-        apart: list[_Candidate] = []
-        for c in sorted(self._all, key=lambda c: -merits[id(c)]):
-            pose = c.refined.pose
-            if merits[id(c)] >= least and all(
-                angle_between(pose, other.refined.pose, symmetries) > _RIVAL_RAD for other in apart
-            ):
-                apart.append(c)
+        merits = [merit(c.refined, c.overshoot, c.shading) for c in self._all]
+        apart = self._apart(merits, found.merit - _IN_DOUBT if on_sketch is None else -np.inf)
+        asked = [self._all[k] for k in apart]
+        sketch = None if on_sketch is None else on_sketch([c.refined.pose for c in asked])
+        edges = edge_scores(
+            np.array([merits[k] for k in apart]),
+            None
+            if sketch is None
+            else np.array([np.nan if s is None else s.merit for s in sketch]),
+        )
+        order = np.argsort(-edges, kind="stable")
+        order = order[edges[order] >= edges.max() - MERIT_WEIGHT * _IN_DOUBT]
+        if sketch is not None:
+            order = self._one_each(order, sketch)
+        order = order[:_MOST_RIVALS]
         weighed = rivals.weigh(
-            self.image, self.sky, [c.refined.pose for c in apart], [merits[id(c)] for c in apart],
-            [_FRONT if c.shade is None else c.shade.sun_camera for c in apart],
+            self.image, self.sky, [asked[k].refined.pose for k in order], edges[order],
+            [_sun_of(asked[k]) for k in order],
+            None if sketch is None else [sketch[k] for k in order],
         )  # fmt: skip
-        best = next(c for c in apart if c.refined.pose is weighed[0].pose)
-        j = self._rival(best, [merits[id(c)] for c in self._all])
+        if not weighed:
+            return found
+        k = next(k for k, c in enumerate(self._all) if c.refined.pose is weighed[0].pose)
+        best = self._all[k]
+        j = self._rival(best, merits)
         return replace(
             found,
             best=best.refined,
             overshoot=best.overshoot,
-            margin=1.0 if j is None else merits[id(best)] - merits[id(self._all[j])],
+            margin=1.0 if j is None else merits[k] - merits[j],
             rival=None if j is None else self._all[j].refined,
             shading=best.shading,
             votes=self._votes(best.refined),
             weighed=tuple(weighed),
         )
+
+    def _one_each(self, order: Indices, sketch: list[SketchPose | None]) -> Indices:
+        """Of the poses that a sketch leads to the same pose the first."""
+        led = [(int(k), one.pose) for k in order if (one := sketch[k]) is not None]
+        symmetries = self.refiner.model.symmetries
+        firsts = first_of_each((pose for _, pose in led), _RIVAL_RAD, symmetries)
+        kept = {led[i][0] for i in firsts}
+        return np.array([k for k in order if sketch[k] is None or int(k) in kept])
+
+    def _apart(self, merits: list[float], least: float) -> list[int]:
+        """Of the poses of one answer the one of most merit, in the order of merit."""
+        order = [int(k) for k in np.argsort(-np.array(merits), kind="stable") if merits[k] >= least]
+        poses = (self._all[k].refined.pose for k in order)
+        return [order[i] for i in first_of_each(poses, _RIVAL_RAD, self.refiner.model.symmetries)]
 
     def _rival(self, best: _Candidate, merits: list[float]) -> int | None:
         """The pose of most merit that is another answer than the best."""

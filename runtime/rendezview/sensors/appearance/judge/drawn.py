@@ -21,7 +21,7 @@ from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.geometry.so3 import rotate_back_into
 from rendezview.geometry.zbuffer import draw_parallel, draw_perspective, empty_buffers
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.lighting import BEHIND
+from rendezview.sensors.appearance.edges.lighting import BEHIND, light_strengths
 from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -29,24 +29,36 @@ from rendezview.sensors.appearance.sky import Sky
 
 Float32s = npt.NDArray[np.float32]
 
-_RADIUS_PX = 60.0  # of the target as it is drawn, at most
-_WINDOW_RADII, _WINDOW_MORE_PX = 1.25, 6.0  # half a side of the drawn part
-_SHADOW_PX = 160  # side of the shadow map
-_SHADOW_RADII = 1.05  # half a side of it
-# Of its pixels: nearer surfaces do not shade each other. Its 3 × 3 pixels lie on a slope.
+# Of the target as it is drawn, at most. Source: docs/notes/rivals.md, 90 is no better
+_RADIUS_PX = 60.0
+# Half a side of the drawn part. Source: by construction, all of it and a border
+_WINDOW_RADII, _WINDOW_MORE_PX = 1.25, 6.0
+# Side of the shadow map, and half of it. Source: by construction, its pixel is one of the picture
+_SHADOW_PX, _SHADOW_RADII = 160, 1.05
+# Of its pixels: nearer surfaces do not shade each other; its 3 × 3 pixels lie on a slope. Source:
+# by construction, the diagonal of 3 × 3; docs/notes/rivals.md
 _SHADOW_DEPTH_PX, _SHADOW_REACH_PX, _SHADOW_MOST_PX = 0.5, 1.6, 16.0
-_OBSERVED_BLUR_PX, _DRAWN_BLUR_PX = 0.8, 1.0  # σ: small errors of the pose count little
-_TOLERANCE = 0.1  # of the bright level: what diffuse shading leaves unexplained
-_BRIGHT_QUANTILE = 0.9  # of the levels where the craft is
-_CELLS_ACROSS = 20.0  # of the target's radius: errors of neighbouring pixels are alike
-_STEPS_RAD = np.deg2rad([10.0, 5.0, 2.5])  # about the best Sun, hexagons
-_FITS = 6  # of the two strengths of light, by weights
-_AROUND_PX = 3  # the compared pixels reach so far beyond the craft
-_SKY_BLUR_PX = 12.0  # σ: the sky beside the craft, behind it
-_LEAST_DRAWN_PX = 60  # pixels of the craft
-_SHRUNK_BLUR = 0.4  # σ before a picture is shrunk, of the times; squares of as many have 0.29
+# σ: small errors of the pose count little. Source: docs/notes/rivals.md, 1.5 is no better
+_OBSERVED_BLUR_PX, _DRAWN_BLUR_PX = 0.8, 1.0
+# Of the bright level: what diffuse shading leaves unexplained. Source: as for fit_light
+_TOLERANCE = 0.1
+_BRIGHT_QUANTILE = 0.9  # of the levels where the craft is. Source: by construction, not the glints
+# Of the target's radius: errors of neighbouring pixels are alike. Source: fixed with COST_WEIGHT
+_CELLS_ACROSS = 20.0
+# About the best Sun, hexagons. Source: spacing of the surface's nodes, 8.6°, halved twice
+_STEPS_RAD = np.deg2rad([10.0, 5.0, 2.5])
+# Of the two strengths of light. Source: docs/notes/rivals.md, three are too few
+_ROUNDS = 6
+# The compared pixels reach so far beyond the craft. Source: by construction, three σ of blur
+_AROUND_PX = 3
+# σ: the sky beside the craft, behind it. Source: by construction, a fifth of its radius
+_SKY_BLUR_PX = 12.0
+_LEAST_DRAWN_PX = 60  # pixels of the craft. Source: as for the points of shading
+# σ before a picture is shrunk, of the times. Source: by construction, squares of as many have 0.29
+_SHRUNK_BLUR = 0.4
 _LEAST_COST = 1e-3  # its logarithm stays finite. Source: by construction
-_NEAR_RADII = 1e-3  # of the target's radius; triangles are clipped there
+# Of the target's radius; triangles are clipped there. Source: by construction
+_NEAR_RADII = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +66,7 @@ class Explained:
     """What a pose leaves unexplained of a frame."""
 
     cost: float  # independent cells that it does not explain
+    share: float  # the same of the cells of the craft; it may exceed 1
     sun_camera: Array  # (3,) unit, towards the Sun that fits best
 
 
@@ -68,7 +81,6 @@ class Window:
     cy: float
     tolerance_grey: float
     cell_px: float  # pixels of an independent cell
-    sun_camera: Array | None  # if it is known
     sky: Float32s  # (H, W) levels as they are expected beside the craft
     seen: npt.NDArray[np.intp]  # (M,) pixels that are compared
 
@@ -121,9 +133,7 @@ class DrawnEvidence:
         tolerance = _TOLERANCE * max(bright, 0.0) + sky.noise_grey
         cell_px = (radius_px / times / _CELLS_ACROSS) ** 2
         nothing, all_of_it = np.zeros_like(levels), np.arange(levels.size)
-        return Window(
-            levels, fx, fy, cx, cy, tolerance, cell_px, sky.sun_camera, nothing, all_of_it
-        )
+        return Window(levels, fx, fy, cx, cy, tolerance, cell_px, nothing, all_of_it)
 
     def _undistorted(
         self, image: Picture, side: int, intrinsics: tuple[float, ...], times: float, black: float
@@ -206,13 +216,15 @@ class Drawn:
         """What stays unexplained under a Sun (3,)."""
         window, sunlit = self.window, self.sunlit(sun_camera)
         seen = window.levels.ravel()[self.where].astype(np.float64)
-        a, b = _strengths(seen, sunlit, self.albedo, window.tolerance_grey)
+        strengths = np.empty(2)
+        light_strengths(seen, sunlit, self.albedo, window.tolerance_grey, strengths, _ROUNDS)
         drawn = window.sky.copy()
-        drawn.ravel()[self.where] = a * sunlit + b * self.albedo
+        drawn.ravel()[self.where] = strengths[0] * sunlit + strengths[1] * self.albedo
         drawn = np.asarray(cv2.GaussianBlur(drawn, (0, 0), _DRAWN_BLUR_PX))
         cost = _unexplained(window.levels, drawn, window.seen, window.tolerance_grey)
         cost /= window.cell_px
-        return Explained(max(cost, _LEAST_COST), sun_camera)
+        cells = len(self.where) / window.cell_px
+        return Explained(max(cost, _LEAST_COST), cost / cells, sun_camera)
 
     def sunlit(self, sun_camera: Array) -> Array:
         """(N,) albedo times the cosine to a Sun (3,), 0 in shadow."""
@@ -225,8 +237,6 @@ class Drawn:
     def under_best(self, begin: Explained) -> Explained:
         """What stays unexplained under the Sun that fits best, from one that may be near."""
         best = begin
-        if self.window.sun_camera is not None:
-            return best
         for step in _STEPS_RAD:
             tilt = minimal_rotation(np.array([0.0, 0.0, 1.0]), best.sun_camera)
             for k in range(6):
@@ -252,34 +262,6 @@ def _unexplained(
         r = (levels[y, x] - drawn[y, x]) / tolerance
         total += r * r / (1.0 + r * r)
     return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _strengths(seen: Array, lit: Array, dull: Array, tolerance: float) -> tuple[float, float]:
-    """Strengths ≥ 0 of the Sun and of light from all around: robust fit of the levels (N,)."""
-    a, b = 0.0, 0.0
-    for step in range(_FITS):
-        aa, ab, bb, ca, cb = 1e-9, 0.0, 1e-9, 0.0, 0.0
-        for k in range(len(seen)):
-            if step == 0:
-                w = max(seen[k], 0.0) + 1e-3
-            else:
-                r = (seen[k] - a * lit[k] - b * dull[k]) / tolerance
-                w = 1.0 / (1.0 + r * r)
-                w *= w
-            aa += w * lit[k] * lit[k]
-            ab += w * lit[k] * dull[k]
-            bb += w * dull[k] * dull[k]
-            ca += w * lit[k] * seen[k]
-            cb += w * dull[k] * seen[k]
-        bb *= 1.001
-        both = aa * bb - ab * ab
-        a, b = (ca * bb - cb * ab) / both, (cb * aa - ca * ab) / both
-        if b < 0.0:
-            a, b = ca / aa, 0.0
-        elif a < 0.0:
-            a, b = 0.0, cb / bb
-    return a, b
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)

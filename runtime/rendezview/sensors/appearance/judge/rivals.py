@@ -17,13 +17,17 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.judge.drawn import DrawnEvidence, Explained, cost_of
+from rendezview.sensors.appearance.judge.drawn import Drawn, DrawnEvidence, Explained, cost_of
+from rendezview.sensors.appearance.judge.sketch_choice import SketchPose
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.sky import Sky
 
-COST_WEIGHT = 22.0  # of the log of the cells that stay unexplained
-MERIT_WEIGHT = 18.0  # of the merit
-# Of the score: a rival so far behind under the Sun of its surface points is not drawn under others.
+# Of the log of the cells that stay unexplained, and of the merit. Source: docs/notes/rivals.md
+COST_WEIGHT, MERIT_WEIGHT = 22.0, 18.0
+# The same where a sketch was drawn, and of the merit on it. Source: docs/notes/rivals.md
+COST_BESIDE_SKETCH, MERIT_BESIDE_SKETCH, SKETCH_WEIGHT = 13.0, 12.0, 0.65
+# Of the score: a rival so far behind under the Suns of the likeliest is drawn under no others.
+# Source: docs/notes/rivals.md, 40 is no better
 _IN_DOUBT = 12.0
 
 
@@ -32,10 +36,11 @@ class Weighed:
     """A pose beside its rivals."""
 
     pose: Pose
-    merit: float
     cost: float  # cells of the frame that it leaves unexplained; inf: too small; NaN: no rival
+    share: float  # the same of the cells of the craft; NaN: no rival
     sun_camera: Array
     probability: float  # among all that were weighed
+    on_sketch: Pose | None = None  # where a sketch leads the pose to
 
 
 class Rivals:
@@ -65,48 +70,83 @@ class Rivals:
         return found
 
     def weigh(
-        self, image: Picture, sky: Sky, poses: list[Pose], merits: list[float], suns: list[Array]
-    ) -> list[Weighed]:
-        """Poses of one frame with their probabilities, the likeliest first.
+        self, image: Picture, sky: Sky, poses: list[Pose], edges: Array, suns: list[Array],
+        sketch: list[SketchPose | None] | None = None,
+    ) -> list[Weighed]:  # fmt: skip
+        """Poses of one frame with their probabilities, the likeliest first; [] if none is seen.
 
         Args:
             image: (H, W) frame.
             sky: behind the target.
             poses: camera_from_target, one at least.
-            merits: of their edges.
-            suns: (3,) towards the Sun of each, camera frame, as the surface points have it.
+            edges: (N,) of ``edge_scores``.
+            suns: (3,) towards the Sun of each, camera frame, as the surface points have it. If
+                the Sun is known, that one counts.
+            sketch: where one leads each pose to; its lines are among the edges.
         """
+        known = sky.sun_camera
+        if known is not None:
+            suns = [known] * len(poses)
+        cost_weight = COST_WEIGHT if sketch is None else COST_BESIDE_SKETCH
+        led = [None if one is None else one.pose for one in sketch or [None] * len(poses)]
         if len(poses) == 1:
-            return [Weighed(poses[0], merits[0], math.nan, suns[0], 1.0)]
+            return [Weighed(poses[0], math.nan, math.nan, suns[0], 1.0, led[0])]
         window = self._evidence.window(image, sky, poses[0])
         drawn = [self._evidence.drawn(window, pose) for pose in poses]
         window = window.beside([one for one in drawn if one is not None])
         drawn = [None if one is None else replace(one, window=window) for one in drawn]
         explained = [
-            Explained(math.inf, sun) if one is None else one.under(sun)
+            Explained(math.inf, math.inf, sun) if one is None else one.under(sun)
             for one, sun in zip(drawn, suns, strict=True)
         ]
-        order = np.argsort(-_scores(merits, explained), kind="stable")
+        if known is None:
+            explained = self._under_best_suns(edges, cost_weight, drawn, explained)
+        scores = _scores(edges, cost_weight, explained)
+        if not np.isfinite(scores.max()):
+            return []
+        odds = np.exp(scores - scores.max())
+        shares = odds / odds.sum()
+        weighed = [
+            Weighed(pose, seen.cost, seen.share, seen.sun_camera, float(odd), there)
+            for pose, seen, odd, there in zip(poses, explained, shares, led, strict=True)
+        ]
+        return sorted(weighed, key=lambda w: -w.probability)
+
+    def _under_best_suns(
+        self, edges: Array, cost_weight: float, drawn: list[Drawn | None],
+        explained: list[Explained],
+    ) -> list[Explained]:  # fmt: skip
+        """Each under the Suns of the two likeliest, too; those in doubt under Suns around."""
+        order = np.argsort(-_scores(edges, cost_weight, explained), kind="stable")
         others = [explained[k].sun_camera for k in order[:2]]
         explained = [
             seen if one is None else min([seen, *map(one.under, others)], key=cost_of)
             for one, seen in zip(drawn, explained, strict=True)
         ]
-        scores = _scores(merits, explained)
+        scores = _scores(edges, cost_weight, explained)
         for k, one in enumerate(drawn):
             if one is not None and scores[k] >= scores.max() - _IN_DOUBT:
                 explained[k] = one.under_best(explained[k])
-        scores = _scores(merits, explained)
-        odds = np.exp(scores - max(float(scores.max()), -1e300))
-        shares = odds / max(float(odds.sum()), 1e-300)
-        weighed = [
-            Weighed(pose, edges, seen.cost, seen.sun_camera, float(share))
-            for pose, edges, seen, share in zip(poses, merits, explained, shares, strict=True)
-        ]
-        return sorted(weighed, key=lambda w: -w.probability)
+        return explained
 
 
-def _scores(merits: list[float], explained: list[Explained]) -> Array:
+def edge_scores(merits: Array, on_sketch: Array | None = None) -> Array:
+    """(N,) logarithms of probabilities by edges alone, up to a constant.
+
+    Args:
+        merits: (N,) of grey edges.
+        on_sketch: (N,) on the sketch, if there is one; NaN: no hold, which counts as the worst of
+            the others.
+    """
+    if on_sketch is None:
+        return MERIT_WEIGHT * merits
+    held = on_sketch[~np.isnan(on_sketch)]
+    worst = float(held.min()) if len(held) else 0.0
+    sketch = np.where(np.isnan(on_sketch), worst, on_sketch)
+    return np.asarray(MERIT_BESIDE_SKETCH * merits + SKETCH_WEIGHT * sketch)
+
+
+def _scores(edges: Array, cost_weight: float, explained: list[Explained]) -> Array:
     """(N,) logarithms of probabilities, up to a constant."""
     costs = np.array([one.cost for one in explained])
-    return np.asarray(MERIT_WEIGHT * np.array(merits) - COST_WEIGHT * np.log(costs))
+    return np.asarray(edges - cost_weight * np.log(costs))

@@ -138,9 +138,7 @@ def shading(
     every = 1 + found // _FITTED
     count = (found + every - 1) // every
     some = levels[:found:every].copy()
-    albedo, sunlit = np.empty(count), np.empty(count)
-    for k in range(count):
-        albedo[k] = surface.albedo[which[k * every]]
+    albedo, sunlit = surface.albedo[which[:found:every]], np.empty(count)
     tolerance = _TOLERANCE * quantile(some, 0.01 * BRIGHT_PERCENTILE) + frame[0]
     away = centre / np.sqrt(_dot(centre, centre))
     strengths, chosen = np.empty(2), np.zeros(2)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from scipy.special import expit, logit
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import Symmetry, angle_between
+from rendezview.geometry.symmetry import Symmetry, angle_between, first_of_each
 from rendezview.sensors.appearance.judge.probability_forest import ProbabilityForest
 
 PACKAGED = Path(__file__).with_name("sketch_error_model.json")
@@ -56,6 +57,10 @@ class SketchPose:
     def merit(self) -> float:
         """Log odds against the other poses of the frame, but for a constant."""
         return float(self.features @ packaged().merit)
+
+
+# Where a sketch leads poses (N) to, with what agrees there; None: no hold.
+Aligned = Callable[[Sequence[Pose]], list[SketchPose | None]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +114,7 @@ class SketchChoice:
     agree: bool = False  # … whether both are the same answer
     covariance: Array | None = None  # (6, 6) rotation vector, translation; camera frame, left
     residual_px: float = float("nan")  # root mean square over the edges found
+    aligned: Aligned | None = None  # other poses on the finer sketch
 
     @property
     def margin(self) -> float:
@@ -182,13 +188,9 @@ def opinion_features(own: float, other: float, *, agree: bool) -> Array:
 
 def distinct(poses: Sequence[SketchPose], most: int, apart_rad: float) -> list[SketchPose]:
     """The poses of most merit that are some angle apart, the best first."""
-    kept: list[SketchPose] = []
-    for pose in sorted(poses, key=lambda p: -p.merit):
-        if all(pose.pose.angle_to(k.pose) > apart_rad for k in kept):
-            kept.append(pose)
-            if len(kept) == most:
-                break
-    return kept
+    ranked = sorted(poses, key=lambda p: -p.merit)
+    chosen = first_of_each((one.pose for one in ranked), apart_rad)
+    return [ranked[k] for k in islice(chosen, most)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

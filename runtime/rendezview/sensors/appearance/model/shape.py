@@ -9,6 +9,10 @@ import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
 
+# σ of the mesh's surface about the shape's, of the target's radius. Source: half the tolerance by
+# which training simplifies it
+SHAPE_RELIEF = 1.0 / 720.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -22,10 +23,11 @@ from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.forest import ForestScores, ScoreForest
 from rendezview.sensors.appearance.model.near_views import NearSphere
 from rendezview.sensors.appearance.model.shadowed_silhouettes import ShadowedSilhouettes
-from rendezview.sensors.appearance.model.shape import Shape
+from rendezview.sensors.appearance.model.shape import SHAPE_RELIEF, Shape
 from rendezview.sensors.appearance.model.sketches import ViewSketches
 from rendezview.sensors.appearance.model.surface import Surface
 from rendezview.sensors.appearance.model.trees import Forest
+from rendezview.sensors.beam import BeamMesh
 
 _Part = TypeVar("_Part")
 
@@ -79,7 +81,7 @@ class HeldOut:
     residual: float  # of the readings against the most alike view: 99.5 % were below
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ViewModel:
     """A geodesic sphere of views of one target, with a decision tree for each node.
 
@@ -124,6 +126,10 @@ class ViewModel:
     angles_rad: Array = field(default_factory=lambda: np.zeros(0))  # (J,)
     configurations: tuple[ViewModel, ...] = ()
 
+    def __repr__(self) -> str:
+        nodes, radius_m = len(self.held_out_accuracy), round(self.target_radius_m, 4)
+        return f"ViewModel({self.name!r}, nodes={nodes}, target_radius_m={radius_m})"
+
     def configuration_at(self, angles_rad: Array) -> ViewModel:
         """The configuration whose angles are nearest to some angles (J,); itself without joints."""
         if not self.joints:
@@ -146,6 +152,13 @@ class ViewModel:
     def bins(self) -> int:
         """Number of readings in a signature."""
         return int(self.views.readings.shape[1])
+
+    def beam_mesh(self) -> BeamMesh | None:
+        """The shape in the target frame, for a ranger's beam; None: trained without, or jointed."""
+        if self.shape is None or self.joints:
+            return None
+        relief_m = self.target_radius_m * math.hypot(SHAPE_RELIEF, self.shape_error)
+        return BeamMesh(self.shape.vertices_m + self.centre_m, self.shape.faces, relief_m)
 
     @property
     def geodesic(self) -> Geodesic:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import cv2
@@ -98,6 +98,13 @@ class Silhouette:
     box_px: Box  # left, top, right, bottom, inclusive
     sky_grey: float
     level_grey: float
+
+    def moved(self, across: float, down: float) -> Silhouette:
+        """The same in a larger picture, in which this one starts at a pixel."""
+        outlines = tuple(outline + np.array([across, down]) for outline in self.outlines_px)
+        left, top, right, bottom = self.box_px
+        box = left + int(across), top + int(down), right + int(across), bottom + int(down)
+        return replace(self, outlines_px=outlines, box_px=box)
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,6 +263,18 @@ def outlines_of_mask(mask: Picture, least_px: int = 1) -> list[Array]:
     """
     borders = (border for border in outer_borders(mask) if len(border) >= least_px)
     return [crack_outline(border, _NO_GREY, 0.0, 0.0, 0) for border in borders]
+
+
+def silhouette_of_mask(mask: Picture) -> Silhouette | Missing:
+    """The silhouette that a mask (H, W) tells, 255 on the target, however many pieces it has."""
+    borders = outer_borders(mask)
+    outlines = tuple(crack_outline(border, _NO_GREY, 0.0, 0.0, 0) for border in borders)
+    box = box_around([box_of(border) for border in borders])
+    height, width = mask.shape
+    at_border = _border_problem(box, float(np.count_nonzero(mask)), width, height)
+    if at_border is not None:
+        return at_border
+    return Silhouette(outlines, float(np.count_nonzero(mask)), box, math.nan, math.nan)
 
 
 def _choose(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -56,6 +58,12 @@ class SketchRetrieval:
         self._vectors = _vectors(sketches.decoded())
         self._partial: PartialViews | None = None  # made for the first target that is cut
 
+    def with_camera(self, camera: Camera) -> SketchRetrieval:
+        """The same for sketches of another camera's frames."""
+        other = copy(self)
+        other._camera = camera
+        return other
+
     def starts(
         self, sketch: Sketch, most: int, near: Array | None = None, within_rad: float = np.pi
     ) -> tuple[Array, Array]:
@@ -82,6 +90,11 @@ class SketchRetrieval:
         ahead = np.array([towards(bearing) for bearing in bearings]).reshape(-1, 3, 3)
         rotations = ahead @ spins[roll] @ self._sketches.rotation[view].astype(np.float64)
         return rotations, bearings * ranges_m[:, None]
+
+    def likeness(self, sketch: Sketch) -> float:
+        """Correlation of a sketch that shows a whole target alone with the likeliest view."""
+        turns = 2.0 * np.pi * np.arange(_ROLLS) / _ROLLS
+        return float(self._alike(sketch, [centroid(cover_of(sketch.maps))], turns, None).max())
 
     def _placements(self, sketch: Sketch) -> list[tuple[Array, float]]:
         """Centre and size (root of the area) of the cover, px; guesses of both where it is cut."""

@@ -8,6 +8,7 @@ that is found is refined once more in a finer picture.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -17,9 +18,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture, shrunk
 from rendezview.sensors.appearance.edges.refinement import Refiner
-from rendezview.sensors.appearance.judge.confidence import Found
-from rendezview.sensors.appearance.judge.rivals import Rivals
-from rendezview.sensors.appearance.judge.shading import Shading
+from rendezview.sensors.appearance.judge.confidence import Bound, Found
+from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.search.search import PoseSearch
@@ -48,6 +48,14 @@ class LevelSearch:
         self.whole = PoseSearch(model, camera)
         self._levels = {1: self.whole}
 
+    def with_camera(self, camera: Camera, *bounds: Bound) -> LevelSearch:
+        """The same search in the frames of another camera, and within more bounds."""
+        other = copy(self)
+        other.whole = self.whole.with_camera(camera, self.whole.refine_options)
+        other.whole.bounds = (*self.whole.bounds, *bounds)
+        other._levels = {1: other.whole}
+        return other
+
     @property
     def refiner(self) -> Refiner:
         """That of the picture itself."""
@@ -70,6 +78,8 @@ class LevelSearch:
         brief: bool = False,
         give_up: float = 0.0,
         again: bool = False,
+        also: Sequence[Pose] = (),
+        sketched: SketchFound | None = None,
     ) -> Found | None:
         """``PoseSearch.anywhere``; the outlines tell the size of the target."""
         area_sr = float(np.median([body.signature.area_sr for body in bodies]))
@@ -79,8 +89,9 @@ class LevelSearch:
         if times > 1:
             bodies = [Outlines([r[::times].copy() for r in b.rays], b.signature) for b in bodies]
         found = search.anywhere(
-            picture, its_sky, bodies, sun_camera, brief=brief, give_up=give_up, again=again
-        )
+            picture, its_sky, bodies, sun_camera, brief=brief, give_up=give_up, again=again,
+            also=also, sketched=sketched,
+        )  # fmt: skip
         return self._finished(found, image, sky)
 
     def at(
@@ -98,11 +109,13 @@ class LevelSearch:
 
     def proposed(
         self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
-        half_turns: bool = True,
+        half_turns: bool = True, sketched: SketchFound | None = None,
     ) -> Found | None:  # fmt: skip
         """``PoseSearch.proposed``; the first proposal tells the size of the target."""
         level = self._near(image, sky, proposals[0])
-        found = level[0].proposed(*level[1:], proposals, bodies, half_turns=half_turns)
+        found = level[0].proposed(
+            *level[1:], proposals, bodies, half_turns=half_turns, sketched=sketched
+        )
         return self._finished(found, image, sky)
 
     def near(
@@ -164,16 +177,9 @@ class LevelSearch:
         if times == 1:
             return whole, image, sky
         if times not in self._levels:
-            level = self._levels[times] = copy(whole)
-            level.camera = whole.camera.binned(times)
             blur_px = shrunk_blur(whole.refine_options.blur_px, times)
-            level.refine_options = replace(whole.refine_options, blur_px=blur_px)
-            level.refiner = Refiner(self.model, level.camera, level.refine_options)
-            level.shading = Shading(self.model, level.camera)
-            if whole.rivals is not None:
-                level.rivals = Rivals(self.model, level.camera)
-            if level.refiner.articulation is not None and whole.refiner.articulation is not None:
-                level.refiner.articulation.start_rad = whole.refiner.articulation.start_rad
+            options = replace(whole.refine_options, blur_px=blur_px)
+            self._levels[times] = whole.with_camera(whole.camera.binned(times), options)
         small = shrunk(image, times)
         return self._levels[times], small, shrunk_sky(small, sky)
 

@@ -8,6 +8,8 @@ regression gives the confidence of the best (``confidence``).
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,9 +22,10 @@ from rendezview.sensors.appearance.edges.refinement import (
     RefineOptions,
     Refiner,
 )
-from rendezview.sensors.appearance.judge.confidence import Candidates, Found
+from rendezview.sensors.appearance.judge.confidence import Bound, Candidates, Found
 from rendezview.sensors.appearance.judge.rivals import Rivals
 from rendezview.sensors.appearance.judge.shading import Shading
+from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -31,6 +34,7 @@ from rendezview.sensors.appearance.search.starts import (
     half_turns,
     rotated_about,
     rotated_about_axes,
+    within,
 )
 from rendezview.sensors.appearance.sky import Sky
 
@@ -98,6 +102,7 @@ class PoseSearch:
     shading: Shading = field(init=False)
     rivals: Rivals | None = field(init=False)  # None: the model has no shape
     retrieval: Retrieval = field(init=False)
+    bounds: tuple[Bound, ...] = field(init=False, default=())  # of all poses
     forest_scores: ForestScores | None = field(init=False)  # None: the model has no forest
     _half_turns: Array = field(init=False)  # (3, 3, 3)
 
@@ -109,18 +114,32 @@ class PoseSearch:
         self.forest_scores = self.model.forest_scores()
         self._half_turns = half_turns(self.model)
 
+    def with_camera(self, camera: Camera, options: RefineOptions) -> PoseSearch:
+        """The same search in the frames of another camera."""
+        other = copy(self)
+        other.camera, other.refine_options = camera, options
+        other.refiner = Refiner(self.model, camera, options)
+        other.shading = Shading(self.model, camera)
+        if self.rivals is not None:
+            other.rivals = Rivals(self.model, camera)
+        if other.refiner.articulation is not None and self.refiner.articulation is not None:
+            other.refiner.articulation.start_rad = self.refiner.articulation.start_rad
+            other.refiner.articulation.tracked = self.refiner.articulation.tracked
+        return other
+
     def _candidates(
         self,
         image: Picture,
         sky: Sky,
         bodies: list[Outlines],
         forest_scores: ForestScores | None = None,
-        *,
-        prior: bool = False,
+        prior: Bound | None = None,
     ) -> Candidates:
+        bounds = (*self.bounds, *(() if prior is None else (prior,)))
         return Candidates(
-            self.refiner, self.shading, self.retrieval, image, sky, bodies, forest_scores, prior
-        )
+            self.refiner, self.shading, self.retrieval, image, sky, bodies, forest_scores,
+            prior is not None, bounds,
+        )  # fmt: skip
 
     def anywhere(
         self,
@@ -132,6 +151,8 @@ class PoseSearch:
         brief: bool = False,
         give_up: float = 0.0,
         again: bool = False,
+        also: Sequence[Pose] = (),
+        sketched: SketchFound | None = None,
     ) -> Found | None:
         """The pose without a prior, from one or several readings of the outline.
 
@@ -139,6 +160,8 @@ class PoseSearch:
             brief: of the likeliest starts only, confident or not.
             give_up: confidence that the likeliest starts must reach, else no others are tried.
             again: after giving up: all starts at once, thoroughly, and one look around the best.
+            also: poses that something else proposes.
+            sketched: what a sketch shows; it is weighed, too.
         """
         least = worth = 0.0
         if again or give_up > 0.0:  # beside a sketch, which is better at what is hard here
@@ -150,6 +173,7 @@ class PoseSearch:
             for body in bodies
         ]
         candidates = self._candidates(image, sky, bodies, self.forest_scores)
+        candidates.add(self._refined(image, sky, also))
         if self.forest_scores is not None and len(bodies) == 1 and not again:
             agreed = self._agreed(image, sky, candidates, bodies[0], *starts[0], least)
             if agreed is not None:
@@ -183,11 +207,12 @@ class PoseSearch:
                 return self._beside_look_alikes(image, sky, candidates, found)
         rounds = 1 if again else _ROUNDS
         found = self._around_best_two(image, sky, candidates, found, turned, rounds)
-        return self._beside_look_alikes(image, sky, candidates, found)
+        return self._beside_look_alikes(image, sky, candidates, found, sketched)
 
     def _beside_look_alikes(
-        self, image: Picture, sky: Sky, candidates: Candidates, found: Found | None
-    ) -> Found | None:
+        self, image: Picture, sky: Sky, candidates: Candidates, found: Found | None,
+        sketched: SketchFound | None = None,
+    ) -> Found | None:  # fmt: skip
         """The likeliest pose after each look-alike of the best has had one alignment."""
         if self.rivals is None or found is None:
             return found
@@ -198,10 +223,12 @@ class PoseSearch:
             asked.append(found.best)
             others = self.rivals.look_alikes(found.best.pose)
             worth = found.best.inlier_ratio - _MOST_BEHIND
-            refined = [self.refiner.refine(image, sky, pose, least=worth) for pose in others]
-            candidates.add([r for r in refined if r is not None])
+            candidates.add(self._refined(image, sky, others, least=worth))
             found = candidates.choose()
-        return candidates.weighed(self.rivals)
+        if sketched is None:
+            return candidates.weighed(self.rivals)
+        candidates.add([sketched.without_grey_edges])
+        return candidates.weighed(self.rivals, sketched.aligned)
 
     def _voted(self, body: Outlines, rotations: Array, centres: Array) -> tuple[Array, Array]:
         """Starting poses in the order of similarity and votes together, likeliest first."""
@@ -268,13 +295,9 @@ class PoseSearch:
         return found
 
     def at(
-        self,
-        image: Picture,
-        sky: Sky,
-        prior: Pose,
-        error_rad: float,
+        self, image: Picture, sky: Sky, prior: Pose, error_rad: float,
         sufficient_inlier_ratio: float = 1.0,
-    ) -> Found | None:
+    ) -> Found | None:  # fmt: skip
         """The pose next to a prior that is right to a few degrees; None unless it is confident.
 
         ``sufficient_inlier_ratio`` lowers the inlier ratio that the options require.
@@ -283,9 +306,7 @@ class PoseSearch:
         refined = self.refiner.refine(image, sky, prior)
         if refined is None or refined.inlier_ratio < min(sufficient_inlier_ratio, usual):
             return None
-        if refined.pose.angle_to(prior) > _furthest_rad(error_rad):
-            return None
-        single = self._candidates(image, sky, [], prior=True)
+        single = self._candidates(image, sky, [], prior=within(prior, error_rad))
         single.add([refined])
         reaches_usual = refined.inlier_ratio >= usual
         found = single.choose(shade=not reaches_usual)
@@ -297,41 +318,36 @@ class PoseSearch:
 
     def proposed(
         self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
-        half_turns: bool = True,
+        half_turns: bool = True, sketched: SketchFound | None = None,
     ) -> Found | None:  # fmt: skip
         """The best of some poses that another estimator proposes, and of half turns of it.
 
         Args:
             proposals: right to a few degrees, or another answer.
             half_turns: ``False`` where the second estimator has ruled them out.
+            sketched: what a sketch shows; it is weighed, too.
         """
         candidates = self._candidates(image, sky, bodies, self.forest_scores)
-        refined = [self.refiner.refine(image, sky, pose) for pose in proposals]
-        candidates.add([r for r in refined if r is not None])
+        candidates.add(self._refined(image, sky, proposals))
         if half_turns:
             best = candidates.most_inliers
             pose = proposals[0] if best is None else best.pose
             candidates.add(self._half_turned(image, sky, pose))
-        return self._beside_look_alikes(image, sky, candidates, candidates.choose())
+        return self._beside_look_alikes(image, sky, candidates, candidates.choose(), sketched)
 
     def near(
-        self,
-        image: Picture,
-        sky: Sky,
-        prior: Pose,
-        error_rad: float,
-        bodies: list[Outlines],
+        self, image: Picture, sky: Sky, prior: Pose, error_rad: float, bodies: list[Outlines],
         also: list[Pose],
-    ) -> Found | None:
+    ) -> Found | None:  # fmt: skip
         """The pose within some angle of a prior, from rotations of it and retrieved views."""
         rotations, centres = self._starts_near(prior, error_rad, bodies, also)
-        refined = self._close_to(image, sky, prior)
-        refined += self.refiner.best(image, sky, rotations, centres, self.options.refined_near)
-        candidates = self._candidates(image, sky, bodies, prior=True)
-        candidates.add(_within(refined, prior, error_rad))
+        candidates = self._candidates(image, sky, bodies, prior=within(prior, error_rad))
+        candidates.add(self._close_to(image, sky, prior))
+        keep = self.options.refined_near
+        candidates.add(self.refiner.best(image, sky, rotations, centres, keep))
         found = candidates.choose()
         if found is not None and found.confidence < _CONFIDENT:
-            candidates.add(_within(self._around(image, sky, found.best), prior, error_rad))
+            candidates.add(self._around(image, sky, found.best))
             found = candidates.choose()
         return found
 
@@ -359,29 +375,23 @@ class PoseSearch:
     def _close_to(self, image: Picture, sky: Sky, prior: Pose) -> list[Refined]:
         """Poses from 3° around, refined without coarse stages, which may find another pose."""
         starts = rotated_about_axes(prior, self.model.centre_m, _CLOSE_RAD)
-        found = [self.refiner.refine(image, sky, start, closely=True) for start in starts]
-        found.append(self.refiner.refine(image, sky, prior))
-        return [refined for refined in found if refined is not None]
+        found = self._refined(image, sky, starts, closely=True)
+        return found + self._refined(image, sky, [prior])
+
+    def _refined(
+        self, image: Picture, sky: Sky, poses: Iterable[Pose], *, closely: bool = False,
+        least: float = 0.0,
+    ) -> list[Refined]:  # fmt: skip
+        each = (self.refiner.refine(image, sky, p, closely=closely, least=least) for p in poses)
+        return [refined for refined in each if refined is not None]
 
     def _half_turned(self, image: Picture, sky: Sky, pose: Pose) -> list[Refined]:
         """Poses from half turns of one: many craft look nearly the same from behind or below.
 
-        None where the model knows its look-alikes, which are asked at last. Each is refined directly and after coarse alignment, which may move it away.
+        Each is refined directly and after coarse alignment, which may move it away.
         """
-        if self.rivals is not None:
-            return []
         rotations = pose.rotation @ self._half_turns
         centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
         starts = map(Pose, rotations, centres - rotations @ self.model.centre_m)
-        refined = [self.refiner.refine(image, sky, start) for start in starts]
-        found = [r for r in refined if r is not None]
+        found = self._refined(image, sky, starts)
         return found + self.refiner.best(image, sky, rotations, centres, 2)
-
-
-def _within(refined: list[Refined], prior: Pose, error_rad: float) -> list[Refined]:
-    return [r for r in refined if r.pose.angle_to(prior) < _furthest_rad(error_rad)]
-
-
-def _furthest_rad(error_rad: float) -> float:
-    """How far from a prior a pose may be: the error of the prior and a tenth, and a degree."""
-    return float(1.1 * error_rad + np.deg2rad(1.0))

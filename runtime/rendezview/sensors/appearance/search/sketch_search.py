@@ -9,8 +9,10 @@ A forest gives the probability that the best of them is right (``choice``).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -32,6 +34,7 @@ from rendezview.sensors.appearance.edges.sketch import (
     align_to_sketch,
     pose_covariance,
 )
+from rendezview.sensors.appearance.judge.confidence import Bound
 from rendezview.sensors.appearance.judge.explained import explained_share
 from rendezview.sensors.appearance.judge.shading import SurfaceTables, shading
 from rendezview.sensors.appearance.judge.sketch_choice import (
@@ -46,7 +49,8 @@ from rendezview.sensors.appearance.model.sketches import COVER, CREASE, EDGE, Fl
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
 from rendezview.sensors.appearance.search.by_sketch import SketchRetrieval
-from rendezview.sensors.appearance.search.starts import rotated_about
+from rendezview.sensors.appearance.search.starts import rotated_about, within
+from rendezview.sensors.appearance.search.windows import Body, bodies_in_windows
 from rendezview.sensors.appearance.sky import Sky
 
 # Stages of alignment: reach and spread (sketch px), steps, stride, weight of inner edges. A third
@@ -104,6 +108,7 @@ class SketchSearch:
         if model.sketches is None:
             raise ValueError("the model has no sketches")
         self.sketcher = Sketcher()
+        self.bounds: tuple[Bound, ...] = ()  # of all poses
         self.retrieval = SketchRetrieval(model, model.sketches, camera)
         self._set_tables(model, camera, views)
 
@@ -136,8 +141,8 @@ class SketchSearch:
             return None
         rotations, centres = self.retrieval.starts(sketch, _RETRIEVED)
         reading = self.read(sketch, sky)
-        poses = self.aligned(reading, rotations, centres)
-        return self._closer(frame, sky, reading, poses, prior=False, turned=turned)
+        poses = self._bounded(self.aligned(reading, rotations, centres))
+        return self._closer(frame, sky, reading, poses, None, turned=turned)
 
     def near(self, frame: Picture, sky: Sky, prior: Pose, error_rad: float) -> SketchChoice | None:
         """The best pose within some angle of a prior; None where there is none."""
@@ -151,15 +156,21 @@ class SketchSearch:
         rotations = np.concatenate([around, around, alike])
         centres = np.concatenate([stay, self.retrieval.placed(sketch, around), places])
         reading = self.read(sketch, sky)
-        poses = self.aligned(reading, rotations, centres)
-        furthest = 1.1 * error_rad + _VIEW_RAD
-        within = [p for p in poses if p.pose.angle_to(prior) < furthest]
-        return self._closer(frame, sky, reading, within, prior=True, turned=False)
+        first = within(prior, error_rad + _VIEW_RAD)
+        poses = self._bounded(self.aligned(reading, rotations, centres), first)
+        return self._closer(frame, sky, reading, poses, (prior, error_rad), turned=False)
+
+    def bodies(
+        self, frame: Picture, most: int, may_be: Callable[[Array], bool] | None = None
+    ) -> list[Body]:
+        """Bodies of a frame, those most like the target first; see ``bodies_in_windows``."""
+        return bodies_in_windows(self.sketcher, self.retrieval, frame, most, may_be)
 
     def with_tables(self, model: ViewModel, views: ViewTables, camera: Camera) -> SketchSearch:
         """The same search for the model with its contour points moved, and a camera alike."""
         moved = copy(self)
         moved._set_tables(model, camera, views)
+        moved.retrieval = self.retrieval.with_camera(camera)
         return moved
 
     def closer_sketch(self, frame: Picture, pose: Pose, *, turned: bool = False) -> Sketch | None:
@@ -201,6 +212,16 @@ class SketchSearch:
             _maps(sketch), sketch.grey, lens, _last(sketch), lines, lines_lens, sky.vector
         )
 
+    def _each_aligned(self, reading: Reading, poses: Sequence[Pose]) -> list[SketchPose | None]:
+        """Where the closer pass leads each pose to; None: no hold."""
+        each = (
+            self._aligned(
+                reading, p.rotation[None].copy(), p.apply(self.model.centre_m)[None], _FINE
+            )
+            for p in poses
+        )
+        return [found[0] if found else None for found in each]
+
     def _aligned(
         self, reading: Reading, rotations: Array, centres: Array, stages: Array
     ) -> list[SketchPose]:
@@ -222,8 +243,8 @@ class SketchSearch:
         return found
 
     def _closer(
-        self, frame: Picture, sky: Sky, first: Reading, poses: list[SketchPose], *, prior: bool,
-        turned: bool,
+        self, frame: Picture, sky: Sky, first: Reading, poses: list[SketchPose],
+        prior: tuple[Pose, float] | None, *, turned: bool,
     ) -> SketchChoice | None:  # fmt: skip
         """The best of some poses of a first sketch after a closer pass at the target."""
         best = distinct(poses, _LOOKED_AT, _APART_RAD)
@@ -237,17 +258,28 @@ class SketchSearch:
         around = self._aligned(reading, starts, places, _FINE)
         starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
         places = np.array([b.pose.apply(centre_m) for b in best[1:]]).reshape(-1, 3)
-        passes = Passes(poses, around, self._aligned(reading, starts, places, _FINE))
-        choice = chosen(passes, self.model.symmetries, prior=prior, cut=sketch.is_cut)
+        others = self._aligned(reading, starts, places, _FINE)
+        bounds = () if prior is None else (within(*prior),)
+        around, others = (self._bounded(found, *bounds) for found in (around, others))
+        passes, near = Passes(poses, around, others), prior is not None
+        choice = chosen(passes, self.model.symmetries, prior=near, cut=sketch.is_cut)
         if choice is None:
             return None
         pose, spread_deg, scatter = self._mean(choice.best.pose, [first, reading])
-        choice = replace(choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows)
+        choice = replace(
+            choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows,
+            aligned=partial(self._each_aligned, reading),
+        )  # fmt: skip
         covariance, strained, residual_px = pose_covariance(
             reading.maps, reading.lens, self._views, reading.last[-1], pose.rotation.copy(),
             pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
         )  # fmt: skip
         return choice.with_covariance(covariance, strained + scatter, residual_px / sketch.scale)
+
+    def _bounded(self, poses: list[SketchPose], *bounds: Bound) -> list[SketchPose]:
+        """The poses that may be the answer."""
+        every = (*self.bounds, *bounds)
+        return [found for found in poses if all(bound(found.pose) for bound in every)]
 
     def _mean(self, best: Pose, readings: list[Reading]) -> tuple[Pose, float, Array]:
         """The mean of the poses that one leads to in some sketches, weighted by what each knows.

@@ -8,6 +8,7 @@ from numba import njit
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance.judge.confidence import Bound
 from rendezview.sensors.appearance.model.contours import NO_POINT
 from rendezview.sensors.appearance.model.view_model import ViewModel
 
@@ -63,3 +64,13 @@ def second_moments(points: npt.NDArray[np.int16], kinds: npt.NDArray[np.uint8]) 
                 for j in range(3):
                     moments[i, j] += float(points[k, i]) * float(points[k, j])
     return moments
+
+
+def within(prior: Pose, error_rad: float) -> Bound:
+    """Whether a pose is near enough to a prior."""
+    return lambda pose: pose.angle_to(prior) < furthest_rad(error_rad)
+
+
+def furthest_rad(error_rad: float) -> float:
+    """How far from a prior a pose may be: the error of the prior and a tenth, and a degree."""
+    return float(1.1 * error_rad + np.deg2rad(1.0))

@@ -25,7 +25,11 @@ from rendezview.sensors.beacons.detect.spots import (
     TOP,
     SpotTable,
 )
-from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
+from rendezview.sensors.beacons.match.acquisition_options import (
+    MIRRORED,
+    Acquisition,
+    AcquisitionOptions,
+)
 from rendezview.sensors.beacons.match.choice import Candidates, Chooser
 from rendezview.sensors.beacons.match.judgement import judge
 from rendezview.sensors.beacons.match.triplets import (
@@ -86,6 +90,7 @@ class Acquirer:
         for pattern in self.options.left_out:
             with contextlib.suppress(RendezviewError):  # no pose by the printed hourglass
                 self._left_out.append(Acquirer(camera, [pattern], without))
+        self._mirrored: Acquirer | None = None
         self._triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)  # scratch
         self._lock = threading.Lock()  # of the scratch
 
@@ -160,6 +165,26 @@ class Acquirer:
         assert found.refined is not None
         assert found.reflectors is not None
         return self._chooser.looks_like(found.refined, found.reflectors, pose)
+
+    def mirrored(self, spots: SpotTable, found: Acquisition) -> Acquisition | None:
+        """What is found in place of a pose, where spots show the target's mirror image; or None.
+
+        Three reflectors and their normals in one plane are their own mirror image: these cannot
+        tell.
+        """
+        if found.status in (Status.NO_SPOTS, Status.CROWDED) or found.left_out:
+            return None
+        if found.reflectors is not None and len(found.reflectors) == len(self.constellation):
+            return None
+        if self._mirrored is None:
+            images = [pattern.mirrored() for pattern in self.patterns]
+            self._mirrored = Acquirer(self.camera, images, replace(self.options, left_out=()))
+        theirs = self._mirrored.acquire(spots)
+        # A flat pattern may have several poses; facing away, the spots have none.
+        unlike = found.status is Status.NOT_FOUND and theirs.status is Status.AMBIGUOUS
+        if not (unlike or theirs.explains_more(found)):
+            return None
+        return Acquisition(Status.NOT_FOUND, MIRRORED)
 
     def _ready(self) -> list[_Triangle]:
         ready = []

@@ -8,21 +8,21 @@ sizes or the last pose tell them apart; otherwise the picture is ambiguous.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.so3 import hat
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview.sensors.beacons.detect.discs import camera_numbers
 from rendezview.sensors.beacons.detect.spots import SpotTable
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.match.judgement import least_facing
-from rendezview.sensors.beacons.match.matching import match_all, size_score
+from rendezview.sensors.beacons.match.matching import expect_spots, match_all, size_score
+from rendezview.sensors.beacons.match.mirrored_pose import mirror
 from rendezview.sensors.beacons.pose.refinement import Refined, refine
 from rendezview.sensors.observation import Status
 
@@ -32,9 +32,17 @@ Ints = npt.NDArray[np.int64]
 # Source: by construction, 10 triangles × 10 triplets of five reflectors × 2
 _MOST_MATCHED = 200
 _MOST_REFINED = 40  # Source: experiment reflector-hidden --seed 1
-_SAME_RAD = 0.02  # rad: poses nearer than this are one. Source: by construction, the error at 8 m
-_PRIOR_RAD = 0.35  # rad: the last pose chooses a pose this near. Source: by construction, 20°
+# rad, and share of the range: poses nearer than this are one. Source: by construction, the error at
+# 8 m
+_SAME = 0.02
+_PRIOR = 0.35  # rad and share: the last pose chooses one this near. Source: by construction, 20°
 FEW = 4  # spots that hardly contradict wrong names. Source: by construction, 8 numbers for 6
+# χ² that a reflector costs which should be visible and is not, and at most so many of a group: it
+# may be covered as a whole. Source: by construction, −2 ln of 1 in 10; tested down to 1 in 3
+_ABSENT, _MOST_ABSENT = 4.6, 2
+# Of the peak of the faintest spot that is visible: fainter ones may hide in the noise. Source: by
+# construction, half
+_FAINTEST = 0.5
 _PRIOR_RATIO = 3.0  # … and nearer by this factor than any other. Source: by construction
 
 
@@ -106,7 +114,8 @@ class Chooser:
                 Status.NOT_FOUND, "three spots pass for the target, but no pose fits them"
             )
         most = max(len(h.which) for h in found)
-        found = sorted((h for h in found if len(h.which) == most), key=lambda h: h.total)
+        found = [self._beside_absent(h) for h in found if len(h.which) == most]
+        found.sort(key=lambda h: h.total)
         best = found[0]
         others = ~np.isin(triplets, best.where).all(axis=1)
         if not redundant and others.any():
@@ -166,6 +175,33 @@ class Chooser:
             score=best.score,
         )  # fmt: skip
 
+    def _beside_absent(self, hypothesis: _Hypothesis) -> _Hypothesis:
+        """The hypothesis with the cost of reflectors that it expects in view and has no spot of."""
+        which, pattern, pose = hypothesis.which, self.constellation, hypothesis.pose
+        if len(which) == len(pattern):
+            return hypothesis
+        expected, blur = np.empty((len(pattern), 3)), self.options.blur_px
+        expect_spots(
+            self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
+            pose.rotation.copy(), pose.translation_m.copy(), self.camera.fx, blur, expected,
+        )  # fmt: skip
+        sizes = expected[:, 2]
+        margin = 3.0 * sizes[:, None]
+        edge = np.array([self.camera.width - 1, self.camera.height - 1]) - margin
+        places = pose.apply(pattern.positions_m)
+        sight = places / np.linalg.norm(places, axis=1)[:, None]
+        facing = -np.einsum("ij,ij->i", pattern.normals @ pose.rotation.T, sight)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shown = ((expected[:, :2] > margin) & (expected[:, :2] < edge)).all(axis=1)
+            shown &= facing > math.cos(self.options.tilt_rad)
+            # A retro-reflector's light falls with the square of the range; blur thins a small disc.
+            peaks = (1.0 - (blur / sizes) ** 2) / places[:, 2] ** 2
+            shown &= peaks > _FAINTEST * peaks[which].min()
+        shown[which] = False
+        counts = np.bincount(self._group_of[shown], minlength=len(self._names))
+        cost = _ABSENT * float(np.minimum(counts, _MOST_ABSENT).sum())
+        return replace(hypothesis, total=hypothesis.total + cost)
+
     def _strangers(self, spots: SpotTable, usable: Ints, best: _Hypothesis) -> int:
         """How many spots as large as those of a hypothesis it leaves over."""
         sizes = np.log(spots.size_px)
@@ -177,12 +213,10 @@ class Chooser:
     def _one_of(self, near: list[_Hypothesis], prior: Pose | None) -> _Hypothesis | None:
         """The hypothesis that all others are alike, or that the last pose points at."""
         if prior is not None:
-            angles = sorted((h.pose.angle_to(prior), k) for k, h in enumerate(near))
-            first = near[angles[0][1]]
-            others = [a for a, k in angles if near[k].pose.angle_to(first.pose) > _SAME_RAD]
-            if not others or (
-                angles[0][0] < _PRIOR_RAD and others[0] > _PRIOR_RATIO * angles[0][0]
-            ):
+            steps = sorted((self._apart(h.pose, prior), k) for k, h in enumerate(near))
+            first = near[steps[0][1]]
+            others = [a for a, k in steps if self._apart(near[k].pose, first.pose) > _SAME]
+            if not others or (steps[0][0] < _PRIOR and others[0] > _PRIOR_RATIO * steps[0][0]):
                 return first
             # A half turn that looks the same is no question of the prior's precision.
             if all(self._alike(h, first) for h in near):
@@ -193,18 +227,43 @@ class Chooser:
         along = self._bases[near[0].group]
         return min(near, key=lambda h: -float(h.pose.rotation[0] @ along))  # the least roll
 
-    def looks_like(self, refined: Refined, which: Ints, pose: Pose, least_rad: float = 0.1) -> bool:
-        """Whether a pose is the refined one, or one that a symmetry of its group shows."""
-        limit = max(least_rad, 4.0 * math.sqrt(float(np.trace(refined.covariance[:3, :3]))))
+    def _apart(self, pose: Pose, other: Pose) -> float:
+        """How far two poses are apart: rad of turn, and move as a share of the range, squared."""
+        centre = self.constellation.centre_m
+        here, there = pose.apply(centre), other.apply(centre)
+        share = float(np.linalg.norm(here - there) / np.linalg.norm(there))
+        return math.hypot(pose.angle_to(other), share)
+
+    def looks_like(self, refined: Refined, which: Ints, pose: Pose, least: float = 0.1) -> bool:
+        """Whether a pose is the refined one, or one that a symmetry of its group shows.
+
+        Both turn (rad) and move (share of the range) must be below ``least``, or below 4 σ.
+        """
+        sigma = 4.0 * math.sqrt(float(np.trace(refined.covariance[:3, :3])))
         groups = set(self._group_of[which].tolist())
         turns = self._turns[groups.pop()] if len(groups) == 1 else [Pose.identity()]
         found = refined.camera_from_target
-        return any((found @ turn).angle_to(pose) < limit for turn in turns)
+        # The place of its own reflectors: that of the target's origin moves with each turn.
+        centre = self.constellation.positions_m[which].mean(axis=0)
+        here = pose.apply(centre)
+        moved = 4.0 * math.sqrt(self._spread(refined, found.rotation @ centre))
+        limit = max(least * float(np.linalg.norm(here)), moved)
+        return any(
+            (found @ turn).angle_to(pose) < max(least, sigma)
+            and float(np.linalg.norm((found @ turn).apply(centre) - here)) < limit
+            for turn in turns
+        )
+
+    @staticmethod
+    def _spread(refined: Refined, arm: Array) -> float:
+        """Variance, m², of the place of a point ``arm`` (3,) from the target's origin."""
+        lever = np.hstack([-hat(arm), np.eye(3)])
+        return float(np.trace(lever @ refined.covariance @ lever.T))
 
     def _alike(self, one: _Hypothesis, other: _Hypothesis) -> bool:
         """Whether two hypotheses are one pose, or one that a symmetry of their group shows."""
         return one.spots == other.spots and self.looks_like(
-            one.refined, one.which, other.pose, _SAME_RAD
+            one.refined, one.which, other.pose, _SAME
         )
 
     def _hypotheses(
@@ -236,7 +295,7 @@ class Chooser:
             if count < 3 or (made and count < len(made[0].which)) or len(seen) >= _MOST_REFINED:
                 break
             key = which[k, :count].tobytes() + where[k, :count].tobytes()
-            if any(key == other and poses[k].angle_to(p) < 3 * _SAME_RAD for other, p in seen):
+            if any(key == other and poses[k].angle_to(p) < 3 * _SAME for other, p in seen):
                 continue
             seen.append((key, poses[k]))
             row = numbers[k]
@@ -296,55 +355,6 @@ class Chooser:
         places = float(np.sum((refined.residuals_px / whole[:, None]) ** 2))
         dropped = matched - len(which)
         return _Hypothesis(refined, group, which, where, score, sizes + places, dropped)
-
-
-def mirror(pose: Pose, pattern: ReflectorPattern, which: Ints) -> Pose:
-    """The pose whose weak-perspective picture of reflectors in a plane is the same.
-
-    Depths about the middle change their sign: the plane's normal is mirrored about the line of
-    sight. Least squares from there finds the second minimum, if there is one.
-    """
-    middle, normal = _plane(pattern, tuple(which.tolist()))
-    rotation, translation = np.empty((3, 3)), np.empty(3)
-    mirror_into(pose.rotation, pose.translation_m, middle, normal, rotation, translation)
-    return Pose.unchecked(rotation, translation)
-
-
-@lru_cache(maxsize=64)
-def _plane(pattern: ReflectorPattern, which: tuple[int, ...]) -> tuple[Array, Array]:
-    """Middle of some reflectors and normal of the plane through them, target frame."""
-    points = pattern.positions_m[list(which)]
-    middle = points.mean(axis=0)
-    return middle, np.ascontiguousarray(np.linalg.svd(points - middle)[2][2])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def mirror_into(
-    rotation: Array, translation: Array, middle: Array, normal: Array, out: Array, moved: Array
-) -> None:
-    """Fill the rotation (I − 2 s sᵀ) R (I − 2 n nᵀ), s the middle's line of sight, and its place.
-
-    Args:
-        rotation, translation: of the pose.
-        middle, normal: (3,) of a plane, target frame.
-    """
-    sight, turned = np.empty(3), np.empty(3)
-    for i in range(3):
-        sight[i], turned[i] = translation[i], 0.0
-        for j in range(3):
-            sight[i] += rotation[i, j] * middle[j]
-            turned[i] += rotation[i, j] * normal[j]
-    far = math.sqrt(sight[0] ** 2 + sight[1] ** 2 + sight[2] ** 2)
-    for i in range(3):
-        moved[i] = sight[i]
-        sight[i] /= far
-    along = sight[0] * turned[0] + sight[1] * turned[1] + sight[2] * turned[2]
-    for j in range(3):
-        row = sight[0] * rotation[0, j] + sight[1] * rotation[1, j] + sight[2] * rotation[2, j]
-        row -= 2.0 * along * normal[j]
-        for i in range(3):
-            out[i, j] = rotation[i, j] - 2.0 * turned[i] * normal[j] - 2.0 * sight[i] * row
-            moved[i] -= out[i, j] * middle[j]
 
 
 def _turns(pattern: ReflectorPattern) -> list[Pose]:

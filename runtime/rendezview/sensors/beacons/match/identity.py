@@ -15,6 +15,7 @@ from numba import njit
 
 from rendezview.geometry.pose import Array, Pose, rotation_angle
 from rendezview.sensors.beacons.detect.detectors import UNKNOWN, Spots
+from rendezview.sensors.beacons.match.acquisition_options import MIRRORED
 from rendezview.sensors.beacons.match.agreement import Disagreement, LightsFit, agree
 from rendezview.sensors.beacons.match.start import (
     CAP,
@@ -86,6 +87,36 @@ def identify(
             f"{' + '.join(map(str, counts))} spots: to identify them takes 3 in one camera "
             f"and {_FEWEST_SPOTS} in all"
         )
+    answers = _answers(rig, leds, normals, spots)
+    verdict = _verdict(answers)
+    most = int(np.argmax(counts))
+    if counts[most] >= _FEWEST_SPOTS and _mirrored(rig, most, leds, normals, spots, verdict):
+        return Disagreement(MIRRORED)
+    return verdict
+
+
+def _mirrored(
+    rig: Rig, k: int, leds: Array, normals: Array, spots: Sequence[Spots],
+    verdict: tuple[tuple[Spots, ...], LightsFit] | Disagreement,
+) -> bool:  # fmt: skip
+    """Whether the target's mirror image explains more spots of camera ``k`` than the target."""
+    explained = 0
+    if not isinstance(verdict, Disagreement):
+        left_out = {light for camera, light in verdict[1].left_out if camera == k}
+        explained = int((verdict[0][k].led >= 0).sum()) - len(left_out)
+    if explained >= min(len(spots[k]), len(leds)):
+        return False
+    image = np.array([-1.0, 1.0, 1.0])
+    alone = Rig((rig.cameras[k],))
+    theirs = _answers(alone, leds * image, normals * image, [spots[k]])
+    return max((answer[0] for answer in theirs), default=0) > max(explained, _FEWEST_SPOTS - 1)
+
+
+def _answers(
+    rig: Rig, leds: Array, normals: Array, spots: Sequence[Spots]
+) -> list[tuple[int, float, tuple[Spots, ...], LightsFit]]:
+    """Poses that explain spots, with how many; not sorted."""
+    counts = [len(found) for found in spots]
     xy, weight = _padded(rig, spots)
     # Spread-out triples of the camera that sees the most; then the others.
     answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]] = []
@@ -109,7 +140,7 @@ def identify(
         else:
             continue
         break
-    return _verdict(answers)
+    return answers
 
 
 def _padded(rig: Rig, spots: Sequence[Spots]) -> tuple[Array, Array]:

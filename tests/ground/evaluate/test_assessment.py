@@ -1,4 +1,4 @@
-"""Campaigns: every frame counts, and the answers depend on the seed alone."""
+"""Assessments: every frame counts, and the answers depend on the seed alone."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 from rendezview.errors import RendezviewError
-from rendezview_ground.evaluate.campaign import LOOKS, CampaignOptions, campaign
+from rendezview_ground.evaluate.assessment import LOOKS, AssessmentOptions, assess
 from rendezview_ground.learn.jobs.cores import Cores
 
-OPTIONS = CampaignOptions(frames=20, samples=1, seed=4)
+OPTIONS = AssessmentOptions(frames=20, samples=1, seed=4, earth=0.3)
 
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory, refining_model, bumpy_mesh, camera):
-    path = tmp_path_factory.mktemp("campaign") / "answers.jsonl"
-    answers = campaign(refining_model, bumpy_mesh, camera, path, Cores(1), OPTIONS)
+    path = tmp_path_factory.mktemp("assessment") / "answers.jsonl"
+    seen, answers = assess(refining_model, bumpy_mesh, camera, path, Cores(1), OPTIONS)
     assert [p.name for p in path.parent.iterdir()] == ["answers.jsonl"]  # no shards stay
-    return answers, path.read_bytes()
+    return answers, path.read_bytes(), seen
 
 
 def test_every_frame_has_a_line_for_each_look_that_says_what_the_answers_say(reference):
-    answers, content = reference
+    answers, content, seen = reference
     lines = [json.loads(line) for line in content.splitlines()]
     assert [(r["frame"], r["look"]) for r in lines] == [(k, x) for k in range(20) for x in LOOKS]
     for record in lines:
@@ -32,6 +32,8 @@ def test_every_frame_has_a_line_for_each_look_that_says_what_the_answers_say(ref
         assert record["status"] == str(said.status[k])
         assert (record["rotation_rad"] is None) == (not said.given[k])
         assert (record["status"] == "ok") == bool(said.given[k])
+        assert record["direction"] == seen.direction[k].tolist()
+        assert record["earth"] == bool(seen.earth[k])
         if said.given[k]:
             assert record["rotation_rad"] == said.rotation_rad[k]
 
@@ -53,18 +55,18 @@ def test_threads_and_an_interruption_do_not_change_a_byte(
             raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        campaign(*shared, path, Cores(1), OPTIONS, stop)
+        assess(*shared, path, Cores(1), OPTIONS, stop)
     assert not path.exists()
     reported: list[tuple[str, int, int]] = []
-    campaign(*shared, path, Cores(2), OPTIONS, lambda *step: reported.append(step))
+    assess(*shared, path, Cores(2), OPTIONS, lambda *step: reported.append(step))
     assert reported == [("frames", k, 5) for k in range(1, 6)]
     assert path.read_bytes() == reference[1]
 
 
 def test_another_seed_gives_other_answers(tmp_path, refining_model, bumpy_mesh, camera, reference):
-    options = CampaignOptions(frames=4, samples=1, seed=5)
+    options = AssessmentOptions(frames=4, samples=1, seed=5)
     path = tmp_path / "a"
-    campaign(refining_model, bumpy_mesh, camera, path, Cores(1), options)
+    assess(refining_model, bumpy_mesh, camera, path, Cores(1), options)
     assert not reference[1].startswith(path.read_bytes())
 
 
@@ -76,12 +78,13 @@ def test_another_seed_gives_other_answers(tmp_path, refining_model, bumpy_mesh, 
         {"range_radii": (0.5, 2.0)},
         {"range_radii": (1.0, float("nan"))},
         {"samples": 0},
+        {"earth": 1.5},
         {"seed": -1},
     ],
 )
 def test_options_out_of_range_are_refused_by_name(wrong):
     with pytest.raises(RendezviewError, match=next(iter(wrong))):
-        CampaignOptions(**wrong)
+        AssessmentOptions(**wrong)
 
 
 def test_a_place_where_no_answers_can_be_written_is_refused_before_the_work(
@@ -89,4 +92,21 @@ def test_a_place_where_no_answers_can_be_written_is_refused_before_the_work(
 ):
     for path in (tmp_path, tmp_path / "none" / "a"):
         with pytest.raises(RendezviewError, match="folder"):
-            campaign(refining_model, bumpy_mesh, camera, path, Cores(1), OPTIONS)
+            assess(refining_model, bumpy_mesh, camera, path, Cores(1), OPTIONS)
+
+
+def test_what_frames_show_is_as_asked(reference, refining_model):
+    seen = reference[2]
+    assert 2 <= seen.earth.sum() <= 12
+    assert np.linalg.norm(seen.direction, axis=1) == pytest.approx(np.ones(20))
+    assert seen.sun_phase_rad.max() <= OPTIONS.sun_phase_rad[1]
+    assert seen.range_m.min() > refining_model.target_radius_m
+
+
+def test_what_is_known_beside_the_frame_helps(reference):
+    given = {look: answer.given.sum() for look, answer in reference[0].items()}
+    assert given["tracked"] >= given["first"]
+    assert given["second"] >= given["first"] - 1
+    for answer in reference[0].values():
+        assert np.isfinite(answer.sigma_rad[answer.given]).all()
+        assert not (answer.given & answer.ambiguous).any()

@@ -1,0 +1,158 @@
+"""Shards of BOP data sets: tar files with ``KEY.rgb.jpg``, ``KEY.camera.json``, ``KEY.gt.json``.
+
+This is the form of WebDataset in which BOP's training data and HOT3D are published.
+"""
+
+from __future__ import annotations
+
+import json
+import tarfile
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from pydantic import TypeAdapter
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.io.files import checked
+from rendezview.io.sequences.bop import (
+    SceneCamera,
+    SceneTruth,
+    chosen,
+    instances_note,
+    pose_of,
+    with_matrix,
+)
+from rendezview.io.sequences.decoding import decode_grey
+from rendezview.io.sequences.fitting import decoded, fitted_levels, sampled
+from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
+
+_IMAGES = ("gray.png", "gray.tif", "gray.jpg", "rgb.png", "rgb.jpg", "rgb.jpeg")  # as preferred
+_CAMERA, _TRUTH = TypeAdapter(SceneCamera), TypeAdapter(list[SceneTruth])
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A file in a shard."""
+
+    shard: Path
+    name: str
+    start: int
+    size: int
+
+    def read(self) -> bytes:
+        """Its content.
+
+        Raises:
+            RendezviewError: the shard is gone or shorter than it was.
+        """
+        try:
+            with self.shard.open("rb") as stream:
+                stream.seek(self.start)
+                content = stream.read(self.size)
+        except OSError as error:
+            raise RendezviewError(f"{self.shard}: cannot be read ({error.strerror})") from error
+        if len(content) < self.size:
+            raise RendezviewError(f"{self.shard}: {self.name} is cut short: replace the shard")
+        return content
+
+
+def open_bop_shard(path: Path, camera: Camera | None = None, obj_id: int | None = None) -> Sequence:
+    """The frames of a shard, in the order of their keys.
+
+    A frame's number is the last one of its key, or its place where these repeat. Size and truth are
+    as for `open_bop_scene`, without distortion.
+
+    Raises:
+        RendezviewError: no shard, a frame without image or camera, or several objects without
+            ``obj_id``.
+    """
+    samples = _samples(path)
+    images: dict[str, _Part] = {}
+    for key, parts in samples.items():
+        for name in _IMAGES:
+            if name in parts:
+                images.setdefault(key, parts[name])
+    if not images:
+        raise RendezviewError(
+            f"{path}: no pictures of a BOP shard (KEY.rgb.jpg, KEY.rgb.png or KEY.gray.png) in it: "
+            "give one, or unpack the archive and give its folder"
+        )
+    keys = sorted(images)
+    pictures, marks = decoded(images[keys[k]].read() for k in sampled(len(keys)))
+    if not pictures:
+        raise RendezviewError(f"{path}: none of its pictures can be read: replace the shard")
+    height, width = pictures[0].shape
+    base = camera if camera is not None else Camera(width, height, 1.0, 1.0, 0.0, 0.0)
+    bits, notes = fitted_levels(pictures, marks, base, path)
+    numbers = [_number(key) for key in keys]
+    if None in numbers or len(set(numbers)) < len(numbers):
+        numbers = list(range(len(keys)))
+    frames = []
+    several = 0
+    for number, key in zip(numbers, keys, strict=True):
+        parts, own, time_s = samples[key], camera, None
+        if "camera.json" in parts:
+            where = f"{path}: {key}.camera.json"
+            entry = checked(_CAMERA, _content(parts["camera.json"]), where)
+            time_s = entry.timestamp_s
+            own = camera or with_matrix(base, entry.cam_K, f"{where}: cam_K")
+        if own is None:
+            raise RendezviewError(f"{path}: {key} has no camera.json: give a camera file")
+        where = f"{path}: {key}.gt.json"
+        truth = checked(_TRUTH, _content(parts["gt.json"]), where) if "gt.json" in parts else []
+        shown = chosen(truth, obj_id, where)
+        several += len(shown) > 1
+        frames.append(
+            Frame(
+                im_id=int(number or 0),
+                name=images[key].name,
+                time_s=time_s,
+                camera=own,
+                camera_from_target=pose_of(shown[0], where) if len(shown) == 1 else None,
+                obj_id=shown[0].obj_id if shown else (obj_id or 1),
+                fetch=partial(_grey, images[key], bits or 16),
+            )
+        )
+    notes = (*notes, *instances_note(several, len(frames)))
+    return Sequence(scene_id=1, frames=tuple(frames), source=path, notes=notes)
+
+
+def _samples(path: Path) -> dict[str, dict[str, _Part]]:
+    """Parts by key and by what follows the key's first dot."""
+    found: dict[str, dict[str, _Part]] = defaultdict(dict)
+    try:
+        with tarfile.open(path, "r:") as archive:
+            for member in archive:
+                kind = member.name.rpartition("/")[2].partition(".")[2]
+                if member.isreg() and kind:
+                    key = member.name.removesuffix(f".{kind}")
+                    part = _Part(path, member.name, member.offset_data, member.size)
+                    found[key][kind.lower()] = part
+    except (tarfile.TarError, OSError, ValueError) as error:
+        raise RendezviewError(
+            f"{path}: not a tar file that can be read ({error}): it is damaged, packed or cut short"
+        ) from error
+    return found
+
+
+def _number(key: str) -> int | None:
+    last = key.rpartition("/")[2].rpartition("_")[2]
+    return int(last) if last.isascii() and last.isdigit() else None
+
+
+def _content(part: _Part) -> object:
+    try:
+        found: object = json.loads(part.read())
+    except ValueError as error:
+        raise RendezviewError(f"{part.shard}: {part.name}: not valid JSON ({error})") from error
+    return found
+
+
+def _grey(part: _Part, bits: int) -> GreyImage:
+    image = decode_grey(part.read(), bits)
+    if image is None:
+        raise RendezviewError(f"{part.shard}: {part.name}: not an image that can be read")
+    return image

@@ -1,0 +1,104 @@
+"""Trajectories in the formats of TUM and KITTI, which evo and others read.
+
+Both hold the path of the camera about the target: target_from_camera, metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Pose
+from rendezview.io.files import StrPath, read_text
+from rendezview.io.results import ResultRow, read_json_lines
+from rendezview.io.sequences.frame import Sequence
+
+TimedPose = tuple[float | None, Pose]
+# s; as evo's default for stamps of one frame in two files. Source: its option --t_max_diff
+_SAME_TIME_S = 0.01
+
+
+def poses_of_log(path: Path) -> tuple[list[TimedPose], int]:
+    """Time and camera_from_target of each line with a pose, and how many lines have none.
+
+    Raises:
+        RendezviewError: missing, no line of poses, or a line that is none.
+    """
+    found: list[TimedPose] = []
+    empty = 0
+    for number, line in enumerate(read_json_lines(path), start=1):
+        try:
+            given, time_s = line["pose"], line["time_s"]
+            if given is None:
+                empty += 1
+                continue
+            pose = Pose.from_quat_wxyz(given["quat_wxyz"], given["translation_m"])
+            found.append((None if time_s is None else float(time_s), pose))
+        except (KeyError, TypeError, ValueError) as error:
+            raise RendezviewError(
+                f"{path}: record {number}: no line of a log of poses ({error}): give that of "
+                "`rendezview track` or `fuse`"
+            ) from error
+    if not found:
+        raise RendezviewError(f"{path}: none of its {empty} lines has a pose")
+    return found, empty
+
+
+def results_of_tum(path: StrPath, sequence: Sequence) -> list[ResultRow]:
+    """The poses of a TUM file, for the frames of a sequence that have their times.
+
+    Raises:
+        RendezviewError: missing, a line that is none (its number is given), or no frame's time.
+    """
+    timed: list[tuple[float, Pose]] = []
+    for number, line in enumerate(read_text(path, "a TUM trajectory").splitlines(), start=1):
+        cells = line.split("#")[0].replace(",", " ").split()
+        if not cells:
+            continue
+        try:
+            time_s, *place_m, x, y, z, w = (float(cell) for cell in cells)
+            timed.append((time_s, Pose.from_quat_wxyz([w, x, y, z], place_m).inverse()))
+        except (ValueError, TypeError) as error:
+            raise RendezviewError(
+                f"{path}: line {number}: not `time x y z qx qy qz qw` ({error}): correct or "
+                "remove the line"
+            ) from error
+    times = np.array([time_s for time_s, _ in timed])
+    rows = []
+    for frame in sequence:
+        if frame.time_s is None or not timed:
+            continue
+        k = int(np.argmin(np.abs(times - frame.time_s)))
+        if abs(times[k] - frame.time_s) <= _SAME_TIME_S:
+            rows.append(ResultRow(sequence.scene_id, frame.im_id, frame.obj_id, 1.0, timed[k][1]))
+    if not rows:
+        raise RendezviewError(
+            f"{path}: none of its {len(timed)} poses has the time of a frame of {sequence.source}"
+        )
+    return rows
+
+
+def tum_text(timed: Iterable[TimedPose]) -> str:
+    """Lines ``time x y z qx qy qz qw``.
+
+    Raises:
+        RendezviewError: a pose has no time.
+    """
+    lines = []
+    for time_s, pose in timed:
+        if time_s is None:
+            raise RendezviewError("TUM files need times, and a frame has none: write --kitti")
+        place = pose.inverse()
+        w, x, y, z = place.quat_wxyz.tolist()
+        numbers = [*place.translation_m.tolist(), x, y, z, w]
+        lines.append(f"{time_s:.9f} " + " ".join(f"{number:.12g}" for number in numbers))
+    return "\n".join(lines) + "\n"
+
+
+def kitti_text(timed: Iterable[TimedPose]) -> str:
+    """Lines of the twelve numbers of [R t], row by row."""
+    rows = (pose.inverse().as_matrix()[:3].ravel().tolist() for _, pose in timed)
+    return "\n".join(" ".join(f"{number:.12g}" for number in row) for row in rows) + "\n"

@@ -1,0 +1,119 @@
+"""Where the target is in each frame: boxes of a detector, masks, or one box or place for all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array
+from rendezview.io.files import StrPath, checked, read_json
+from rendezview.io.sequences.frame import Frame, Sequence
+from rendezview.io.sequences.images import read_grey
+
+# What `Recognizer.recognize` takes as ``roi`` of a frame; None: nothing is told.
+Where = Callable[[Frame], npt.ArrayLike | None]
+
+_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+
+
+class _Detection(BaseModel):
+    """One line of BOP's detections; its other keys do not matter here."""
+
+    image_id: int
+    scene_id: int | None = None
+    category_id: int | None = None
+    bbox: Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
+    score: FiniteFloat = 1.0
+
+
+_DETECTIONS = TypeAdapter(list[_Detection])
+
+
+def numbers_of(text: str, option: str, counts: tuple[int, ...]) -> Array:
+    """The numbers of an option such as 'x,y,w,h', of one of these counts.
+
+    Raises:
+        RendezviewError: something else.
+    """
+    try:
+        numbers = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        numbers = np.zeros(0)
+    if len(numbers) not in counts or not np.isfinite(numbers).all():
+        how_many = " or ".join(map(str, counts))
+        raise RendezviewError(f"{option} needs {how_many} numbers with commas, not {text!r}")
+    return numbers
+
+
+def boxes_by_frame(path: StrPath, sequence: Sequence, obj_id: int | None = None) -> Where:
+    """The box (4,) x, y, width, height of each frame, of a detector's file in BOP's form.
+
+    Of several detections in a frame the one of highest score counts; ``obj_id`` chooses among
+    their ``category_id``.
+
+    Raises:
+        RendezviewError: missing, not of that form, or of no frame of the sequence.
+    """
+    lines = checked(_DETECTIONS, read_json(path, "detections"), f"{path}: detections")
+    best: dict[int, _Detection] = {}
+    for line in lines:
+        other_scene = line.scene_id not in (None, sequence.scene_id)
+        other_object = obj_id is not None and line.category_id not in (None, obj_id)
+        if other_scene or other_object:
+            continue
+        if line.image_id not in best or line.score > best[line.image_id].score:
+            best[line.image_id] = line
+    for frame in sequence:
+        x, y, across, down = best[frame.im_id].bbox if frame.im_id in best else (0, 0, 1, 1)
+        camera = frame.camera
+        if not (across > 0 < down and -across < x < camera.width and -down < y < camera.height):
+            raise RendezviewError(
+                f"{path}: the box {[x, y, across, down]} of image {frame.im_id} is empty or lies "
+                f"outside the frame of {camera.width} × {camera.height} px: a box is x, y, width, "
+                "height"
+            )
+    if not any(frame.im_id in best for frame in sequence):
+        raise RendezviewError(
+            f"{path}: none of {len(lines)} detections is of a frame of scene "
+            f"{sequence.scene_id}" + ("" if obj_id is None else f" and object {obj_id}")
+        )
+
+    def of_frame(frame: Frame) -> npt.ArrayLike | None:
+        return best[frame.im_id].bbox if frame.im_id in best else None
+
+    return of_frame
+
+
+def masks_by_frame(path: Path) -> Where:
+    """The mask of each frame, not 0 on the target: one picture for all, or a folder of them.
+
+    In a folder the pictures are named as the frames, or as BOP's masks: ``000012_000000.png`` is
+    that of frame 12.
+
+    Raises:
+        RendezviewError: missing; a folder without pictures.
+    """
+    if not path.is_dir():
+        mask = read_grey(path)
+        return lambda frame: mask
+    files = sorted(f for f in path.iterdir() if f.suffix.lower() in _PICTURES)
+    if not files:
+        raise RendezviewError(f"{path}: no pictures in the folder of masks")
+    by_stem: dict[str, Path] = {}
+    for file in files:
+        for stem in (file.stem, file.stem.rpartition("_")[0]):
+            by_stem.setdefault(stem, file)
+
+    def of_frame(frame: Frame) -> npt.ArrayLike | None:
+        for stem in (Path(frame.name).stem, f"{frame.im_id:06d}", str(frame.im_id)):
+            if stem in by_stem:
+                return read_grey(by_stem[stem])
+        return None
+
+    return of_frame

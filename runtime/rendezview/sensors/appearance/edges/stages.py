@@ -1,0 +1,37 @@
+"""The stages in which a pose is moved onto the edges of a frame, from coarse to fine."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rendezview.sensors.appearance.edges.alignment import Stage
+
+# Stages of alignment. Source: experiment pose-accuracy, seeds 1, 88, 99, 123.
+# Many starting poses are aligned roughly, the better ones coarsely, …
+QUICK = (
+    np.array([Stage(20, 9, 2, smooth_px=4, room_px=4, stride=4)]),
+    np.array([Stage(10, 4, 3, smooth_px=2, room_px=2, stride=2), Stage(5, 1.5, 2)]),
+)
+# … with more points and steps if that leads to no confident pose. Source: seeds 1, 88, 99 and 123
+# of pose-accuracy, docs/notes/refinement.md
+THOROUGH = (
+    np.array([Stage(20, 9, 3, smooth_px=4, room_px=4, stride=2)]),
+    np.array([Stage(10, 4, 3, smooth_px=2, room_px=2), Stage(5, 1.5, 2)]),
+)
+# Each stage iterates to convergence before the search range shrinks: attitudes 5° apart can lie
+# within half a pixel of each other. The last one uses the three nearest views (commit 5e90c44).
+# Source: seeds 1, 88, 99 and 123 of pose-accuracy, docs/notes/refinement.md
+FINE = np.array(
+    [
+        Stage(8, 3, 3, room_px=2, stop_px=1.0),
+        Stage(6, 2, 3, damping=1e-4, relaxation=1.3, stop_px=0.6),
+        Stage(5, 1.2, 10, lines=3, fit=1, damping=1e-4, relaxation=1.3, stop_px=0.4),
+        Stage(4, 0.5, 1, lines=3, fit=1, views=3, damping=1e-4, relaxation=1.3),
+    ]
+)
+COARSE_STAGES = 1  # of the stages above, before a pose is given up. Source: docs/notes/rivals.md
+CUT_PX = 1.25  # px; 2.5 spreads of the last stage. Source: by construction
+# Where the craft may differ from its mesh, no edge is in place to half a pixel. Source: commit
+# 5cde9da
+INEXACT = FINE[:-1]
+INEXACT_CUT_PX = 3.0  # px; 2.5 spreads of its last stage. Source: by construction

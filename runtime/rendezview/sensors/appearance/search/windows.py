@@ -1,0 +1,96 @@
+"""Where in a picture full of other things the target may be: bodies in windows of many sizes.
+
+The network draws what stands out in its window. A window that is little larger than the target
+shows it whole even where the frame shows a desk, a room or clouds. Bodies that look like views of
+the model come first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from rendezview.geometry.pose import Array
+from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.edges.network import COVERED, Box, Sketch, Sketcher
+from rendezview.sensors.appearance.model.sketches import COVER
+from rendezview.sensors.appearance.search.by_sketch import SketchRetrieval
+
+# Sides of the windows, of the frame's shorter side: a target of any size between a tenth and
+# two thirds of it has one that is 1.2 to 2.5 times larger. Source: by construction
+_SIDES = (1.0, 0.62, 0.38)
+_STEP = 0.5  # of a window, to the next one. Source: by construction, a body is whole in one
+# Of a window: a smaller body has a smaller window of its own. Source: by construction
+_LEAST_SIDE = 0.25
+SAME_BODY = 0.5  # intersection over union of boxes of the same body. Source: as in detection
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """Something that stands out whole in a window."""
+
+    box_px: Array  # (4,) left, top, right, bottom, frame px
+    likeness: float  # correlation with the likeliest view of the model
+
+
+def bodies_in_windows(
+    sketcher: Sketcher, retrieval: SketchRetrieval, frame: Picture, most: int,
+    may_be: Callable[[Array], bool] | None = None,
+) -> list[Body]:  # fmt: skip
+    """Bodies of a frame (H, W), those most like the target first, ``most`` at most.
+
+    ``may_be``: whether a body with a box (4,), px, may be the target.
+    """
+    found = [
+        Body(np.array(part.box_in_frame(box)), retrieval.likeness(part))
+        for window in _windows(*frame.shape)
+        for part, box in _bodies(sketcher.look(frame, window))
+    ]
+    kept: list[Body] = []
+    for body in sorted(found, key=lambda b: -b.likeness):
+        if len(kept) == most:
+            break
+        told = may_be is None or may_be(body.box_px)
+        if told and all(overlap(body.box_px, other.box_px) < SAME_BODY for other in kept):
+            kept.append(body)
+    return kept
+
+
+def overlap(a: Box | Array, b: Box | Array) -> float:
+    """Intersection over union of two boxes: left, top, right, bottom."""
+    across, down = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
+    common = max(across, 0.0) * max(down, 0.0)
+    areas = sum((box[2] - box[0]) * (box[3] - box[1]) for box in (a, b))
+    return float(common / max(areas - common, 1e-9))
+
+
+def _windows(height: int, width: int) -> Iterator[Box]:
+    """Squares all over a frame."""
+    for share in _SIDES:
+        side = share * min(height, width)
+        lefts, tops = (_starts(whole, side) for whole in (width, height))
+        for top in tops:
+            for left in lefts:
+                yield left - 0.5, top - 0.5, left + side - 0.5, top + side - 0.5
+
+
+def _starts(whole: int, side: float) -> Array:
+    """Where windows begin that cover a length evenly."""
+    room = max(whole - side, 0.0)
+    return np.linspace(0.0, room, 1 + int(np.ceil(room / (_STEP * side))))
+
+
+def _bodies(sketch: Sketch) -> Iterator[tuple[Sketch, tuple[int, int, int, int]]]:
+    """Each body that lies whole within a sketch: the sketch of it alone, and its box."""
+    covered = (sketch.maps[COVER] > COVERED).astype(np.uint8)
+    height, width = covered.shape
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(covered, connectivity=8)
+    for k in range(1, count):
+        left, top, across, down = (int(side) for side in boxes[k, :4])
+        inside = left > 0 and top > 0 and left + across < width and top + down < height
+        if inside and max(across, down) >= _LEAST_SIDE * max(height, width):
+            maps = sketch.maps * (labels == k)
+            yield replace(sketch, maps=maps), (left, top, left + across, top + down)

@@ -1,0 +1,95 @@
+"""Whether what was found in a frame is a pose to give, and why it is none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance.edges.refinement import Refined
+from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.observation import CLOSE_MARGIN, AppearanceObservation
+from rendezview.sensors.observation import Status
+
+F = TypeVar("F", bound=Found)
+
+# Of the outline: it was whole, and refinement says why there is no pose.
+_WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
+# Of a pose among its look-alikes. Source: docs/notes/rivals.md
+LEAST_POSTERIOR = 0.9
+_SIGMAS = 3.0  # of a pose beyond the error of its prior. Source: normal distribution, 99.7 %
+# Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
+# tells how far. Source: by construction
+_MOST_SIGMA = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Near:
+    """A prior, and how far off its attitude may be."""
+
+    prior: Pose  # camera_from_target
+    error_rad: float
+
+    def bounds(self, found: F | None) -> F | None:
+        """What was found, unless it is farther off than the error and three σ of the pose."""
+        if found is None:
+            return None
+        sigma_rad = math.sqrt(float(np.linalg.eigvalsh(found.best.covariance[:3, :3])[-1]))
+        apart = found.best.pose.angle_to(self.prior)
+        return found if apart <= self.error_rad + _SIGMAS * sigma_rad else None
+
+
+def is_known(refined: Refined) -> bool:
+    """Whether the edges of the frame determine the pose at all: σ of attitude and of range."""
+    covariance, place_m = refined.covariance, refined.pose.translation_m
+    range_m = float(np.linalg.norm(place_m))
+    along_m2 = float(place_m @ covariance[3:, 3:] @ place_m) / max(range_m, 1e-9) ** 2
+    turn_rad2 = float(np.trace(covariance[:3, :3]))
+    return turn_rad2 < _MOST_SIGMA**2 and along_m2 < (_MOST_SIGMA * range_m) ** 2
+
+
+def refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObservation:
+    """The observation without a pose, and with the reason why refinement gives none."""
+    status, reason = seen.status, seen.reason
+    if found is None:
+        if status in _WHOLE_OUTLINE:
+            status, reason = Status.UNRECOGNIZED, "no pose of the target fits the edges"
+    elif isinstance(found, SketchFound) and status not in _WHOLE_OUTLINE:
+        pass  # the outline says why
+    elif len(found.weighed) > 1 and found.posterior < LEAST_POSTERIOR:
+        first, second = found.weighed[:2]
+        apart = first.pose.angle_to(second.pose)
+        status = Status.AMBIGUOUS
+        reason = (
+            f"{np.rad2deg(apart):.0f}° apart, two poses explain this frame with probabilities "
+            f"{first.probability:.2f} and {second.probability:.2f}: give a prior, the Sun's "
+            "direction, or more frames"
+        )
+    elif not found.weighed and found.rival is not None and found.margin < CLOSE_MARGIN:
+        apart = found.best.pose.angle_to(found.rival.pose)
+        status = Status.AMBIGUOUS
+        reason = (
+            f"two poses {np.rad2deg(apart):.0f}° apart fit this frame: "
+            "give a prior, or look at more frames"
+        )
+    else:
+        status = Status.LOST
+        reason = (
+            f"the best pose explains {100 * found.best.outline:.0f} % of its outline and "
+            f"{100 * found.best.inner:.0f} % of its inner edges: too little to be confident"
+        )
+    return replace(
+        seen,
+        status=status,
+        reason=reason,
+        pose=None,
+        covariance=None,
+        confidence=None if found is None else found.confidence,
+        joints=None,
+        outline=replace(seen.reading, points_m=np.zeros((0, 3))),
+        found=found,
+    )

@@ -1,0 +1,103 @@
+"""Live poses for ROS 2 over Zenoh, without a ROS installation: as its rmw_zenoh sends them.
+
+A topic is the key ``DOMAIN/TOPIC/TYPE/HASH``, its messages are in CDR, with number, time and sender
+attached. Source: rmw_zenoh, docs/design.md; attachment_helpers.cpp, ROS 2 Jazzy and later.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import re
+import struct
+import time
+from typing import Any
+
+import numpy as np
+
+from rendezview_service.messages.messages import SessionInfo
+from rendezview_service.messages.ros import pose_with_covariance_stamped, transform_stamped
+
+_POSE, _TREE = "geometry_msgs/msg/PoseWithCovarianceStamped", "tf2_msgs/msg/TFMessage"
+
+Json = dict[str, Any]
+
+
+class RosViewer:
+    """Publishes ``/SESSION/target/pose`` and ``/tf`` to a Zenoh router, or to peers."""
+
+    def __init__(self, endpoint: str) -> None:
+        """Connect.
+
+        Args:
+            endpoint: of the router or a peer, as Zenoh has it: ``tcp/127.0.0.1:7447``.
+
+        Raises:
+            OSError: it is none, or nothing listens there.
+            ModuleNotFoundError: a package is not installed.
+        """
+        import zenoh
+        from rosbags.typesys import Stores, get_typestore
+
+        settings = zenoh.Config()
+        settings.insert_json5("mode", json.dumps("client"))
+        settings.insert_json5("scouting/multicast/enabled", "false")
+        self._types = get_typestore(Stores.ROS2_JAZZY)
+        try:
+            settings.insert_json5("connect/endpoints", json.dumps([endpoint]))
+            self._session = zenoh.open(settings)
+        except zenoh.ZError as error:
+            raise OSError(f"no Zenoh router at {endpoint} ({error}): start rmw_zenohd") from None
+        self._sender = os.urandom(16)
+        self._domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
+        self._sent: dict[str, int] = {}  # messages by key
+
+    def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
+        """A `WatchState`: its pose, if it has one."""
+        name = re.sub(r"^(?=\d)|\W", "_", info.id, flags=re.ASCII)
+        state = message["state"]
+        pose, transform = pose_with_covariance_stamped(state), transform_stamped(state)
+        if pose is not None:
+            self._send(f"{name}/target/pose", _POSE, _framed(pose.model_dump(), name))
+        if transform is not None:
+            moved = _framed(transform.model_dump(), name)
+            self._send("tf", _TREE, {"transforms": [moved]})
+
+    def close(self) -> None:
+        """End the connection."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def _send(self, topic: str, kind: str, content: Json) -> None:
+        mangled = kind.replace("/msg/", "::msg::dds_::") + "_"
+        key = f"{self._domain}/{topic}/{mangled}/{self._types.hash_rihs01(kind)}"
+        number = self._sent[key] = self._sent.get(key, 0) + 1
+        attached = struct.pack("<qqB", number, time.time_ns(), len(self._sender)) + self._sender
+        data = self._types.serialize_cdr(self._filled(kind, content), kind)
+        self._session.put(key, bytes(data), attachment=attached)
+
+    def _filled(self, kind: str, content: Json) -> Any:
+        """The message of a type with the content of a dictionary."""
+        made = self._types.types[kind]
+        parts: Json = {}
+        for field in dataclasses.fields(made):  # type: ignore[arg-type]
+            if field.name.startswith("__"):
+                continue
+            value = content[field.name]
+            inner = str(field.type).removeprefix("list[").removesuffix("]").replace("__", "/")
+            if isinstance(value, dict):
+                value = self._filled(inner, value)
+            elif isinstance(value, list) and value and isinstance(value[0], dict):
+                value = [self._filled(inner, part) for part in value]
+            elif isinstance(value, list):
+                value = np.array(value, np.float64)
+            parts[field.name] = value
+        return made(**parts)
+
+
+def _framed(content: Json, name: str) -> Json:
+    """A message in the frames of a session."""
+    content["header"]["frame_id"] = f"{name}/camera"
+    if "child_frame_id" in content:
+        content["child_frame_id"] = f"{name}/target"
+    return content

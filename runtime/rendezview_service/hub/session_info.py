@@ -1,0 +1,50 @@
+"""A session as a message, and what is wrong with sessions."""
+
+from __future__ import annotations
+
+from rendezview_service.hub.sessions import Session
+from rendezview_service.messages.frame_sensor_messages import FrameSensorsRequest
+from rendezview_service.messages.messages import RecordingState, SessionInfo
+
+
+def info_of(session: Session) -> SessionInfo:
+    """The present state of a session."""
+    assert session.request.camera is not None
+    progress = session.progress
+    return SessionInfo(
+        id=session.id,
+        model=session.model,
+        model_sha256=session.stored.sha256,
+        camera=session.request.camera,
+        source=session.source,
+        phase=progress.phase,
+        created_unix_s=session.created_unix_s,
+        frames=progress.frames,
+        drops=session.drops,
+        found_fraction=progress.found / progress.frames if progress.frames else None,
+        watchers=len(session.watchers),
+        last_frame=progress.header.get("frame"),
+        last_time_s=progress.header.get("time_s"),
+        since_pose_s=progress.since_pose_s,
+        age_s=progress.age_s,
+        alarms=session.events.alarms,
+        sensors=session.sensors(),
+        on_frames=session.request.sensors or FrameSensorsRequest(),
+        recording=session.log.recording,
+        finished=session.finished,
+        reason=session.reason,
+        warnings=list(dict.fromkeys(session.request.notes)),
+    )
+
+
+def troubles_of(sessions: list[Session]) -> tuple[int, list[str]]:
+    """How many sessions are not recorded, and what is wrong with any of them."""
+    found = [said for session in sessions if (said := session.blind_reason)]
+    logs = {session.id: session.log.recording for session in sessions}
+    failed = {name: r for name, r in logs.items() if r.state is RecordingState.FAILED}
+    found += [f"session {name} is not recorded: {r.reason}" for name, r in failed.items()]
+    logs = {name: r for name, r in logs.items() if r.fault and name not in failed}
+    found += [f"session {name} is recorded again: {r.fault}" for name, r in logs.items()]
+    stays = {session.id: session.keeper.reason for session in sessions if session.keeper}
+    found += [f"session {n} cannot go on elsewhere: {why}" for n, why in stays.items() if why]
+    return len(failed), found

@@ -1,0 +1,142 @@
+"""Whole flights: contact, faults, replays, campaigns, and a stranger's controller."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.ground.fly.conftest import short_plan
+
+from rendezview_ground.fly.campaign import campaign, fly_once, record
+from rendezview_ground.fly.dynamics import OrbitDynamics
+from rendezview_ground.fly.faults import Fault, fault_of_run
+from rendezview_ground.fly.loop import FusedEstimator, Loop
+from rendezview_ground.fly.options import FlyPlan
+from rendezview_ground.fly.report import write_campaign_page, write_flight_page
+from rendezview_ground.fly.sensors import ModelledSensors
+from rendezview_ground.learn.jobs.cores import Cores
+
+
+def test_a_faultless_flight_ends_in_contact_inside_the_envelope(setup, tmp_path):
+    flight = fly_once(setup, 0)
+    assert (flight.end, flight.outside, flight.beyond) == ("contact", None, 0)
+    assert flight.moments[-1].true.range_m < 0.1
+    page = write_flight_page(tmp_path, "client", setup, flight, 0, None).read_text()
+    assert "inside" in page
+    assert "<script" not in page
+    assert "http" not in page.replace("http-equiv", "")
+
+
+def test_no_retreat_begins_where_the_chaser_can_no_longer_stop(setup):
+    """By the whole plan, with the seed in which a late retreat touched at 7 mm/s."""
+    flight = fly_once(replace(setup, plan=FlyPlan()), 1062)
+    assert (flight.end, flight.outside) == ("contact", None)
+
+
+def test_a_dead_camera_leads_to_a_hold_and_no_contact(setup):
+    flight = fly_once(setup, 0, Fault("camera", 12.0, 1e9, 0.0))
+    assert flight.contact is None
+    assert flight.end in ("held", "aborted")
+    assert any(
+        moment.mode in ("hold", "retreat") for moment in flight.moments if moment.time_s > 12
+    )
+    assert min(moment.true.range_m for moment in flight.moments) > 0.2
+
+
+def test_a_camera_that_comes_back_leads_to_contact_after_a_hold(setup):
+    flight = fly_once(setup, 0, Fault("camera", 12.0, 42.0, 0.0))
+    modes = [moment.mode for moment in flight.moments if moment.time_s > 12.0]
+    assert flight.end == "contact"
+    assert modes.index("approach", next(k for k, m in enumerate(modes) if m != "approach")) > 0
+
+
+def test_a_seed_is_the_same_flight_again(setup):
+    one, two = (record(fly_once(setup, 7), 7, None) for _ in range(2))
+    assert json.dumps(one) == json.dumps(two)
+    assert record(fly_once(setup, 8), 8, None) != one
+
+
+def test_a_campaign_goes_on_after_a_kill_with_the_same_bytes(setup, tmp_path):
+    kinds, whole, cut = ("laser", "ring"), tmp_path / "whole.jsonl", tmp_path / "cut.jsonl"
+    lines = campaign(setup, whole, 6, 0, kinds, 3, Cores(1))
+    assert [line["fault"] for line in lines] == ["laser", None, None, "ring", None, None]
+
+    class Killed(Exception):
+        pass
+
+    def kill(_: str, done: int, __: int) -> None:
+        if done == 1:
+            raise Killed
+
+    with pytest.raises(Killed):
+        campaign(setup, cut, 6, 0, kinds, 3, Cores(1), kill)
+    assert not cut.exists()
+    seen: list[int] = []
+    campaign(setup, cut, 6, 0, kinds, 3, Cores(1), lambda _, done, __: seen.append(done))
+    assert seen[0] >= 1  # what was finished is not flown again
+    assert cut.read_bytes() == whole.read_bytes()
+    again = fly_once(setup, 3, Fault.drawn("ring", 3))
+    assert record(again, 3, Fault.drawn("ring", 3)) == lines[3]
+    page = write_campaign_page(tmp_path, "client", setup, lines).read_text()
+    assert "--seed 3 --faults ring" in page
+
+
+def test_one_run_in_ten_has_a_fault_each_kind_in_turn():
+    kinds = ("camera", "glare")
+    drawn = [fault_of_run(kinds, 10, seed) for seed in range(40)]
+    assert [k for k in drawn if k] == ["camera", "glare", "camera", "glare"]
+    assert drawn[1] is None
+
+
+def strangers_flight(setup):
+    """A stranger's controller in the loop: the README's example."""
+    from rendezview_ground.fly.dynamics import Command
+    from rendezview_ground.fly.port import Relative
+
+    class ProportionalDerivative:
+        """Straight in at 7 cm/s, without hold points."""
+
+        def __init__(self, port) -> None:
+            self.port = port
+
+        def command(self, known):
+            estimate = known.estimate
+            if estimate.pose is None or estimate.rates is None:
+                return Command(np.zeros(3), np.zeros(3))
+            at = Relative.of(self.port, estimate.pose, estimate.rates, known.turning)
+            off = at.mass_m - self.port.centre_m
+            aside = off - (off @ self.port.axis) * self.port.axis
+            wanted = -0.07 * self.port.axis - 0.1 * aside
+            push = 0.5 * (wanted - at.mass_speed_m_s)
+            rate = estimate.rates[:3] + 0.2 * at.turn
+            return Command(estimate.pose.rotation @ push, rate)
+
+    plan, port = setup.plan, setup.port
+    sensors = ModelledSensors(plan, setup.beam, port.ring, port.centre_m, list(setup.patterns), 0)
+    dynamics = OrbitDynamics(plan, port, 0)
+    return Loop(sensors, FusedEstimator(), ProportionalDerivative(port), dynamics).run()
+
+
+def test_a_strangers_controller_takes_a_place_in_the_loop(setup):
+    flight = strangers_flight(setup)
+    assert flight.end == "contact"
+    assert flight.contact.closing_m_s == pytest.approx(0.07, abs=0.01)
+
+
+def test_a_strangers_estimator_without_a_state_never_moves_the_chaser_in(setup):
+    from rendezview.fusion import Fusion
+    from rendezview_ground.fly.guidance import Guidance, Known
+
+    class Blind:
+        def update(self, time_s, readings):
+            return Known(time_s, Fusion().state_at(time_s), np.zeros(3))
+
+    plan = short_plan(longest_s=40.0)
+    short = replace(setup, plan=plan)
+    sensors = ModelledSensors(plan, setup.beam, None, setup.port.centre_m, [], 0)
+    dynamics = OrbitDynamics(plan, setup.port, 0)
+    flight = Loop(sensors, Blind(), Guidance(plan, short.port), dynamics).run()
+    assert flight.end == "held"
+    assert flight.moments[-1].spent_m_s == 0.0

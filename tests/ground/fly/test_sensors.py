@@ -1,0 +1,91 @@
+"""Modelled readings keep the table that was measured on rendered frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.ground.fly.conftest import short_plan
+
+from rendezview.fusion import PoseMeasurement, RangeMeasurement, RingMeasurement
+from rendezview.geometry import so3
+from rendezview_ground.fly.dynamics import OrbitDynamics
+from rendezview_ground.fly.faults import Fault
+from rendezview_ground.fly.sensors import ModelledSensors, measured
+
+
+def readings(setup, start_m: float, count: int, fault: Fault | None = None):
+    """Readings of many seeds at one place, with the truth."""
+    plan = short_plan(start_m, 2.0)
+    truth = OrbitDynamics(plan, setup.port, 0).start()
+    found = []
+    for seed in range(count):
+        sensors = ModelledSensors(
+            plan, setup.beam, setup.port.ring, setup.port.centre_m, list(setup.patterns), seed,
+            fault,
+        )  # fmt: skip
+        found += sensors.read(truth, None)
+    return truth, found
+
+
+def test_the_recognizers_errors_have_the_measured_sigmas(setup):
+    truth, found = readings(setup, 20.0, 400)
+    poses = [m for m in found if isinstance(m, PoseMeasurement) and m.sensor == "camera"]
+    centre = truth.pose.apply(setup.port.centre_m)
+    away = float(np.linalg.norm(centre))
+    _, sigma, _ = measured()[0]["camera"].at(away)
+    off = np.array([m.pose.apply(setup.port.centre_m) - centre for m in poses])
+    turns = np.array([so3.log(m.pose.rotation @ truth.pose.rotation.T) for m in poses])
+    assert turns[:, :2].std() == pytest.approx(sigma[0], rel=0.1)
+    assert off[:, :2].std() == pytest.approx(away * sigma[2], rel=0.15)
+    assert off[:, 2].std() == pytest.approx(away * sigma[3], rel=0.15)
+
+
+def test_the_table_is_interpolated_between_its_rows():
+    table = measured()[0]["camera"]
+    k = 4
+    _, sigma, claimed = table.at(table.range_m[k])
+    np.testing.assert_allclose([sigma, claimed], [table.sigma[k], table.claimed[k]])
+    between = table.at(float(np.sqrt(table.range_m[k] * table.range_m[k + 1])))[1]
+    np.testing.assert_allclose(between, np.sqrt(table.sigma[k] * table.sigma[k + 1]))
+
+
+def test_the_reflectors_error_is_that_of_their_covariance(setup):
+    truth, found = readings(setup, 6.0, 200)
+    poses = [m for m in found if m.sensor == "reflectors"]
+    assert len(poses) == 200
+    squared = []
+    for m in poses:
+        turn = so3.log(truth.pose.rotation @ m.pose.rotation.T)
+        off = np.r_[turn, truth.pose.translation_m - m.pose.translation_m]
+        squared.append(off @ np.linalg.solve(m.covariance, off))
+    assert np.mean(squared) == pytest.approx(6.0, rel=0.15)
+
+
+@pytest.mark.parametrize("kind", ["camera", "ring", "laser", "reflectors", "glare"])
+def test_a_fault_strikes_its_sensor(setup, kind: str):
+    drawn = Fault.drawn(kind, 0)
+    fault = Fault(kind, 0.0, 100.0, drawn.size)
+    truth, good = readings(setup, 5.0, 30)
+    _, bad = readings(setup, 5.0, 30, fault)
+
+    def of(found, sensor):
+        return [m for m in found if m.sensor == sensor]
+
+    if kind == "camera":
+        assert {m.sensor for m in bad} <= {"gyro", "laser", "thrust"}
+    elif kind == "glare":
+        assert len(of(bad, "camera")) < 0.7 * len(of(good, "camera"))
+    elif kind == "reflectors":
+        assert of(good, "reflectors")
+        assert not of(bad, "reflectors")
+    elif kind == "laser":
+        pairs = zip(of(good, "laser"), of(bad, "laser"), strict=True)
+        assert all(
+            isinstance(g, RangeMeasurement) and b.range_m - g.range_m == pytest.approx(0.3)
+            for g, b in pairs
+        )
+    else:
+        centre = truth.pose.apply(setup.port.centre_m)
+        rings = [m for m in bad if isinstance(m, RingMeasurement)]
+        ratios = [m.centres_m[0][2] / centre[2] for m in rings]
+        assert np.mean(ratios) == pytest.approx(1.08, abs=0.01)

@@ -1,0 +1,85 @@
+"""Boxes of detectors and masks: where the target is in each frame."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from rendezview import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.io.sequences.frame import Frame, Sequence
+from rendezview.io.where_to_look import boxes_by_frame, masks_by_frame, numbers_of
+
+CAMERA = Camera.from_fov(64, 48, 0.5)
+
+
+def frame(number: int) -> Frame:
+    return Frame(number, f"{number:06d}.png", None, CAMERA, None, 1,
+                 lambda: np.zeros((48, 64), np.uint8))  # fmt: skip
+
+
+SEQUENCE = Sequence(3, (frame(0), frame(1), frame(12)), Path("scene"))
+
+
+def line(image: int, x: float, score: float = 0.5, **others: object) -> dict[str, object]:
+    return {"image_id": image, "bbox": [x, 2, 10, 12], "score": score, "time": -1, **others}
+
+
+def written(path: Path, content: object) -> Path:
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_the_likeliest_box_of_the_scene_and_the_object_counts(tmp_path):
+    lines = [line(0, 1, 0.4), line(0, 5, 0.9), line(0, 7, 0.95, scene_id=4),
+             line(12, 9, category_id=2), line(12, 11, 0.1, category_id=1, scene_id=3)]  # fmt: skip
+    path = written(tmp_path / "boxes.json", lines)
+    where = boxes_by_frame(path, SEQUENCE)
+    assert [where(f) for f in SEQUENCE] == [[5, 2, 10, 12], None, [9, 2, 10, 12]]
+    assert boxes_by_frame(path, SEQUENCE, 1)(frame(12)) == [11, 2, 10, 12]
+
+
+@pytest.mark.parametrize(
+    ("lines", "fault"),
+    [
+        ([line(99, 1)], "none of 1 detections is of a frame of scene 3"),
+        ([line(1, 64)], "outside"),
+        ([{"image_id": 1, "bbox": [1, 2, 0, 5]}], "empty"),
+        ([{"image_id": 1, "bbox": [1, 2, 3]}], "bbox"),
+        ([{"bbox": [1, 2, 3, 4]}], "image_id"),
+        ({"boxes": []}, "list"),
+    ],
+)
+def test_a_file_that_tells_no_box_is_refused(tmp_path, lines, fault):
+    with pytest.raises(RendezviewError, match=fault):
+        boxes_by_frame(written(tmp_path / "boxes.json", lines), SEQUENCE)
+
+
+def test_masks_are_found_by_the_names_of_frames_and_as_bop_names_them(tmp_path):
+    for number, name in enumerate(("000000.png", "000012_000001.png", "notes.txt")):
+        if name.endswith("png"):
+            cv2.imwrite(str(tmp_path / name), np.full((48, 64), 10 + number, np.uint8))
+        else:
+            (tmp_path / name).write_text("none")
+    where = masks_by_frame(tmp_path)
+    assert where(frame(0)).max() == 10
+    assert where(frame(1)) is None
+    assert where(frame(12)).max() == 11
+    for_all = masks_by_frame(tmp_path / "000000.png")
+    assert for_all(frame(1)).max() == 10
+
+
+def test_a_folder_without_masks_is_refused(tmp_path):
+    with pytest.raises(RendezviewError, match="no pictures"):
+        masks_by_frame(tmp_path)
+
+
+def test_numbers_of_an_option():
+    assert numbers_of("1,2.5", "--at", (2, 3)) == pytest.approx([1.0, 2.5])
+    for text in ("1", "1,2,3,4", "1,x", "1,nan", ""):
+        with pytest.raises(RendezviewError, match="--at needs 2 or 3 numbers"):
+            numbers_of(text, "--at", (2, 3))

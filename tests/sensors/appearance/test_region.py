@@ -1,0 +1,140 @@
+"""Where to look: a box, a mask or a place in a frame that shows other things, too."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rendezview import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import Recognizer
+from rendezview.sensors.appearance.region import Region, target_box
+from rendezview.sensors.appearance.search.windows import overlap
+from rendezview_ground.simulate.scene import SceneOptions, render_frame
+
+CAMERA = Camera.from_fov(640, 480, np.deg2rad(50.0))
+RIGHT_RAD = np.deg2rad(5.0)
+
+
+@pytest.fixture(scope="module")
+def recognizer(refining_model) -> Recognizer:
+    return Recognizer(refining_model, CAMERA)
+
+
+def pose_of(model, seed: int) -> Pose:
+    """The body, a quarter of the frame wide, anywhere but at the border."""
+    rng = np.random.default_rng(seed)
+    rotation = Rotation.random(random_state=rng).as_matrix()
+    range_m = 3.2 * model.sphere_radius_m
+    centre = np.array([rng.uniform(-0.2, 0.2), rng.uniform(-0.12, 0.12), 1.0]) * range_m
+    return Pose(rotation, centre - rotation @ model.centre_m)
+
+
+def room(mesh, pose: Pose, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """The body in front of a wall full of plates, and its mask."""
+    rng = np.random.default_rng([seed, 7])
+    options, size = SceneOptions(), (CAMERA.height, CAMERA.width)
+    body = render_frame(mesh, CAMERA, pose, [0.5, -0.5, -0.7], options, rng).astype(float)
+    mask = render_frame(mesh, CAMERA, pose, [0.0, 0.0, -1.0], options, rng) > 30
+    wall = np.full(size, 120.0)
+    for _ in range(40):
+        x, y = rng.integers(-40, CAMERA.width), rng.integers(-40, CAMERA.height)
+        across, down = rng.integers(15, 140, 2)
+        cv2.rectangle(wall, (int(x), int(y)), (int(x + across), int(y + down)),
+                      float(rng.uniform(30.0, 220.0)), -1)  # fmt: skip
+    wall = cv2.GaussianBlur(wall, (0, 0), 1.0) + rng.normal(0.0, 3.0, size)
+    frame = np.where(cv2.dilate(mask.astype(np.uint8), np.ones((5, 5))) > 0, 60.0, wall)
+    frame = np.where(mask, 40.0 + 0.8 * body, frame)
+    return np.clip(frame, 0, 255).astype(np.uint8), mask
+
+
+def told(pose: Pose, model) -> np.ndarray:
+    """The box (4,) x, y, width, height of the body."""
+    left, top, right, bottom = target_box(model, CAMERA, pose)
+    return np.array([left, top, right - left, bottom - top])
+
+
+@pytest.mark.parametrize("seed", [1, 2, 4])
+def test_a_body_before_a_wall_full_of_plates_is_found(recognizer, bumpy_mesh, seed):
+    model = recognizer.model
+    pose = pose_of(model, seed)
+    frame, mask = room(bumpy_mesh, pose, seed)
+    box = told(pose, model)
+    rng = np.random.default_rng(seed)
+    box[:2] += rng.uniform(-0.15, 0.15, 2) * box[2:]
+    box[2:] *= rng.uniform(0.85, 1.15, 2)
+    place = CAMERA.project(pose.apply(model.centre_m))
+    range_m = np.linalg.norm(pose.apply(model.centre_m))
+    for roi in (None, box, mask, place, [*place, 1.1 * range_m]):
+        seen = recognizer.recognize(frame, roi=roi)
+        assert seen.pose is not None, (seen.status, seen.reason)
+        assert seen.pose.angle_to(pose) < RIGHT_RAD
+
+
+def test_the_outline_of_a_part_is_in_the_pixels_of_the_frame(recognizer, bumpy_mesh):
+    model, pose = recognizer.model, pose_of(recognizer.model, 3)
+    frame = render_frame(
+        bumpy_mesh, CAMERA, pose, [0.5, -0.5, -0.7], SceneOptions(), np.random.default_rng(3)
+    )
+    box = told(pose, model)
+    whole, part = recognizer.recognize(frame), recognizer.recognize(frame, roi=box)
+    assert part.pose.angle_to(whole.pose) < np.deg2rad(0.5)
+    assert part.silhouette.box_px == pytest.approx(whole.silhouette.box_px, abs=2)
+    outlines = [np.concatenate(seen.silhouette.outlines_px) for seen in (part, whole)]
+    assert outlines[0].min(0) == pytest.approx(outlines[1].min(0), abs=1.0)
+    lit = np.where(frame > 40, 1, 0)
+    masked = recognizer.recognize(frame, roi=lit)
+    assert masked.silhouette.box_px == pytest.approx(whole.silhouette.box_px, abs=3)
+
+
+def test_a_pose_elsewhere_is_none(recognizer, bumpy_mesh):
+    """The frame shows one body; the box is about nothing."""
+    pose = pose_of(recognizer.model, 3)
+    frame = render_frame(
+        bumpy_mesh, CAMERA, pose, [0.5, -0.5, -0.7], SceneOptions(), np.random.default_rng(3)
+    )
+    x, y = CAMERA.project(pose.apply(recognizer.model.centre_m))
+    away = [x + 200.0 if x < 320.0 else x - 200.0, y - 40.0]
+    for roi in ([*away, 80.0, 80.0], away):
+        seen = recognizer.recognize(frame, roi=roi)
+        assert seen.pose is None
+        assert seen.reason
+
+
+def test_overlap_of_boxes():
+    a = np.array([0.0, 0.0, 4.0, 2.0])
+    assert overlap(a, a) == 1.0
+    assert overlap(a, a + 1.0) == pytest.approx(3.0 / 13.0)
+    assert overlap(a, a + 10.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("roi", "fault"),
+    [
+        ([1.0, 2.0, 3.0, 4.0, 5.0], "shape"),
+        ([np.nan, 2.0, 3.0, 4.0], "shape"),
+        ([1.0, 2.0, 0.0, 4.0], "positive"),
+        ([1.0, 2.0, -3.0], "positive"),
+        ([700.0, 2.0, 30.0, 40.0], "outside"),
+        ([-50.0, 2.0, 30.0, 40.0], "outside"),
+        ([3.0, 900.0], "place"),
+        (np.zeros((480, 640)), "empty"),
+        (np.ones((640, 480)), "shape"),
+    ],
+)
+def test_a_region_that_is_none_is_refused(roi, fault):
+    with pytest.raises(RendezviewError, match=fault):
+        Region.of(roi, CAMERA)
+
+
+def test_a_box_leaves_room_for_its_own_error():
+    region = Region.of([100.0, 80.0, 60.0, 40.0], CAMERA)
+    assert region.part == (82, 62, 178, 138)
+    assert region.seen_by(CAMERA).project([0.0, 0.0, 1.0]) == pytest.approx(
+        CAMERA.project([0.0, 0.0, 1.0]) - [82, 62]
+    )
+    corner = Region.of([-10.0, -10.0, 60.0, 40.0], CAMERA)
+    assert corner.part[:2] == (0, 0)

@@ -1,0 +1,93 @@
+"""What is given of what was found: near its prior, and likely beside its look-alikes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import Symmetry
+from rendezview.sensors.appearance.edges.refinement import Refined
+from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.rivals import Weighed
+from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.verdict import Near
+
+SUN = np.array([0.0, 0.0, -1.0])
+
+
+def turned(angle_deg: float) -> Pose:
+    rotation = Rotation.from_euler("y", angle_deg, degrees=True).as_matrix()
+    return Pose(rotation, np.array([0.0, 0.0, 9.0]))
+
+
+def found(pose: Pose, sigma_deg: float = 0.1, weighed: tuple[Weighed, ...] = ()) -> Found:
+    covariance = np.diag([np.deg2rad(sigma_deg) ** 2] * 3 + [1e-4] * 3)
+    refined = Refined(
+        pose, covariance, outline=0.8, inner=0.6, visible=1.0, residual_px=0.3, light=0.5
+    )
+    return Found(refined, 0.0, 0.5, dark=True, prior=False, weighed=weighed)
+
+
+def beside(pose: Pose, probability: float, on_sketch: Pose | None = None) -> Weighed:
+    return Weighed(pose, 10.0, 0.1, SUN, probability, on_sketch)
+
+
+@pytest.mark.parametrize(
+    ("apart_deg", "sigma_deg", "kept"), [(7.9, 0.1, True), (8.4, 0.1, False), (12.0, 2.0, True)]
+)
+def test_an_answer_is_as_near_to_its_prior_as_both_errors_allow(apart_deg, sigma_deg, kept):
+    near = Near(turned(20.0), np.deg2rad(8.0))
+    answer = found(turned(20.0 + apart_deg), sigma_deg)
+    assert near.bounds(answer) is (answer if kept else None)
+    assert near.bounds(None) is None
+
+
+def sketched(pose: Pose, probability: float) -> SketchFound:
+    best = found(pose).best
+    return SketchFound(best, 0.0, 0.5, dark=True, prior=False, probability=probability)
+
+
+def odds(probability: float) -> float:
+    return probability / (1.0 - probability)
+
+
+def test_the_odds_of_a_sketch_and_of_its_look_alikes_are_multiplied():
+    weighed = (beside(turned(0.0), 0.6), beside(turned(6.0), 0.2), beside(turned(90.0), 0.2))
+    together = sketched(turned(3.0), 0.8).beside(weighed, ())
+    assert odds(together.confidence) == pytest.approx(odds(0.8) ** 2)
+    assert together.posterior == together.confidence
+    assert sketched(turned(90.0), 0.8).beside(weighed, ()).confidence == pytest.approx(0.5)
+    assert sketched(turned(45.0), 0.99).beside(weighed, ()).confidence == 0.0
+
+
+def test_look_alikes_that_are_unlikely_do_not_save_a_bad_pose():
+    weighed = (beside(turned(0.0), 0.99), beside(turned(90.0), 0.01))
+    assert sketched(turned(0.0), 0.4).beside(weighed, ()).confidence == 0.4
+    assert odds(sketched(turned(0.0), 0.6).beside(weighed, ()).confidence) == pytest.approx(
+        odds(0.6) * odds(0.95)
+    )
+
+
+def test_a_pose_without_rivals_keeps_its_confidence():
+    alone = sketched(turned(2.0), 0.7)
+    assert alone.beside((beside(turned(0.0), 1.0),), ()) is alone
+    assert alone.beside((beside(turned(90.0), 1.0),), ()).confidence == 0.0
+
+
+def test_a_pose_that_the_sketch_leads_to_the_same_one_is_the_same_answer():
+    rival = beside(turned(90.0), 0.05)
+    led = (beside(turned(11.0), 0.95, on_sketch=turned(1.0)), rival)
+    assert sketched(turned(0.0), 0.7).beside(led, ()).confidence > 0.95
+    away = (beside(turned(11.0), 0.95, on_sketch=turned(12.0)), rival)
+    assert sketched(turned(0.0), 0.7).beside(away, ()).confidence == 0.0
+
+
+def test_poses_that_a_symmetry_makes_one_agree():
+    half = Symmetry("discrete", np.array([0.0, 1.0, 0.0]), math.pi)
+    weighed = (beside(turned(180.0), 0.9), beside(turned(90.0), 0.1))
+    assert sketched(turned(0.0), 0.7).beside(weighed, (half,)).confidence > 0.9
+    assert sketched(turned(0.0), 0.7).beside(weighed, ()).confidence == 0.0

@@ -1,0 +1,102 @@
+"""Numbers and names are checked where they enter; nothing that is wrong comes further."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+
+import httpx
+import pytest
+from tests.waiting import MOST_S
+
+from rendezview_service.client import Client, ServiceError
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [{"sun_camera": [1e308] * 3}, {"sun_camera": [1e-320, 0.0, 0.0]}, {"sun_camera": [0.0] * 3}],
+)
+def test_a_direction_that_has_none_is_refused_at_the_opening(client, camera, request_):
+    with pytest.raises(ServiceError, match="direction") as refused:
+        client.open(camera, **request_)
+    assert refused.value.status == 422
+
+
+def test_where_to_look_holds_until_there_is_a_pose(client, camera, tour):
+    for roi, fault in (([1.0], "roi"), ([5000.0, 3.0], "outside"), ([1.0, 2.0, -3.0], "positive")):
+        with pytest.raises(ServiceError, match=fault) as refused:
+            client.open(camera, roi=roi)
+        assert refused.value.status == 422
+    _, pose, frame = tour[0]
+    x, y = camera.project(pose.translation_m)
+    away = [0.0, 0.0, max(x / 6.0, 8.0), max(y / 6.0, 8.0)]
+    with client.open(camera, roi=away) as session:
+        assert session.track(frame)["pose"] is None
+    with client.open(camera, roi=[x, y]) as session:
+        assert session.track(frame)["pose"] is not None
+
+
+@pytest.mark.parametrize("approach", [{"port": {"centre_m": [0, 0, 0], "axis": [1e308, 0, 1e308]}}])
+def test_a_port_without_a_direction_is_refused_at_the_opening(client, camera, approach):
+    with pytest.raises(ServiceError, match="direction"):
+        client.open(camera, approach=approach)
+
+
+def test_a_jump_of_a_frame_does_not_keep_later_ones_out(client, camera, tour):
+    with client.open(camera, prior=tour[0][1]) as session, session.stream() as stream:
+        for time_s in (1e10, 6e9):
+            with pytest.raises(ServiceError, match="too far ahead of the clock") as refused:
+                session.track(tour[0][2], time_s)
+            assert refused.value.status == 422
+        assert session.track(tour[0][2], 5.0)["frame"] == 0
+        with pytest.raises(ServiceError, match="too far ahead"):
+            session.track(tour[1][2], 1e10)
+        stream.send(tour[1][2], 10_000.0)
+        with pytest.raises(ServiceError, match="too far ahead"):
+            stream.receive(MOST_S)
+        assert session.track(tour[1][2], 3000.0)["frame"] == 1
+
+
+def test_senders_with_long_names_do_not_mix(service, camera, tour):
+    names = ["a" * 64 + end for end in ("b", "c")]
+    first, second = (Client(service.url, sender=name, timeout_s=MOST_S) for name in names)
+    with first, second, first.open(camera, prior=tour[0][1]) as session:
+        session.track(tour[0][2])
+        with pytest.raises(ServiceError, match="another sender") as refused:
+            second.session(session.name).track(tour[1][2])
+        assert refused.value.status == 409
+
+
+def test_of_uploads_at_once_all_but_one_are_conflicts(service, client, model_path):
+    content, url = model_path.read_bytes(), f"{service.url}v1/models/race"
+    with ThreadPoolExecutor(8) as threads:
+        answers = threads.map(lambda _: httpx.put(url, content=content, timeout=MOST_S), range(8))
+        assert sorted(answer.status_code for answer in answers) == [201, *[409] * 7]
+    client.request("DELETE", "/v1/models/race")
+
+
+def test_options_of_an_older_filter_are_ignored_with_a_warning(service, client, camera):
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    options = {"motion": {"linear": 1e-3}, "pose": {"gate": 9.0, "inflation": 1.5}}
+    request = {"camera": {name: getattr(camera, name) for name in names}}
+    request["fusion"] = {"options": options}
+    info = client.request("POST", "/v1/sessions", json.dumps(request).encode())
+    said = " ".join(info["warnings"])
+    assert "linear" in said
+    assert "gate" in said
+    assert client.session(info["id"]).info()["warnings"] == info["warnings"]
+    client.session(info["id"]).close()
+    with client.open(camera) as session:
+        assert session.info()["warnings"] == []
+
+
+def test_a_bad_model_file_is_listed_with_its_error(start_service, model_path, tmp_path):
+    (tmp_path / "half.rvm").write_bytes(model_path.read_bytes()[:1000])
+    (tmp_path / "whole.rvm").write_bytes(model_path.read_bytes())
+    served = start_service("--models", str(tmp_path), given=False)
+    with served.client() as client:
+        half, whole = client.request("GET", "/v1/models")["models"]
+        assert (half["name"], half["sha256"]) == ("half", None)
+        assert "half.rvm" in half["error"]
+        assert whole["error"] is None
+    served.stop()

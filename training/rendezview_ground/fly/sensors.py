@@ -1,0 +1,267 @@
+"""Modelled sensors: readings drawn from error tables that were measured on rendered frames."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from scipy.optimize import approx_fprime
+
+from rendezview.fusion import (
+    BeamMesh,
+    Measurement,
+    PoseMeasurement,
+    RangeMeasurement,
+    RateMeasurement,
+    RingCandidate,
+    RingMeasurement,
+    ThrustMeasurement,
+)
+from rendezview.geometry import so3
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.target import DockingRing
+from rendezview.sensors.beacons import ReflectorPattern, predict_spots
+from rendezview.sensors.beam import Met
+from rendezview_ground.fly.dynamics import Truth
+from rendezview_ground.fly.faults import Fault
+from rendezview_ground.fly.guidance import Known
+from rendezview_ground.fly.options import FlyPlan
+
+# Source: `fusion-approach`, of which the error tables are
+CAMERA = Camera(1024, 1024, 800.0, 800.0, 511.5, 511.5)
+_STREAM = 3  # of the seed
+_GLARE_LOSES = 0.7  # share of the frames in glare that give nothing. Source: chosen
+_LEAST_THRUST_M_S = 1e-4  # σ of a pulse that is told. Source: a quarter of the least impulse
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorTable:
+    """How often a sensor answers, its errors and the errors that it claims, by range."""
+
+    range_m: Array  # (N,) rising
+    answered: Array  # (N,)
+    sigma: Array  # (N, K)
+    claimed: Array  # (N, K)
+
+    def at(self, range_m: float) -> tuple[float, Array, Array]:
+        """Answered, σ (K,) and claimed σ (K,), interpolated in the logarithms."""
+        x, known = math.log(max(range_m, 1e-3)), np.log(self.range_m)
+        share = float(np.interp(x, known, self.answered))
+        columns = [
+            np.array([math.exp(np.interp(x, known, np.log(column))) for column in table.T])
+            for table in (self.sigma, self.claimed)
+        ]
+        return share, columns[0], columns[1]
+
+
+@lru_cache(maxsize=1)
+def measured() -> tuple[dict[str, ErrorTable], dict[str, Any]]:
+    """The tables of recognizer ("camera") and ring, and the share of roll outliers."""
+    data = json.loads(files("rendezview_ground.fly").joinpath("measured.json").read_text("utf-8"))
+    rows = sorted(data["rows"], key=lambda row: float(row["range_m"]))
+    ranges = np.array([row["range_m"] for row in rows])
+    tables = {
+        name: ErrorTable(
+            ranges, *(np.array([row[name][key] for row in rows])
+                      for key in ("answered", "sigma", "claimed")),
+        )
+        for name in ("camera", "ring")
+    }  # fmt: skip
+    return tables, data["roll_outliers"]
+
+
+class OwnSensors:
+    """Gyroscope, thrusters' telemetry and laser ranger: the same with frames and without."""
+
+    def __init__(
+        self, plan: FlyPlan, mesh: BeamMesh, seed: int, fault: Fault | None = None
+    ) -> None:
+        self.plan, self.mesh, self.fault = plan, mesh, fault
+        self._rng = np.random.default_rng([_STREAM, seed])
+        bias = math.radians(plan.chaser.gyro_bias_deg_s)
+        self._gyro_bias = bias * self._rng.standard_normal(3)
+
+    def due(self, time_s: float, every_s: float) -> bool:
+        """Whether a sensor that reads so often reads in this step."""
+        step = self.plan.guidance.step_s
+        return round(time_s / step) % max(round(every_s / step), 1) == 0
+
+    def struck(self, kind: str, time_s: float) -> bool:
+        """Whether a fault is there."""
+        return self.fault is not None and self.fault.strikes(kind, time_s)
+
+    def read(self, truth: Truth) -> list[Measurement]:
+        """All readings of a step."""
+        chaser, step_s = self.plan.chaser, self.plan.guidance.step_s
+        noise, bias = math.radians(chaser.gyro_deg_s), math.radians(chaser.gyro_bias_deg_s)
+        rate = truth.turning + self._gyro_bias + noise * self._rng.standard_normal(3)
+        found: list[Measurement] = []
+        told = truth.told_m_s
+        if told.any():
+            sigma = math.hypot(chaser.thrust_scale, chaser.thrust_scale_each,
+                               math.radians(chaser.thrust_askew_deg))  # fmt: skip
+            spread = sigma * float(np.linalg.norm(told)) + _LEAST_THRUST_M_S
+            # The push lasts for the step: as a jump it belongs to its middle.
+            found.append(ThrustMeasurement(truth.time_s - 0.5 * step_s, "thrust", told, spread))
+        found.append(RateMeasurement(truth.time_s, "gyro", rate, math.hypot(noise, bias)))
+        if self.due(truth.time_s, self.plan.sensors.laser_s):
+            found += self._laser(truth)
+        return found
+
+    def _laser(self, truth: Truth) -> list[Measurement]:
+        sensors, target = self.plan.sensors, truth.pose.inverse()
+        origin, beam = np.array(sensors.laser_origin_m), np.array([0.0, 0.0, 1.0])
+        met = self.mesh.met(target.apply(origin), target.rotation @ beam, np.zeros((3, 3)))
+        noise = sensors.laser_m * float(self._rng.standard_normal())
+        if not isinstance(met, Met):
+            return []
+        range_m = met.distance_m + noise
+        if self.struck("laser", truth.time_s):
+            assert self.fault is not None
+            range_m += self.fault.size
+        if range_m <= 0.0:
+            return []
+        return [
+            RangeMeasurement(truth.time_s, "laser", range_m, sensors.laser_m, self.mesh, origin)
+        ]
+
+
+class ModelledSensors:
+    """All sensors of a flight without pictures, by the measured error tables."""
+
+    def __init__(
+        self, plan: FlyPlan, mesh: BeamMesh, ring: DockingRing | None, centre_m: Array,
+        patterns: list[ReflectorPattern], seed: int, fault: Fault | None = None,
+    ) -> None:  # fmt: skip
+        """For one flight.
+
+        Args:
+            centre_m: (3,) of the port, target frame: what the tables are about.
+        """
+        self.plan, self.ring, self.centre_m = plan, ring, centre_m
+        self.patterns, self.fault = patterns, fault
+        self._own = OwnSensors(plan, mesh, seed, fault)
+        self._rng = np.random.default_rng([_STREAM + 1, seed])
+        self._lasting: dict[str, tuple[float, Array]] = {}
+
+    def read(self, truth: Truth, _: Known | None) -> list[Measurement]:
+        """All readings of a step."""
+        found = self._own.read(truth)
+        own, time_s = self._own, truth.time_s
+        if not own.due(time_s, self.plan.sensors.frame_s) or own.struck("camera", time_s):
+            return found
+        centre = truth.pose.apply(self.centre_m)
+        found += self._camera(truth, centre)
+        if self.ring is not None:
+            found += self._ring(truth, centre, self.ring)
+        if not own.struck("reflectors", time_s):
+            found += self._reflectors(truth, centre)
+        return found
+
+    def _error(self, sensor: str, size: int, time_s: float) -> Array:
+        """(size,) in σ: a part that lasts, and white noise."""
+        share, lasting_s = self.plan.sensors.lasting, self.plan.sensors.lasting_s
+        white, fresh = self._rng.standard_normal((2, size))
+        if sensor in self._lasting:
+            last_s, last = self._lasting[sensor]
+            kept = math.exp(-(time_s - last_s) / lasting_s)
+            fresh = kept * last + math.sqrt(1.0 - kept**2) * fresh
+        self._lasting[sensor] = time_s, fresh
+        error: Array = math.sqrt(share) * fresh + math.sqrt(1.0 - share) * white
+        return error
+
+    def _camera(self, truth: Truth, centre: Array) -> list[Measurement]:
+        tables, outliers = measured()
+        away, rng = float(np.linalg.norm(centre)), self._rng
+        share, sigma, claimed = tables["camera"].at(away)
+        error = _six(sigma, away) * self._error("camera", 6, truth.time_s)
+        if away < outliers["below_m"] and rng.random() < outliers["share"]:
+            error[2] = rng.choice([-1.0, 1.0]) * rng.uniform(*outliers["rad"])
+        if self._own.struck("glare", truth.time_s):
+            assert self.fault is not None
+            share *= 1.0 - _GLARE_LOSES
+            error *= self.fault.size
+        if rng.random() >= share:
+            return []
+        arm = truth.pose.rotation @ self.centre_m
+        pose, into = _about(truth.pose, self.centre_m, error), np.eye(6)
+        into[3:, :3] = so3.hat(arm)  # t = centre − R arm: turning the arm moves the origin
+        covariance = into @ np.diag(_six(claimed, away) ** 2) @ into.T
+        return [PoseMeasurement(truth.time_s, "camera", pose, covariance)]
+
+    def _ring(self, truth: Truth, centre: Array, ring: DockingRing) -> list[Measurement]:
+        """Both circles of the ellipse; an edge of another radius looks nearer or farther."""
+        away, rng = float(np.linalg.norm(centre)), self._rng
+        share, sigma, claimed = measured()[0]["ring"].at(away)
+        error = self._error("ring", 5, truth.time_s)
+        if rng.random() >= share or self._own.struck("glare", truth.time_s):
+            return []
+        sight = centre / away
+        place = centre + _across_and_along(sight, away * sigma[1:]) @ error[:3]
+        if self._own.struck("ring", truth.time_s):
+            assert self.fault is not None
+            place = place * self.fault.size
+        axis = truth.pose.rotation @ ring.axis
+        tilt = _across_and_along(axis, np.array([sigma[0], 0.0])) @ [*error[3:], 0.0]
+        axis = axis + tilt
+        axis /= np.linalg.norm(axis)
+        root = _across_and_along(sight, away * claimed[1:])
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = root @ root.T
+        other = 2.0 * (axis @ sight) * sight - axis
+        both = []
+        for normal in (axis, other):
+            flat = np.eye(3) - np.outer(normal, normal)
+            covariance[3:, 3:] = claimed[0] ** 2 * flat
+            both.append(RingCandidate(place, normal, covariance))
+        return [RingMeasurement(truth.time_s, "ring", tuple(both), ring)]
+
+    def _reflectors(self, truth: Truth, centre: Array) -> list[Measurement]:
+        """A pose by the first group that is whole in the picture; σ of the Cramér–Rao bound."""
+        sensors = self.plan.sensors
+        if float(np.linalg.norm(centre)) > sensors.reflectors_m:
+            return []
+        for pattern in self.patterns:
+            spots = predict_spots(CAMERA, pattern, truth.pose)
+            inside = np.isfinite(spots).all() and (spots > 0.0).all()
+            if not (inside and (spots < [CAMERA.width - 1, CAMERA.height - 1]).all()):
+                continue
+            # 1e-4: rad and m of the difference
+            slope = approx_fprime(
+                np.zeros(6),
+                lambda e, p=pattern: predict_spots(CAMERA, p, truth.pose.perturbed(e)).ravel(),
+                1e-4,
+            )
+            sigma = sensors.reflector_bound * sensors.reflector_px
+            covariance = sigma**2 * np.linalg.inv(slope.T @ slope)
+            root = np.linalg.cholesky(covariance)
+            error = root @ self._error(f"reflectors {pattern.name}", 6, truth.time_s)
+            pose = truth.pose.perturbed(error)
+            return [PoseMeasurement(truth.time_s, "reflectors", pose, covariance)]
+        return []
+
+
+def _six(sigma: Array, away_m: float) -> Array:
+    """(6,) of tilt twice, roll, across twice, along, from a row of the table."""
+    tilt, roll, across, along = sigma
+    return np.array([tilt, tilt, roll, away_m * across, away_m * across, away_m * along])
+
+
+def _about(pose: Pose, centre_m: Array, error: Array) -> Pose:
+    """The pose turned about a point of the target, which moves."""
+    rotation = so3.exp(error[:3]) @ pose.rotation
+    return Pose(rotation, pose.apply(centre_m) + error[3:] - rotation @ centre_m)
+
+
+def _across_and_along(direction: Array, sigma: Array) -> Array:
+    """(3, 3) root of a covariance: two axes across a direction, and one along it."""
+    first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
+    first /= np.linalg.norm(first)
+    axes = np.column_stack([first, np.cross(direction, first), direction])
+    return np.asarray(axes * sigma[[0, 0, 1]])
