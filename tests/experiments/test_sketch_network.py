@@ -1,17 +1,19 @@
-"""Experiment sketch-network: its drawings on disk, and what it says without PyTorch."""
+"""Experiment sketch-network: its processes, its held-out pictures, what it says without PyTorch."""
 
 from __future__ import annotations
 
+import itertools
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from experiments.training import sketch_network
+from experiments.training import sketch_feed, sketch_network
 from rendezview.sensors.appearance.edges.network import SIDE_PX
-from rendezview.sensors.appearance.model.sketches import MAPS
-from rendezview_ground.simulate.sketch_frames import DRAWINGS
+from rendezview.sensors.appearance.model.sketches import COVER, MAPS
+from rendezview_ground.simulate.sketch_frames import CraftDrawing, draw_craft
 
 
 def test_without_pytorch_it_says_what_to_install(
@@ -19,22 +21,52 @@ def test_without_pytorch_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(SystemExit, match="pip install torch"):
-        sketch_network.run(tmp_path / "sketch.onnx", folder=tmp_path / "frames")
+        sketch_network.run(tmp_path / "sketch.onnx")
     assert not any(tmp_path.iterdir())
 
 
-def test_drawings_are_kept_and_read_again(tmp_path: Path) -> None:
-    first = sketch_network.drawings(tmp_path, 7, seed=3)
-    files = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
-    assert len(first) == 2 * DRAWINGS
-    again = sketch_network.drawings(tmp_path, 7, seed=3)
-    assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == files
-    for a, b in zip(first, again, strict=True):
-        np.testing.assert_array_equal(a.maps, b.maps)
-        np.testing.assert_array_equal(a.light, b.light)
-    behind = sketch_network.skies(tmp_path, 2, seed=3)
-    pictures, maps = sketch_network.photographs(first[:3], behind, np.random.default_rng(1))
-    assert pictures.shape == (3, 2, SIDE_PX, SIDE_PX)
-    assert maps.shape == (3, MAPS, SIDE_PX, SIDE_PX)
-    assert 0.0 <= pictures[:, 0].min() < pictures[:, 0].max() <= 1.0
-    assert np.abs(pictures[:, 1]).max() <= 1.0
+def test_a_part_is_the_same_for_a_seed_in_both_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sketch_feed, "LEAST_POOL", 4)
+    first, again, other = (sketch_network.part((seed, 1), (2, 1)) for seed in (5, 5, 6))
+    for k, side in enumerate((SIDE_PX, sketch_feed.LARGE * SIDE_PX)):
+        pictures, maps = first[k]
+        assert pictures.shape == (2 - k, side, side)
+        assert maps.shape == (2 - k, MAPS, side, side)
+        assert (maps[:, COVER].max((1, 2)) == 255).any()
+        np.testing.assert_array_equal(pictures, again[k][0])
+        np.testing.assert_array_equal(maps, again[k][1])
+        assert not np.array_equal(pictures, other[k][0])
+
+
+def test_a_pool_draws_anew_after_so_many_photographs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sketch_feed, "LEAST_POOL", 4)
+    drawn = []
+
+    def counted(*args: Any) -> CraftDrawing:
+        drawn.append(draw_craft(*args))
+        return drawn[-1]
+
+    monkeypatch.setattr(sketch_feed, "draw_craft", counted)
+    pool = sketch_feed.Pool(np.random.default_rng(1), reuse=4.0)
+    pool.photographs(8, 1)
+    assert len(drawn) == 4
+    pool.photographs(8, 1)
+    assert len(drawn) == 6
+
+
+# Python 3.12 warns of any fork beside threads: the children use none of theirs.
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_processes_feed_different_batches_until_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sketch_feed, "LEAST_POOL", 4)
+    monkeypatch.setattr(sketch_feed, "LARGE_SHARE", 0.5)
+    feed = sketch_feed.Feed(1, 4, 4.0, seed=3)
+    shapes, sums = set(), set()
+    for pictures, maps in itertools.islice(feed, 8):
+        assert pictures.size == 4 * SIDE_PX**2
+        assert maps.size == MAPS * pictures.size
+        shapes.add(pictures.shape)
+        sums.add(float(pictures.astype(np.float64).sum()))
+    assert shapes == {(4, SIDE_PX, SIDE_PX), (1, 2 * SIDE_PX, 2 * SIDE_PX)}
+    assert len(sums) == 8
+    feed.close()
+    assert not any(process.is_alive() for process in feed._processes)

@@ -2,136 +2,87 @@
 
 from __future__ import annotations
 
-import queue
+import multiprocessing
+import os
 import sys
-import threading
 from pathlib import Path
 from typing import Annotated
 
+import cv2
 import numpy as np
-from joblib import Parallel, delayed
 
-from experiments.frame import kept
-from rendezview.sensors.appearance.edges import network as sketch
-from rendezview.sensors.appearance.edges.network import SIDE_PX
-from rendezview_ground.simulate.random_craft import any_craft
-from rendezview_ground.simulate.sketch_frames import (
-    DRAWINGS,
-    CraftDrawing,
-    draw_craft,
-    draw_sky,
-    take,
-)
+from experiments.training.sketch_feed import LARGE, Feed, Grey, Maps, Pool
+from rendezview.sensors.appearance.edges.network import channels_of
 
-BLOCK = 5  # craft a file
-BATCH = 16
-LARGE = 2  # times SIDE_PX: the side of larger pictures, as those of a closer pass
-LARGE_BATCH = BATCH // LARGE**2
-LARGE_SHARE = 0.35  # of the batches, where there are larger drawings
-FRAMES_A_SKY = 5
-LEAST_SKIES = 10
-MOST_HELD_OUT = 22  # craft
-LARGE_HELD_OUT = 4  # craft
-HELD_SEED = 5  # of their photographs
-# Pictures that set the scales of the whole numbers of the network as written; and larger ones.
-SHOWN, LARGE_SHOWN = 64, 16
-AHEAD = 6  # batches that are made while the network learns
+# Held-out pictures of SIDE_PX, and larger ones: parts, and pictures of each. Their craft are drawn
+# for them alone.
+HELD_PARTS, HELD, LARGE_HELD = 24, 8, 1
+# Parts that set the scales of the whole numbers of the network as written.
+SHOWN_PARTS, SHOWN, LARGE_SHOWN = 8, 8, 2
+HELD_SEED, SHOWN_SEED = 5, 3
 
 
-def drawings(folder: Path, count: int, seed: int, side_px: int = SIDE_PX) -> list[CraftDrawing]:
-    """``DRAWINGS`` of each craft, in order; files that are there already are read."""
-    crafts = -(-count // DRAWINGS)
-
-    def block(first: int) -> dict[str, np.ndarray]:
-        last = min(first + BLOCK, crafts)
-
-        def made() -> dict[str, list[np.ndarray]]:
-            drawn = []
-            for k in range(first, last):
-                rng = np.random.default_rng([seed, k])
-                mesh = any_craft(rng)
-                drawn += [draw_craft(mesh, rng, side_px) for _ in range(DRAWINGS)]
-            return {"maps": [d.maps for d in drawn], "light": [d.light for d in drawn]}
-
-        return kept(folder / f"{seed}-{side_px}-{first:06d}-{last:06d}.npz", made)
-
-    firsts = range(0, crafts, BLOCK)
-    blocks = Parallel(n_jobs=-1 if len(firsts) > 1 else 1)(delayed(block)(k) for k in firsts)
-    both = (zip(one["maps"], one["light"], strict=True) for one in blocks)
-    return [CraftDrawing(*drawing) for drawings in both for drawing in drawings]
+def part(seed: tuple[int, ...], counts: tuple[int, int]) -> list[tuple[Grey, Maps]]:
+    """Photographs of craft drawn for them alone: ``counts`` of SIDE_PX, and of larger ones."""
+    cv2.setNumThreads(1)
+    pool = Pool(np.random.default_rng(seed), reuse=1.0)
+    return [pool.photographs(count, k) for count, k in zip(counts, (1, LARGE), strict=True)]
 
 
-def skies(folder: Path, count: int, seed: int) -> np.ndarray:
-    """(N, SKY_PX, SKY_PX) float16."""
-
-    def made() -> dict[str, np.ndarray]:
-        seeds = np.random.SeedSequence([seed, 1]).spawn(count)
-        each = (delayed(draw_sky)(np.random.default_rng(s)) for s in seeds)
-        return {"skies": np.array(Parallel(n_jobs=-1, prefer="threads")(each), np.float16)}
-
-    return kept(folder / f"{seed}-skies-{count}.npz", made)["skies"]
-
-
-def photographs(chosen, behind: np.ndarray, rng: np.random.Generator):
-    """Pictures (N, 2, S, S) as the network sees them, and maps (N, MAPS, S, S), float32."""
-    taken = [take(d, behind[rng.integers(len(behind))], rng) for d in chosen]
-    pictures = np.array([sketch.channels_of(picture) for picture, _ in taken])
-    return pictures, np.array([maps for _, maps in taken])
+def parts(
+    pool: multiprocessing.pool.Pool, seed: int, count: int, counts: tuple[int, int]
+) -> list[tuple[Grey, Maps]]:
+    """As ``part``, from several seeds, each size in one batch."""
+    each = pool.starmap(part, [((seed, k), counts) for k in range(count)], chunksize=1)
+    return [
+        (np.concatenate([p for p, _ in same]), np.concatenate([m for _, m in same]))
+        for same in zip(*each, strict=True)
+    ]
 
 
 def run(
     network: Annotated[Path, "ONNX file to write; the weights go beside it as .pt"], *,
-    frames: Annotated[int, "drawings of craft; each is photographed many times"] = 7800,
-    large: Annotated[int, "drawings of larger pictures, four times as slow to draw"] = 1800,
-    minutes: Annotated[float, "of training"] = 40.0, seed: int = 11,
-    folder: Annotated[Path, "keeps the drawings and skies"] = Path("sketch-frames"),
+    larger: Annotated[Path | None, "ONNX file of a larger network, trained on the same batches"]
+    = None,
+    minutes: Annotated[float, "of training"] = 70.0,
+    workers: Annotated[int, "processes that draw; 0: one fewer than there are cores"] = 0,
+    batch: Annotated[int, "pictures of a step"] = 16,
+    reuse: Annotated[float, "photographs of each drawing"] = 10.0,
+    rate: Annotated[float, "the highest learning rate"] = 2e-3,
+    resume: Annotated[bool, "go on from the weights beside the ONNX files"] = False, seed: int = 11,
 ) -> None:  # fmt: skip
     """Train the network that sketches a photograph, on random spacecraft in hard light.
 
-    Needs pip install torch onnx. Draws craft and skies into a folder, or reads them from there,
-    then trains on photographs of them, new ones for each step. Up to 22 craft are held out; their
-    losses and the overlap (IoU) of their covers are printed every 200 steps and at the end. The
-    7800 drawings take ten minutes on two cores and 4 GB of memory; the step count depends on the
-    machine, so the weights are not the same twice.
+    Needs pip install torch onnx. Some processes draw craft, everyday objects and skies, and take
+    photographs; this one trains on them, on a GPU if there is one. Held-out losses and the overlap
+    (IoU) of covers are printed each minute. An hour on two cores; ten minutes on a GPU with sixteen
+    (--minutes 9 --batch 32). The step count depends on the machine, so the weights are not the
+    same twice.
     """
     try:
-        import torch
+        import torch  # noqa: F401
 
         from experiments.training import sketch_unet as unet
     except ModuleNotFoundError as error:
         sys.exit(f"sketch-network needs {error.name}: pip install torch onnx")
-    if frames < 2 * DRAWINGS:
-        sys.exit(f"--frames must be at least {2 * DRAWINGS}: two craft, one of them held out")
-    drawn = drawings(folder, frames, seed)
-    larger = drawings(folder, large, seed + 1, LARGE * SIDE_PX)
-    behind = skies(folder, max(LEAST_SKIES, frames // FRAMES_A_SKY), seed)
-    held_count = DRAWINGS * max(1, min(MOST_HELD_OUT, len(drawn) // DRAWINGS // 5))
-    held_out, seen = drawn[:held_count], drawn[held_count:]
-    large_count = min(LARGE_HELD_OUT, len(larger) // DRAWINGS // 5) * DRAWINGS
-    large_out, larger = larger[:large_count], larger[large_count:]
-    print(f"{len(seen)} drawings, {len(larger)} larger, {held_count} and {large_count} held out, "
-          f"{len(behind)} skies", flush=True)  # fmt: skip
-    outs = [some for some in (held_out, large_out) if some]
-    held = [photographs(some, behind, np.random.default_rng(HELD_SEED)) for some in outs]
-    batches: queue.Queue = queue.Queue(AHEAD)
-
-    def feed() -> None:
-        rng = np.random.default_rng([seed, 2])
-        while True:
-            some, count = seen, BATCH
-            if larger and rng.random() < LARGE_SHARE:
-                some, count = larger, LARGE_BATCH
-            chosen = [some[k] for k in rng.integers(len(some), size=count)]
-            batches.put(tuple(torch.from_numpy(x) for x in photographs(chosen, behind, rng)))
-
-    threading.Thread(target=feed, daemon=True).start()
-    shown, large_shown = (
-        photographs(some[:: -(-len(some) // most)], behind, np.random.default_rng([seed, 3]))[0]
-        if some else []
-        for some, most in ((seen, SHOWN), (larger, LARGE_SHOWN))
-    )  # fmt: skip
-    tensors = [tuple(torch.from_numpy(x) for x in batch) for batch in held]
-    trained = unet.trained(batches.get, tensors, minutes, seed)
-    unet.write(trained, network, [*shown, *large_shown])
-    size_mb = network.stat().st_size / 1e6
-    print(f"{network}: {size_mb:.1f} MB")
+    if batch < LARGE**2 or batch % LARGE**2:
+        sys.exit(f"--batch must be a multiple of {LARGE**2}, not {batch}")
+    workers = workers or max(1, (os.cpu_count() or 2) - 1)
+    part((seed, 0), (1, 0))  # compiles the drawing, before all processes do so
+    with multiprocessing.get_context("fork").Pool(workers) as pool:
+        held = parts(pool, HELD_SEED, HELD_PARTS, (HELD, LARGE_HELD))
+        shown = parts(pool, SHOWN_SEED, SHOWN_PARTS, (SHOWN, LARGE_SHOWN))
+    feed = Feed(workers, batch, reuse, seed)
+    print(f"{workers} processes draw, {HELD_PARTS * (HELD + LARGE_HELD)} pictures held out",
+          flush=True)  # fmt: skip
+    widths = {network: unet.WIDTHS}
+    if larger is not None:
+        widths[larger] = unet.LARGE_WIDTHS
+    for path in widths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    trained = unet.train(feed, held, widths, minutes, seed, rate, resume=resume)
+    feed.close()
+    pictures = [channels_of(grey.astype(np.float32)) for greys, _ in shown for grey in greys]
+    for path, one in zip(widths, trained, strict=True):
+        unet.write(one, path, pictures)
+        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB", flush=True)

@@ -20,3 +20,12 @@ def test_skies_are_bright_varied_and_the_same_for_a_seed() -> None:
     # Some have a limb with space beyond, some fill the picture
     dark = np.array([np.mean(sky < 0.02) for sky in skies])
     assert 2 <= np.count_nonzero(dark > 0.05) <= 25
+
+
+def test_a_whole_earth_leaves_more_space_around_it() -> None:
+    dark = []
+    for whole in (False, True):
+        skies = [cloudy_sky(96, np.random.default_rng([14, k]), whole=whole) for k in range(20)]
+        assert all(0.3 < sky.max() <= 1.3 for sky in skies)
+        dark.append(np.mean([np.mean(sky < 0.05) for sky in skies]))
+    assert dark[1] > dark[0] + 0.1

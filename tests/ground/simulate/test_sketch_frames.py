@@ -103,6 +103,19 @@ def test_a_larger_picture_shows_the_same_craft_more_closely() -> None:
     assert closer.blur_sigma_px == (0.2, 2.6)
 
 
+def test_a_texture_darkens_the_light_and_leaves_the_maps() -> None:
+    stripes = np.tile(np.float32([0.1, 1.0]).repeat(8), (128, 8))
+    plain, printed = (
+        draw_craft(box(), np.random.default_rng(2), SIDE_PX, texture) for texture in (None, stripes)
+    )
+    np.testing.assert_array_equal(plain.maps, printed.maps)
+    whole = plain.maps[COVER] == 255
+    ratio = printed.light[1][whole].astype(float) / plain.light[1][whole]
+    assert ratio.min() == pytest.approx(0.1, abs=0.02)
+    assert ratio.max() == pytest.approx(1.0, abs=0.02)
+    assert 0.2 < ratio.mean() < 0.95
+
+
 def test_skies_are_of_both_kinds_and_bright() -> None:
     for k in range(4):
         sky = draw_sky(np.random.default_rng([2, k]))

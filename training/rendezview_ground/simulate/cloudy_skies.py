@@ -15,14 +15,23 @@ from rendezview.geometry.pose import Array
 from rendezview.geometry.zbuffer import Float32s
 
 
-def cloudy_sky(side: int, rng: np.random.Generator) -> Float32s:
-    """(S, S) radiance 0 … 1.3; the brightest hundredth lies above 1."""
+def cloudy_sky(side: int, rng: np.random.Generator, *, whole: bool = False) -> Float32s:
+    """(S, S) radiance 0 … 1.3; the brightest hundredth lies above 1.
+
+    ``whole``: from so far that the Earth's disc is smaller than the picture, or little larger.
+    """
     radiance = _ground(side, rng)
     for _ in range(rng.integers(0, 3) if rng.random() < 0.9 else 0):
         cover = _clouds(side, rng) * rng.uniform(0.4, 1.0)
         radiance = radiance * (1.0 - cover) + cover * rng.uniform(0.6, 1.0)
-    if rng.random() < 0.35:
-        radiance = _with_limb(radiance, rng)
+    if whole:
+        radius_px = side * rng.uniform(0.12, 0.6)
+        depth_px, angle = rng.uniform(0.3, 1.5) * radius_px, rng.uniform(0.0, 2.0 * np.pi)
+        radiance = _with_limb(radiance, rng, radius_px, depth_px, angle)
+    elif rng.random() < 0.35:
+        radius_px = float(np.exp(rng.uniform(np.log(150.0), np.log(2500.0))))
+        angle, depth_px = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-0.3, 0.6) * side
+        radiance = _with_limb(radiance, rng, radius_px, depth_px, angle)
     if rng.random() < 0.3:
         soft = cv2.GaussianBlur(radiance.astype(np.float32), (0, 0), rng.uniform(0.5, 2.5))
         radiance = np.asarray(soft)
@@ -63,11 +72,14 @@ def _clouds(side: int, rng: np.random.Generator) -> Array:
     return cover * (1.0 - rng.uniform(0.0, 0.4) * _smooth_step(fine, -1.0, 2.0))
 
 
-def _with_limb(radiance: Array, rng: np.random.Generator) -> Array:
-    """The edge of the Earth's disc with a glow above it, and darker ground towards it."""
+def _with_limb(
+    radiance: Array, rng: np.random.Generator, radius: float, depth: float, angle: float
+) -> Array:
+    """The edge of the Earth's disc with a glow above it, and darker ground towards it.
+
+    The disc of this radius reaches ``depth`` px beyond the picture's middle, at an angle.
+    """
     side = len(radiance)
-    radius = np.exp(rng.uniform(np.log(150.0), np.log(2500.0)))  # px
-    angle, depth = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-0.3, 0.6) * side
     y, x = np.mgrid[0:side, 0:side].astype(np.float32)
     middle = 0.5 * side + (radius - depth) * np.array([np.cos(angle), np.sin(angle)])
     above = np.hypot(x - middle[0], y - middle[1]) - radius

@@ -156,7 +156,7 @@ def mottled_reflectance(side: int, rng: np.random.Generator, options: HardLightO
         folds = np.abs(cv2.resize(knots, (side, side), interpolation=cv2.INTER_CUBIC))
         factor *= np.exp(-rng.uniform(*options.wrinkles_depth) * folds)
     if _happens(options.dirt_share, rng):
-        white = rng.standard_normal((side, side)).astype(np.float32)
+        white = rng.standard_normal((side, side), np.float32)
         fine = cv2.GaussianBlur(white, (0, 0), rng.uniform(*options.dirt_size_px))
         factor *= np.exp(rng.uniform(*options.dirt_depth) / fine.std() * fine)
     return factor
@@ -242,7 +242,7 @@ def detected(grey: Float32s, rng: np.random.Generator, options: HardLightOptions
     if _happens(options.response_share, rng):
         grey = (255.0 * (grey / 255.0) ** rng.uniform(*options.response)).astype(np.float32)
     sigma_grey = _log_uniform(options.noise_sigma_grey, rng)
-    noise = rng.standard_normal(grey.shape).astype(np.float32)
+    noise = rng.standard_normal(grey.shape, np.float32)
     if _happens(options.smooth_noise_share, rng):
         noise = _blurred(noise, options.smooth_noise_sigma_px)
         noise /= noise.std()

@@ -50,7 +50,7 @@ def random_craft(rng: np.random.Generator) -> Mesh:
         solids.append(_fixed(rng, _boom(rng, width), width, length))
     for _ in range(int(rng.integers(0, 9))):
         solids.append(_fixed(rng, _box(rng, 0.25 * width), width, length))
-    return _mesh(solids)
+    return mesh_of(solids)
 
 
 def compact_craft(rng: np.random.Generator) -> Mesh:
@@ -62,12 +62,12 @@ def compact_craft(rng: np.random.Generator) -> Mesh:
     else:
         sections = int(rng.choice([5, 6, 8, 8, 32]))
         body = trimesh.creation.cylinder(0.5 * max(size[:2]), size[2], sections=sections)
-    solids = [_painted_sides(rng, body)]
+    solids = [painted_sides(rng, body)]
     if rng.random() < 0.3:  # a step
         shares = [rng.uniform(0.3, 0.9), rng.uniform(0.3, 0.9), rng.uniform(0.1, 0.6)]
         step = trimesh.creation.box(size * shares)
         step.apply_translation([0.0, 0.0, 0.55 * size[2] * rng.choice([-1, 1])])
-        solids.append(_painted_sides(rng, step))
+        solids.append(painted_sides(rng, step))
     if rng.random() < 0.6:
         solids.append(_lid(rng, size))
     if rng.random() < 0.35:
@@ -75,7 +75,7 @@ def compact_craft(rng: np.random.Generator) -> Mesh:
     solids += [_rod(rng, size) for _ in range(int(rng.integers(0, 7)))]
     solids += [_fitting(rng, size) for _ in range(int(rng.integers(0, 14)))]
     solids += [_bar(rng, size) for _ in range(int(rng.integers(0, 5)))]
-    return _mesh(solids)
+    return mesh_of(solids)
 
 
 def any_craft(rng: np.random.Generator) -> Mesh:
@@ -83,14 +83,16 @@ def any_craft(rng: np.random.Generator) -> Mesh:
     return random_craft(rng) if rng.random() < 0.4 else compact_craft(rng)
 
 
-def _mesh(solids: list[Solid]) -> Mesh:
-    whole, albedo = _joined(solids)
+def mesh_of(solids: list[Solid]) -> Mesh:
+    """One grey mesh of all solids."""
+    whole, albedo = joined(solids)
     rgb = np.repeat(np.clip(albedo, 0.0, 1.0).astype(np.float32)[:, None], 3, axis=1)
     vertices = np.asarray(whole.vertices, dtype=np.float64)
     return Mesh(vertices, np.asarray(whole.faces, dtype=np.int32), rgb, ())
 
 
-def _joined(solids: list[Solid]) -> Solid:
+def joined(solids: list[Solid]) -> Solid:
+    """One solid of all."""
     mesh: Any = trimesh.util.concatenate([mesh for mesh, _ in solids])
     return mesh, np.concatenate([albedo for _, albedo in solids])
 
@@ -105,11 +107,12 @@ def _albedo(rng: np.random.Generator) -> float:
     return float(rng.uniform(low, high))
 
 
-def _one_paint(rng: np.random.Generator, mesh: trimesh.Trimesh) -> Solid:
+def one_paint(rng: np.random.Generator, mesh: trimesh.Trimesh) -> Solid:
+    """All faces of the same paint."""
     return mesh, np.full(len(mesh.faces), _albedo(rng))
 
 
-def _painted_sides(rng: np.random.Generator, mesh: trimesh.Trimesh) -> Solid:
+def painted_sides(rng: np.random.Generator, mesh: trimesh.Trimesh) -> Solid:
     """Every side of another paint."""
     _, side = np.unique(np.round(mesh.face_normals, 1), axis=0, return_inverse=True)
     paints = np.array([_albedo(rng) for _ in range(side.max() + 1)])
@@ -170,12 +173,12 @@ def _panel(rng: np.random.Generator, width: float) -> Solid:
             if rng.random() < 0.7:  # the back side differs
                 paint[box.face_normals[:, 2] < -0.5] = line
             parts.append((box, paint))
-    mesh, albedo = _joined(parts)
+    mesh, albedo = joined(parts)
     mesh.vertices[:, 1] *= 1.0 - (1.0 - taper) * (mesh.vertices[:, 0] / length + 0.5)
     mesh.apply_translation([gap + 0.5 * length, 0.0, 0.0])
     yoke = trimesh.creation.box([gap, 0.05 * width, 0.05 * width])
     yoke.apply_translation([0.5 * gap, 0.0, 0.0])
-    return _joined([(mesh, albedo), (yoke, np.full(len(yoke.faces), _albedo(rng)))])
+    return joined([(mesh, albedo), (yoke, np.full(len(yoke.faces), _albedo(rng)))])
 
 
 def _dish(rng: np.random.Generator, width: float) -> Solid:
@@ -192,7 +195,7 @@ def _boom(rng: np.random.Generator, width: float) -> Solid:
     if rng.random() < 0.5:
         tip = _box(rng, 0.2 * width)
         tip[0].apply_translation([0.0, 0.0, length])
-        return _joined([solid, tip])
+        return joined([solid, tip])
     return solid
 
 
@@ -235,7 +238,7 @@ def _cells(rng: np.random.Generator, length: float, width: float, thickness: flo
             place = [i + 0.5 - 0.5 * columns, j + 0.5 - 0.5 * rows, 0.03]
             box.apply_translation(pitch * place)
             parts.append((box, np.full(len(box.faces), cell * rng.uniform(0.85, 1.15))))
-    return _joined(parts)
+    return joined(parts)
 
 
 def _lid(rng: np.random.Generator, size: Array) -> Solid:
@@ -265,7 +268,7 @@ def _wings(rng: np.random.Generator, size: Array) -> list[Solid]:
         yoke.apply_translation([0.5 * (size[0] + gap), 0.0, 0.0])
         for part in (mesh, yoke):
             part.apply_transform(_turn([0.0, 0.0, 1.0], side))
-        solids += [(mesh, albedo), _one_paint(rng, yoke)]
+        solids += [(mesh, albedo), one_paint(rng, yoke)]
     return solids
 
 
@@ -281,7 +284,7 @@ def _rod(rng: np.random.Generator, size: Array) -> Solid:
     align: Any = trimesh.geometry.align_vectors  # not typed
     mesh.apply_transform(align([0.0, 0.0, 1.0], direction))
     mesh.apply_translation(0.5 * size * rng.choice([-1, 1], 3) * rng.uniform(0.6, 1.0, 3))
-    return _one_paint(rng, mesh)
+    return one_paint(rng, mesh)
 
 
 def _fitting(rng: np.random.Generator, size: Array) -> Solid:
@@ -299,7 +302,7 @@ def _fitting(rng: np.random.Generator, size: Array) -> Solid:
     place = rng.uniform(-0.5, 0.5, 3) * size
     place[axis] = sign * (0.5 * size[axis] + 0.4 * extent[axis])
     mesh.apply_translation(place)
-    return _painted_sides(rng, mesh) if rng.random() < 0.5 else _one_paint(rng, mesh)
+    return painted_sides(rng, mesh) if rng.random() < 0.5 else one_paint(rng, mesh)
 
 
 def _bar(rng: np.random.Generator, size: Array) -> Solid:
@@ -308,4 +311,4 @@ def _bar(rng: np.random.Generator, size: Array) -> Solid:
     axis = rng.integers(3)
     ends[:, axis] = rng.choice([-1, 1]) * 0.5 * size[axis] * rng.uniform(1.02, 1.2)
     radius = rng.uniform(0.005, 0.02)
-    return _one_paint(rng, trimesh.creation.cylinder(radius, segment=ends, sections=6))
+    return one_paint(rng, trimesh.creation.cylinder(radius, segment=ends, sections=6))

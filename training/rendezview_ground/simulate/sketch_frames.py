@@ -16,8 +16,14 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.zbuffer import Float32s, draw_perspective, empty_buffers
+from rendezview.geometry.zbuffer import (
+    Float32s,
+    Int32s,
+    draw_perspective,
+    empty_buffers,
+)
 from rendezview.sensors.appearance.edges.network import SIDE_PX
+from rendezview.sensors.appearance.model.sketches import COVER, MAPS
 from rendezview_ground.learn.views.sketch_maps import SAMPLES, facing_normals, sketch_maps
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate.cloudy_skies import cloudy_sky
@@ -37,7 +43,10 @@ _NEAR_SHARE = 0.3
 _LEAST_RADII = 1.6  # of the craft; the camera is no nearer
 _LEAST_COVER = 4 / 255  # of the picture; emptier ones are drawn again
 _EARTH_SHARE = 0.8  # of the skies are pictures of the Earth
+_WHOLE_SHARE = 0.12  # of these show the whole Earth, or half of it
 _NEAR_M = 0.05  # m; triangles are clipped there
+_AROUND_PX = 8  # around the mesh, where its lines may reach
+_REMAP_ROWS = 30_000  # that OpenCV reads at once: fewer than 2¹⁵
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +55,8 @@ class CraftDrawing:
 
     maps: npt.NDArray[np.uint8]  # (MAPS, S, S) of ``sketch_maps``, 0 … 255
     light: npt.NDArray[np.float16]  # (2, S, S) radiance in sunlight and in the light of the sky
+    # (S, S) 0 … 255, what hides the sky: the craft and bodies around it; None: the craft alone
+    covered: npt.NDArray[np.uint8] | None = None
 
 
 def sketch_frame(seed: int, options: HardLightOptions | None = None) -> tuple[Float32s, Float32s]:
@@ -69,11 +80,14 @@ def take(
         options = magnified(options or HardLightOptions(), larger)
         sky = np.asarray(cv2.resize(sky.astype(np.float32), None, fx=larger, fy=larger))
     turns, mirrored = int(rng.integers(4)), rng.random() < 0.5
-    maps, light = (
-        _turned(part, turns, mirrored).astype(np.float32) for part in (drawing.maps, drawing.light)
+    covered = drawing.maps[COVER] if drawing.covered is None else drawing.covered
+    maps, light, covered = (
+        _turned(part, turns, mirrored).astype(np.float32)
+        for part in (drawing.maps, drawing.light, covered)
     )
     maps /= np.float32(255.0)
-    return photograph(light[0], light[1], maps[0], sky, rng, options), maps
+    covered /= np.float32(255.0)
+    return photograph(light[0], light[1], covered, sky, rng, options), maps
 
 
 def magnified(options: HardLightOptions, larger: float) -> HardLightOptions:
@@ -92,10 +106,19 @@ def magnified(options: HardLightOptions, larger: float) -> HardLightOptions:
     )
 
 
-def draw_craft(mesh: Mesh, rng: np.random.Generator, side_px: int = SIDE_PX) -> CraftDrawing:
-    """A craft in a random pose and random sunlight, that covers a part of a square picture."""
+def draw_craft(
+    mesh: Mesh,
+    rng: np.random.Generator,
+    side_px: int = SIDE_PX,
+    texture: Float32s | None = None,
+) -> CraftDrawing:
+    """A craft in a random pose and random sunlight, that covers a part of a square picture.
+
+    ``texture``: (T, T) reflectance 0 … 1 of what is stuck on its sides, other parts on each.
+    """
+    sphere = mesh.bounding_sphere
     while True:
-        drawing = _draw_anywhere(mesh, rng, side_px)
+        drawing = _draw_anywhere(mesh, sphere, rng, side_px, texture)
         if drawing.maps[0].mean() > 255.0 * _LEAST_COVER:
             return drawing
 
@@ -103,15 +126,22 @@ def draw_craft(mesh: Mesh, rng: np.random.Generator, side_px: int = SIDE_PX) -> 
 def draw_sky(rng: np.random.Generator) -> Float32s:
     """(SKY_PX, SKY_PX) radiance; the brightest hundredth is about 1."""
     if rng.random() < _EARTH_SHARE:
-        return cloudy_sky(SKY_PX, rng)
+        return cloudy_sky(SKY_PX, rng, whole=rng.random() < _WHOLE_SHARE)
     sky = random_sky(SKY_PX, SKY_PX, rng)
     return np.asarray(sky / max(float(np.percentile(sky, 99.0)), 0.05), dtype=np.float32)
 
 
-def _draw_anywhere(mesh: Mesh, rng: np.random.Generator, side_px: int) -> CraftDrawing:
-    camera, pose = _view(mesh, rng, side_px)
-    centre_m = pose.apply(mesh.bounding_sphere[0])
-    maps, normals = _maps_and_normals(mesh, camera, pose)
+def _draw_anywhere(
+    mesh: Mesh,
+    sphere: tuple[Array, float],
+    rng: np.random.Generator,
+    side_px: int,
+    texture: Float32s | None,
+) -> CraftDrawing:
+    camera, pose = _view(sphere, rng, side_px)
+    centre_m = pose.apply(sphere[0])
+    samples = _samples(mesh, camera, pose)
+    maps, normals = _maps_and_normals(samples, sphere[1])
     sun = sun_at_phase(centre_m, np.deg2rad(rng.uniform(0.0, 150.0)), rng.uniform(0.0, 2.0 * np.pi))
     gloss = float(rng.choice([0.0, 0.15, 0.6, 2.0]))
     shininess = float(_log_uniform((4.0, 120.0), rng))
@@ -121,15 +151,18 @@ def _draw_anywhere(mesh: Mesh, rng: np.random.Generator, side_px: int) -> CraftD
     )  # fmt: skip
     sunlit = render(mesh, camera, pose, sun, shading).radiance
     ambient = _albedo(mesh, camera, pose, centre_m, normals) * _bright_side(normals, rng)
-    return CraftDrawing(
-        np.rint(255.0 * np.clip(maps, 0.0, 1.0)).astype(np.uint8),
-        np.stack([sunlit, ambient]).astype(np.float16),
-    )
+    light = np.stack([sunlit, ambient])
+    if texture is not None:
+        light *= _reduced(_textured(samples, camera, pose, sphere, texture, rng))
+    drawn = np.rint(255.0 * np.clip(maps, 0.0, 1.0)).astype(np.uint8)
+    return CraftDrawing(drawn, light.astype(np.float16))
 
 
-def _view(mesh: Mesh, rng: np.random.Generator, side_px: int) -> tuple[Camera, Pose]:
+def _view(
+    sphere: tuple[Array, float], rng: np.random.Generator, side_px: int
+) -> tuple[Camera, Pose]:
     """Any attitude, anywhere in the picture, sometimes across its border."""
-    centre_m, radius_m = mesh.bounding_sphere
+    centre_m, radius_m = sphere
     focal = side_px * _log_uniform(_FOCAL_SIDES, rng)
     middle = 0.5 * (side_px - 1)
     camera = Camera(width=side_px, height=side_px, fx=focal, fy=focal, cx=middle, cy=middle)
@@ -143,8 +176,16 @@ def _view(mesh: Mesh, rng: np.random.Generator, side_px: int) -> tuple[Camera, P
     return camera, Pose(rotation, place - rotation @ centre_m)
 
 
-def _maps_and_normals(mesh: Mesh, camera: Camera, pose: Pose) -> tuple[Float32s, Float32s]:
-    """(MAPS, S, S) of an ideal sketch, and (S, S, 3) mean normals."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Samples:
+    """SAMPLES × SAMPLES a pixel of a mesh in a pose."""
+
+    nearness: Float32s  # 1/z, 1/m; 0: sky
+    owner: Int32s  # the face there; −1: sky
+    normals: Float32s  # (F, 3) of ``facing_normals``
+
+
+def _samples(mesh: Mesh, camera: Camera, pose: Pose) -> _Samples:
     n = SAMPLES
     vertices = np.ascontiguousarray(pose.apply(mesh.vertices_m))
     faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
@@ -153,10 +194,66 @@ def _maps_and_normals(mesh: Mesh, camera: Camera, pose: Pose) -> tuple[Float32s,
     draw_perspective(
         vertices, faces, camera.fx * n, camera.fy * n, cx, cy, _NEAR_M, nearness, owner
     )
-    normals = facing_normals(vertices, faces)
-    maps = sketch_maps(nearness, owner, normals, mesh.bounding_sphere[1])
-    shown = np.where((owner >= 0)[..., None], normals[owner], np.float32(0.0))
-    return maps, shown.reshape(camera.height, n, camera.width, n, 3).mean((1, 3))
+    return _Samples(nearness, owner, facing_normals(vertices, faces))
+
+
+def _maps_and_normals(samples: _Samples, radius_m: float) -> tuple[Float32s, Float32s]:
+    """(MAPS, S, S) of an ideal sketch, and (S, S, 3) mean normals; only the mesh is searched."""
+    side = len(samples.owner) // SAMPLES
+    maps, normals = np.zeros((MAPS, side, side), np.float32), np.zeros((side, side, 3), np.float32)
+    shown = samples.owner >= 0
+    if not shown.any():
+        return maps, normals
+    pixels, fine = [], []
+    for axis in (1, 0):
+        places = np.flatnonzero(shown.any(axis)) // SAMPLES
+        first, last = max(places[0] - _AROUND_PX, 0), min(places[-1] + _AROUND_PX + 1, side)
+        pixels.append(slice(first, last))
+        fine.append(slice(SAMPLES * first, SAMPLES * last))
+    owner = samples.owner[tuple(fine)]
+    nearness = samples.nearness[tuple(fine)]
+    maps[:, *pixels] = sketch_maps(nearness, owner, samples.normals, radius_m)
+    facing = samples.normals[owner]
+    facing[owner < 0] = 0.0
+    normals[tuple(pixels)] = _reduced(facing)
+    return maps, normals
+
+
+def _reduced(samples: Float32s) -> Float32s:
+    """Means of the samples of each pixel."""
+    size = samples.shape[1] // SAMPLES, samples.shape[0] // SAMPLES
+    return np.asarray(cv2.resize(samples, size, interpolation=cv2.INTER_AREA))
+
+
+def _textured(
+    samples: _Samples,
+    camera: Camera,
+    pose: Pose,
+    sphere: tuple[Array, float],
+    texture: Float32s,
+    rng: np.random.Generator,
+) -> Float32s:
+    """Reflectance of each sample: the texture, seen along the axis next to the face's normal."""
+    v, u = np.nonzero(samples.owner >= 0)
+    z = 1.0 / samples.nearness[v, u]
+    x = z * ((u + 0.5) / SAMPLES - 0.5 - camera.cx) / camera.fx
+    y = z * ((v + 0.5) / SAMPLES - 0.5 - camera.cy) / camera.fy
+    points = (np.stack([x, y, z], 1) - pose.translation_m) @ pose.rotation - sphere[0]
+    axes = np.abs(samples.normals @ pose.rotation).argmax(1)[samples.owner[v, u]]
+    scale = len(texture) / (2.0 * sphere[1]) * rng.uniform(0.5, 2.0)
+    factor = np.ones(samples.owner.shape, np.float32)
+    for axis in range(3):
+        if rng.random() < 0.15:  # bare sides
+            continue
+        here = axes == axis
+        across = scale * np.delete(points[here], axis, 1) + rng.uniform(0.0, len(texture), 2)
+        across = across.astype(np.float32)[:, None]  # a picture one pixel wide
+        for first in range(0, len(across), _REMAP_ROWS):
+            part = slice(first, first + _REMAP_ROWS)
+            read = cv2.remap(texture, across[part, :, 0], across[part, :, 1], cv2.INTER_LINEAR,
+                             borderMode=cv2.BORDER_REFLECT)  # fmt: skip
+            factor[v[here][part], u[here][part]] = np.asarray(read)[:, 0]
+    return factor
 
 
 def _albedo(mesh: Mesh, camera: Camera, pose: Pose, centre_m: Array, normals: Float32s) -> Float32s:

@@ -29,7 +29,7 @@ SIDE_PX = 256  # sketch px; the network is trained at this size. Source: experim
 # Px a side: the pixels of a square become channels. Source: experiment sketch-network
 SQUARE_PX = 4
 _MULTIPLE_PX = 64  # px; a side must allow four halvings of the squares. Source: by construction
-_FAINT_GREY = 8.0  # grey levels; the second channel saturates there. Source: as trained
+FAINT_GREY = 8.0  # grey levels; the second channel saturates there. Source: as trained
 _GLANCE_PX = (320, 240)  # sketch px; at most, of the pass over the whole frame. Source: as trained
 _MARGIN = 1.4  # of the box of the target: side of the square that is sketched. Source: as trained
 # Source: its cost; no other is better in experiment photo-accuracy (docs/notes/photographs.md)
@@ -216,7 +216,7 @@ def channels_of(grey: Float32s) -> Float32s:
     channels = np.empty((2, *grey.shape), np.float32)
     np.divide(grey, np.float32(255.0), out=channels[0])
     np.subtract(grey, np.float32(np.median(grey[::4, ::4])), out=channels[1])
-    channels[1] /= np.float32(_FAINT_GREY)
+    channels[1] /= np.float32(FAINT_GREY)
     np.tanh(channels[1], out=channels[1])
     return channels
 

@@ -1,0 +1,178 @@
+"""Batches for the sketch network, made by processes that draw and photograph without end.
+
+Each process keeps a pool of drawings. It takes photographs of them, and after every few it replaces
+the oldest drawing with a new one, so that no two batches are alike and few pictures share a craft.
+Batches lie in memory that all processes share.
+"""
+
+from __future__ import annotations
+
+import mmap
+import multiprocessing
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import threadpool_limits
+
+from rendezview.geometry.zbuffer import Float32s
+from rendezview.sensors.appearance.edges.network import SIDE_PX
+from rendezview.sensors.appearance.model.sketches import MAPS
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate.cluttered_rooms import INDOORS, crowded, room
+from rendezview_ground.simulate.random_craft import any_craft
+from rendezview_ground.simulate.random_objects import random_object
+from rendezview_ground.simulate.random_textures import random_texture
+from rendezview_ground.simulate.sketch_frames import (
+    DRAWINGS,
+    SKY_PX,
+    CraftDrawing,
+    draw_craft,
+    draw_sky,
+    take,
+)
+
+LARGE = 2  # times SIDE_PX: the side of larger pictures, as those of a closer pass
+LARGE_SHARE = 0.35  # of the batches
+OBJECT_SHARE = 0.18  # of the targets are everyday objects, the others craft
+TEXTURED_SHARE, PRINTED_SHARE = 0.6, 0.05  # of objects and of craft have a texture
+INDOORS_SHARE, LABORATORY_SHARE = 0.85, 0.05  # of objects and of craft are in rooms
+CROWDED_SHARE, ALONE_SHARE = 0.5, 0.06  # of objects and of craft have other bodies around them
+MOST_OTHERS = 2
+POOL, LEAST_POOL = 160, 16  # drawings of SIDE_PX; there are a quarter as many large ones
+DRAWINGS_A_BACKGROUND = 3
+SLOTS = 3  # batches for each process
+
+Grey = npt.NDArray[np.float16]  # (N, S, S) grey levels
+Maps = npt.NDArray[np.uint8]  # (N, MAPS, S, S) of ``sketch_maps``, 0 … 255
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """What is photographed, and whether it stands in a room."""
+
+    drawing: CraftDrawing
+    indoors: bool
+
+
+class Pool:
+    """Drawings and backgrounds; a new drawing pushes the oldest out."""
+
+    def __init__(self, rng: np.random.Generator, reuse: float) -> None:
+        """``reuse``: photographs that are taken of each drawing, on average."""
+        self._rng, self._reuse = rng, reuse
+        self._targets = {
+            1: deque[Target](maxlen=POOL), LARGE: deque[Target](maxlen=POOL // LARGE**2)
+        }  # fmt: skip
+        self._due = dict.fromkeys(self._targets, 0.0)  # photographs without a new drawing
+        self._skies, self._rooms = deque[Float32s](maxlen=POOL), deque[Float32s](maxlen=POOL)
+        self._mesh: Mesh | None = None
+        self._is_object, self._drawn = False, 0
+
+    def photographs(self, count: int, larger: int) -> tuple[Grey, Maps]:
+        """Photographs of any of the drawings, ``larger`` times SIDE_PX large."""
+        targets, side = self._targets[larger], larger * SIDE_PX
+        least = LEAST_POOL // larger**2
+        while len(targets) < least or self._due[larger] >= self._reuse:
+            self._due[larger] -= self._reuse if len(targets) >= least else 0.0
+            targets.append(self._new(side, targets))
+        self._due[larger] += count
+        pictures = np.empty((count, side, side), np.float16)
+        maps = np.empty((count, MAPS, side, side), np.uint8)
+        for k in range(count):
+            target = targets[self._rng.integers(len(targets))]
+            behind = self._rooms if target.indoors else self._skies
+            sky = behind[self._rng.integers(len(behind))]
+            options = INDOORS if target.indoors else None
+            pictures[k], drawn = take(target.drawing, sky, self._rng, options)
+            maps[k] = np.rint(255.0 * drawn)
+        return pictures, maps
+
+    def _new(self, side: int, around: deque[Target]) -> Target:
+        rng = self._rng
+        if self._drawn % DRAWINGS_A_BACKGROUND == 0:
+            self._skies.append(draw_sky(rng))
+            self._rooms.append(room(SKY_PX, rng))
+        if self._mesh is None or self._drawn % DRAWINGS == 0:
+            self._is_object = bool(rng.random() < OBJECT_SHARE)
+            self._mesh = random_object(rng) if self._is_object else any_craft(rng)
+        self._drawn += 1
+        printed, indoors, others = (
+            bool(rng.random() < shares[0 if self._is_object else 1])
+            for shares in (
+                (TEXTURED_SHARE, PRINTED_SHARE),
+                (INDOORS_SHARE, LABORATORY_SHARE),
+                (CROWDED_SHARE, ALONE_SHARE),
+            )
+        )
+        drawing = draw_craft(
+            self._mesh, rng, side, random_texture(SKY_PX, rng) if printed else None
+        )
+        if others:
+            count = min(int(rng.integers(MOST_OTHERS + 1)), len(around))
+            chosen = [around[rng.integers(len(around))].drawing for _ in range(count)]
+            drawing = crowded(drawing, chosen, rng)
+        return Target(drawing, indoors)
+
+
+class Feed:
+    """Processes that make batches until ``close``; iterate over it for batches."""
+
+    def __init__(self, workers: int, batch: int, reuse: float, seed: int) -> None:
+        """``batch``: pictures of SIDE_PX; of larger ones there are as many pixels."""
+        self._batch = batch
+        # Children of a fork have all compiled loops at once.
+        context = multiprocessing.get_context("fork")
+        self._pixels = batch * SIDE_PX**2
+        slots = SLOTS * workers
+        self._pictures = _shared(slots * self._pixels, np.float16).reshape(slots, -1)
+        self._maps = _shared(slots * MAPS * self._pixels, np.uint8).reshape(slots, -1)
+        self._free: Any = context.SimpleQueue()
+        self._full: Any = context.SimpleQueue()
+        for slot in range(slots):
+            self._free.put(slot)
+        seeds = np.random.SeedSequence([seed, 2]).spawn(workers)
+        self._processes = [
+            context.Process(target=self._work, args=(one, reuse), daemon=True) for one in seeds
+        ]
+        for process in self._processes:
+            process.start()
+
+    def _work(self, seed: np.random.SeedSequence, reuse: float) -> None:
+        cv2.setNumThreads(1)
+        threadpool_limits(1, "blas")
+        rng = np.random.default_rng(seed)
+        pool = Pool(rng, reuse)
+        while True:
+            larger = LARGE if rng.random() < LARGE_SHARE else 1
+            pictures, maps = pool.photographs(self._batch // larger**2, larger)
+            slot = self._free.get()
+            self._pictures[slot] = pictures.ravel()
+            self._maps[slot] = maps.ravel()
+            self._full.put((slot, larger))
+
+    def __iter__(self) -> Iterator[tuple[Grey, Maps]]:
+        """Batches; each is overwritten after the next one was asked for."""
+        while True:
+            slot, larger = self._full.get()
+            count, side = self._batch // larger**2, larger * SIDE_PX
+            yield (
+                self._pictures[slot].reshape(count, side, side),
+                self._maps[slot].reshape(count, MAPS, side, side),
+            )
+            self._free.put(slot)
+
+    def close(self) -> None:
+        """End the processes."""
+        for process in self._processes:
+            process.terminate()
+            process.join()
+
+
+def _shared(count: int, dtype: Any) -> npt.NDArray[Any]:
+    """(N,) zeros in memory that children of a fork share."""
+    return np.frombuffer(mmap.mmap(-1, count * np.dtype(dtype).itemsize), dtype)
