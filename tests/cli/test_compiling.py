@@ -19,6 +19,9 @@ from numba.core.event import install_listener
 from tests.waiting import MOST_S
 
 from rendezview.cli import compiling
+from rendezview.cli import warm as warm_command
+from rendezview.cli.progress import ProgressBar
+from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance.model.view_tables import ViewTables
 
 
@@ -158,7 +161,7 @@ def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch)
     monkeypatch.setattr(compiling, "_cores", lambda: 2)
     monkeypatch.setattr(subprocess, "Popen", Process)
     compiled = []
-    monkeypatch.setattr(compiling, "_compile", compiled.append)
+    monkeypatch.setattr(compiling, "_compile", lambda share, done: compiled.append(share))
     compiling.compile_ahead("track")
     assert said[0].startswith("Compiling 5 loops for this machine in 2 processes")
     assert said[1].startswith("Compiled in")
@@ -172,6 +175,44 @@ def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch)
     monkeypatch.setattr(compiling, "_is_cached", lambda loop: True)
     compiling.compile_ahead("track", "train")
     assert len(said) == 2
+
+
+def test_where_there_is_no_bar_lines_count_the_loops_and_say_how_long_it_takes(
+    monkeypatch, tmp_path
+):
+    """By this machine's own speed, of all processes together."""
+    said: list[str] = []
+    monkeypatch.setattr(compiling, "say", said.append)
+    monkeypatch.setattr(compiling, "_SAY_EVERY_S", 0.0)
+    now = iter([100.0, *(100.0 + 8.0 * k for k in range(1, 9))])
+    monkeypatch.setattr(compiling.time, "perf_counter", lambda: next(now))
+    loops = [{"seconds": 4.0}, {"seconds": 1.0}, {"seconds": 3.0}]
+    with ProgressBar() as bar:
+        counter = compiling._Counter(loops, bar)
+        counter(1.0)
+        program = "print(3.0)\nprint(4.0)"
+        with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
+            counter.follow(process)
+    assert said[0] == "  1 of 3 loops, about 56 s more"  # 8 s for one of eight
+    assert said[1] == "  2 of 3 loops, about 16 s more"
+    assert said[2] == "  3 of 3 loops, about 0 s more"
+
+
+def test_a_loop_of_several_groups_is_compiled_once(monkeypatch):
+    entries = [e | {"seconds": 3.0} for e in compiling.load_loops("track")[-3:]]
+    monkeypatch.setattr(compiling, "load_loops", lambda group: entries)
+    monkeypatch.setattr(compiling, "_is_cached", lambda loop: False)
+    assert compiling._missing(["track", "serve"]) == entries
+
+
+def test_a_machine_is_warmed_for_the_commands_that_are_named(monkeypatch):
+    asked: list[tuple[str, ...]] = []
+    monkeypatch.setattr(warm_command, "compile_ahead", lambda *groups: asked.append(groups))
+    warm_command.warm(["track"])
+    warm_command.warm(None)
+    assert asked == [("track",), compiling.GROUPS]
+    with pytest.raises(RendezviewError, match="name track, train"):
+        warm_command.warm(["trak"])
 
 
 def test_a_loop_that_is_compiled_unexpectedly_is_announced_once():

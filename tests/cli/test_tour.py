@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
+import os
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
 import pytest
+
+from rendezview.cli import main
 
 TINY = ["--order", "1", "--views", "300", "--held-out", "50", "--resolution", "96", "--jobs", "1"]
 COMMANDS = ("demo", "train", "simulate", "track", "evaluate", "show", "export")
@@ -102,6 +108,40 @@ def test_help_has_an_example_in_one_line_that_names_real_options(run, command: s
     assert words[1:3] == ["rendezview", command]
     for option in (word for word in words if word.startswith("-")):
         assert option in ran.out.split("Options:")[1]
+
+
+@pytest.mark.parametrize("command", main._MAIN_OPTIONS)
+def test_a_long_help_shows_the_main_options_and_help_all_every_one(run, command: str):
+    def options(out: str) -> list[str]:
+        return re.findall(r"^  (?:-\w, )?(--[\w-]+)", out.split("Options:")[1], re.MULTILINE)
+
+    brief, every = run(command, "--help"), run(command, "--help-all")
+    assert (brief.code, every.code) == (0, 0)
+    few, all_of_them = options(brief.out), options(every.out)
+    assert len(few) == len(main._MAIN_OPTIONS[command]) + 1  # and --help
+    assert set(few) < set(all_of_them)
+    assert f"{len(all_of_them) - len(few)} more options: --help-all" in brief.out
+
+
+def test_a_shell_completes_commands_and_their_options():
+    """As bash asks; only the command that is meant is imported."""
+
+    def completed(words: str) -> list[str]:
+        environment = os.environ | {
+            "_RENDEZVIEW_COMPLETE": "complete_bash",
+            "_TYPER_COMPLETE_ARGS": words,
+            "COMP_WORDS": words,
+            "COMP_CWORD": str(len(words.split()) - 1),
+        }
+        program = "import sys; sys.argv = ['rendezview']; from rendezview.cli.main import main; "
+        ran = subprocess.run(
+            [sys.executable, "-c", program + "main()"],
+            env=environment, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        return ran.stdout.split()
+
+    assert completed("rendezview tr") == ["train", "track"]
+    assert completed("rendezview track --al") == ["--alarm-attitude-deg", "--alarm-position-m"]
 
 
 def test_the_list_of_commands_has_a_line_for_each(run):

@@ -17,6 +17,7 @@ import os
 import pickle
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from importlib import resources
@@ -30,14 +31,16 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 from numba.core.event import Event, Listener, register
 
-from rendezview.cli.progress import say
+from rendezview.cli.progress import ProgressBar, say
 
 try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
+GROUPS = ("track", "train", "demo", "serve", "reflectors", "stereo")  # of loops.json
 _MOST_PROCESSES = 6  # with more, each mostly imports. Source: experiment compiled-loops
+_SAY_EVERY_S = 10.0  # s, where there is no bar. Source: a chosen limit
 # Source: experiment compiled-loops, twice the start of a process
 _LEAST_S = 4.0  # s; what takes less to compile is compiled where it is called
 
@@ -100,15 +103,51 @@ def compile_ahead(*groups: str) -> None:
         f"only once: about {seconds + _START_S:.0f} s …"
     )
     start = time.perf_counter()
-    workers = [_worker(share) for share in others]
+    workers = [_worker(share, "--count") for share in others]
     try:
-        _compile(own)
+        with ProgressBar() as bar:
+            counter = _Counter(missing, bar)
+            readers = [threading.Thread(target=counter.follow, args=(w,)) for w in workers]
+            for reader in readers:
+                reader.start()
+            _compile(own, counter)
+            for reader in readers:
+                reader.join()
         for worker in workers:
             worker.wait()
     finally:
         for worker in workers:
             worker.kill()
     say(f"Compiled in {time.perf_counter() - start:.0f} s")
+
+
+class _Counter:
+    """Counts the loops that several processes have compiled, and says so now and then."""
+
+    def __init__(self, loops: Sequence[dict[str, Any]], bar: ProgressBar) -> None:
+        self._total, self._seconds = len(loops), _seconds(loops)
+        self._bar, self._lock = bar, threading.Lock()
+        self._done, self._spent = 0, 0.0
+        self._start = self._said = time.perf_counter()
+
+    def __call__(self, seconds: float) -> None:
+        """One more loop is compiled, which takes so long on the machine of the list."""
+        with self._lock:
+            self._done, self._spent = self._done + 1, self._spent + seconds
+            self._bar("compile", self._done, self._total)
+            now = time.perf_counter()
+            if self._bar.is_shown or now - self._said < _SAY_EVERY_S or not self._spent:
+                return
+            self._said = now
+            left = (now - self._start) * (self._seconds - self._spent) / self._spent
+            say(f"  {self._done} of {self._total} loops, about {left:.0f} s more")
+
+    def follow(self, worker: subprocess.Popen[bytes]) -> None:
+        """Count what a process compiles, until it ends."""
+        assert worker.stdout is not None
+        with worker.stdout as lines:
+            for line in lines:
+                self(float(line))
 
 
 @contextlib.contextmanager
@@ -137,7 +176,8 @@ def _missing(groups: Sequence[str]) -> list[dict[str, Any]]:
     """The loops of some groups that the cache on disk lacks; none if they take no time."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return []
-    entries = [entry for group in groups for entry in load_loops(group)]
+    listed = (entry for group in groups for entry in load_loops(group))
+    entries = {(e["loop"], json.dumps(e["arguments"])): e for e in listed}.values()
     missing = [e for e in entries if not _is_cached(_named(e["loop"])) and e["seconds"]]
     return missing if _seconds(missing) >= _LEAST_S else []
 
@@ -145,7 +185,8 @@ def _missing(groups: Sequence[str]) -> list[dict[str, Any]]:
 def _worker(share: list[dict[str, Any]], *options: str) -> subprocess.Popen[bytes]:
     """A process that compiles a share."""
     command = [sys.executable, "-m", "rendezview.cli.compiling", *options, json.dumps(share)]
-    return subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    out = subprocess.PIPE if "--count" in options else subprocess.DEVNULL
+    return subprocess.Popen(command, stdout=out, stderr=subprocess.DEVNULL)
 
 
 _START_S = 2.0  # s; of a process, before it compiles. Source: experiment compiled-loops
@@ -258,13 +299,18 @@ def recorded(run: Callable[[], object]) -> list[dict[str, Any]]:
     return entries
 
 
-def _compile(entries: list[dict[str, Any]]) -> None:
-    """Compile loops; one that has changed since it was listed is left to its first call."""
+def _compile(entries: list[dict[str, Any]], done: Callable[[float], None] | None = None) -> None:
+    """Compile loops; one that has changed since it was listed is left to its first call.
+
+    ``done`` is called after each, with the seconds of the list.
+    """
     with _saved_in_turn(), _without_collection():
         for entry in entries:
             with contextlib.suppress(NumbaError, AttributeError, ImportError, TypeError):
                 loop = _named(entry["loop"])
                 loop.compile(tuple(type_from_json(argument) for argument in entry["arguments"]))
+            if done is not None:
+                done(float(entry["seconds"]))
 
 
 @contextlib.contextmanager
@@ -313,7 +359,11 @@ def _alone(folder: Path) -> Iterator[None]:
         yield
 
 
+def _print(seconds: float) -> None:
+    print(seconds, flush=True)
+
+
 if __name__ == "__main__":
     if "--beside" in sys.argv and hasattr(os, "nice"):
         os.nice(10)  # a tenth of a core that another process wants
-    _compile(json.loads(sys.argv[-1]))
+    _compile(json.loads(sys.argv[-1]), _print if "--count" in sys.argv else None)

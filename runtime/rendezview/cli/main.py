@@ -10,16 +10,18 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from typing import Any
 
 import typer
+from typer.core import TyperCommand
 
 from rendezview.errors import RendezviewError, without_cache
 
 GROUP = "rendezview.commands"
 _OTHER_OPENCV = ("opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless")
+_EVERYTHING = "--help-all"
 _INTERRUPTED = "rendezview: interrupted"
 
 # In the order of a first use. The help shows these without importing the commands.
@@ -36,6 +38,7 @@ _SUMMARIES = {
     "reflectors": "Read a video guidance sensor: reflectors to six numbers, or calibrate it.",
     "fuse": "Join several sensors' logs into one state: pose, rates, covariance.",
     "guide": "Fit the path of a log of poses, and say the correction back to a plan.",
+    "warm": "Compile for this machine now what commands would compile when they first run.",
     "serve": "Serve poses: frames in, poses out, a page to watch them.",
     "replay": "Repeat a recorded run bit for bit, or mend its log.",
     "rrd": "Convert a run into a recording for the Rerun viewer.",
@@ -47,9 +50,51 @@ _SUMMARIES = {
     "export": "Print a model's decision trees, or write flight code: C99, ONNX.",
 }
 
+# What the help of a command with many options shows; --help-all shows the others, too.
+_MAIN_OPTIONS = {
+    "train": ("output", "unit", "camera", "order", "jobs", "dask", "renderer", "seed"),
+    "simulate": (
+        "output", "kind", "camera", "frames", "dt", "start_range", "end_range", "axis", "sun_phase",
+        "earth", "laser", "reflectors", "seed",
+    ),
+    "track": (
+        "output", "log", "camera", "prior", "box", "sun", "independent", "integrity_risk", "plan",
+        "video",
+    ),
+    "reflectors": (
+        "target", "camera", "output", "group", "mode", "cameras", "blur", "invert", "independent",
+        "overlay",
+    ),
+    "serve": (
+        "camera", "target", "source", "record", "state", "host", "port", "tokens", "workers",
+        "models", "check", "settings",
+    ),
+}  # fmt: skip
 
-def make_app(called: str | None) -> typer.Typer:
+
+class _Command(TyperCommand):
+    """A command whose help shows its main options, where those are named."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the options, and how many others there are."""
+        main = _MAIN_OPTIONS.get(str(self.name))
+        options = [p for p in self.params if p.param_type_name == "option"]
+        others: list[Any] = [] if main is None else [p for p in options if p.name not in main]
+        for option in others:
+            option.hidden = True
+        super().format_options(ctx, formatter)
+        for option in others:
+            option.hidden = False
+        if others:
+            formatter.write(f"\n{len(others)} more options: --help-all\n")
+
+
+def make_app(called: str | None, *, everything: bool = False) -> typer.Typer:
     """The application with the command that is called, and a line for each of the others.
+
+    Args:
+        called: name of the command.
+        everything: its help shows all options.
 
     Raises:
         RendezviewError: the command's packages are not installed.
@@ -57,7 +102,7 @@ def make_app(called: str | None) -> typer.Typer:
     app = typer.Typer(
         help="Where a spacecraft is relative to another one, from a single camera and a CAD model.",
         no_args_is_help=True,
-        add_completion=False,
+        add_completion=True,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )
@@ -68,7 +113,9 @@ def make_app(called: str | None) -> typer.Typer:
         if isinstance(command, typer.Typer):  # a command with commands of its own
             app.add_typer(command, name=name)
         else:
-            app.command(name, help=_SUMMARIES.get(name) if command is _nothing else None)(command)
+            summary = _SUMMARIES.get(name) if command is _nothing else None
+            kind = TyperCommand if everything else _Command
+            app.command(name, cls=kind, help=summary)(command)
     return app
 
 
@@ -88,6 +135,14 @@ def _load(point: metadata.EntryPoint) -> Callable[..., Any] | typer.Typer:
             "installed: pip install 'rendezview[training]'"
         ) from None
     return command
+
+
+def _called(arguments: Sequence[str]) -> str | None:
+    """The command of a command line; of the one that a shell wants completed."""
+    words = os.environ.get("_TYPER_COMPLETE_ARGS")
+    if words is not None:
+        arguments = words.split()[1:]
+    return next((word for word in arguments if not word.startswith("-")), None)
 
 
 def _nothing() -> None:
@@ -119,7 +174,9 @@ def main() -> None:
         return
     tell_of_other_opencv()
     try:
-        make_app(next((a for a in arguments if not a.startswith("-")), None))()
+        everything = _EVERYTHING in arguments
+        sys.argv[1:] = ["--help" if word == _EVERYTHING else word for word in arguments]
+        make_app(_called(arguments), everything=everything)()
     except RendezviewError as error:
         print(f"rendezview: {error}", file=sys.stderr)
         sys.exit(1)

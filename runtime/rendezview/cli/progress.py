@@ -62,6 +62,7 @@ class ProgressBar:
         )
         self._tasks: dict[str, int] = {}
         self._as_json = as_json()
+        self.is_shown = console.is_terminal or self._as_json
 
     def __enter__(self) -> Self:
         self._progress.start()
