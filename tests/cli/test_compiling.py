@@ -7,6 +7,7 @@ import os
 import pickle
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -185,7 +186,7 @@ def test_where_there_is_no_bar_lines_count_the_loops_and_say_how_long_it_takes(
     monkeypatch.setattr(compiling, "say", said.append)
     monkeypatch.setattr(compiling, "_SAY_EVERY_S", 0.0)
     now = iter([100.0, *(100.0 + 8.0 * k for k in range(1, 9))])
-    monkeypatch.setattr(compiling.time, "perf_counter", lambda: next(now))
+    monkeypatch.setattr(time, "perf_counter", lambda: next(now))
     loops = [{"seconds": 4.0}, {"seconds": 1.0}, {"seconds": 3.0}]
     with ProgressBar() as bar:
         counter = compiling._Counter(loops, bar)

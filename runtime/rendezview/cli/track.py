@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,14 +21,16 @@ from rendezview.cli.guide import (
     ShapeName,
     first_epoch,
 )
-from rendezview.cli.inputs import given_sequence
+from rendezview.cli.inputs import given_camera, given_sequence
+from rendezview.cli.live_view import LiveView
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.cli.where import At, Box, Boxes, Mask, given_regions
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import check_place, read_json
 from rendezview.io.pose_log import poses_by_frame
-from rendezview.io.sequences import Sequence
+from rendezview.io.sequences import Frame, Sequence
+from rendezview.io.sequences.live import is_live, live_frames
 from rendezview.sensors.appearance import SilhouetteOptions, Threshold, ViewModel
 from rendezview.sensors.appearance.following import follow, record, result_row
 from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
@@ -40,9 +42,16 @@ from rendezview.sensors.run import Line, run
 def track(
     model: Annotated[Path, typer.Argument(help="Model file (*.rvm).")],
     scene: Annotated[
-        Path, typer.Argument(help="BOP scene, SPEED folder, images, video or recording.")
+        str,
+        typer.Argument(
+            help="BOP scene, SPEED folder, images, video or recording; or a camera: 0, "
+            "/dev/video0, rtsp://..., until Ctrl-C."
+        ),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Results, BOP CSV.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Results, BOP CSV; of a camera not needed."),
+    ] = None,
     log: Annotated[Path | None, typer.Option(help="Everything of each frame, JSON lines.")] = None,
     camera: Annotated[
         Path | None,
@@ -102,6 +111,9 @@ def track(
         Path | None,
         typer.Option(help="Frames with the result drawn over them (.webm, .mp4, .avi or .gif)."),
     ] = None,
+    show: Annotated[
+        bool, typer.Option("--show", help="The same in a browser, while it runs.")
+    ] = False,
     plan: PlanFile = None,
     shape: ShapeName = None,
     chaser: ChaserFile = None,
@@ -113,11 +125,19 @@ def track(
 
     \b
     Example: rendezview track hubble.rvm approach -o poses.csv --log log.jsonl --prior scene
+             rendezview track hubble.rvm 0 --camera camera.yaml --show
     """
+    if output is None and not is_live(scene):
+        raise typer.BadParameter("recorded frames need a file for the results", param_hint="-o")
     _check_places(output, log, video, model, oem, aem, plan, chaser)
     first_epoch(epoch, [], False)  # a wrong one is said before the frames are opened
     loaded = ViewModel.load(model)
-    sequence = given_sequence(scene, camera, obj_id)
+    taken: Iterable[Frame] | None = None
+    if is_live(scene):
+        sequence = Sequence(1, (), Path(scene))  # nothing is known of its frames
+        taken = live_frames(scene, given_camera(camera), say)
+    else:
+        sequence = given_sequence(Path(scene), camera, obj_id)
     times_s = [frame.time_s for frame in sequence.frames[:1] if frame.time_s is not None]
     moment = first_epoch(epoch, times_s, bool(oem or aem))
     others = None if prior is None or not prior.endswith(".jsonl") else Path(prior)
@@ -132,9 +152,13 @@ def track(
     tell_of_compiling()
     guide = _guide(loaded, plan, shape, chaser, oem, aem, refine)
     drawn = video_of(video, sequence, loaded) if video else None
+    view = LiveView(loaded) if show else None
+    watching = [each.watch for each in (drawn, view) if each is not None]
+    if view is not None:
+        say(f"Watch at {view.address}")
     frames = follow(
         loaded,
-        sequence,
+        sequence if taken is None else taken,
         prior=first,
         independent=independent,
         silhouette=options,
@@ -145,7 +169,7 @@ def track(
         expected=expected,
         where=where,
         first_where=first_where,
-        watch=drawn.watch if drawn else None,
+        watch=watching,
     )
 
     def lines() -> Iterator[Line]:
@@ -160,24 +184,27 @@ def track(
             row = result_row(sequence.scene_id, frame, observation)
             yield Line(noted, observation.status, row, sum(observation.stage_ms.values()))
 
-    with drawn or nullcontext(), ProgressBar() as bar:
-        progress = bar.stage("frames", len(sequence))
-        summary = run(lines(), log=log, results=output, progress=progress)
+    with drawn or nullcontext(), view or nullcontext(), ProgressBar() as bar:
+        progress = bar.stage("frames", len(sequence)) if taken is None else None
+        summary = run(
+            lines(), log=log, results=output, to_stdout=taken is not None, progress=progress
+        )
     if guide is not None:
         guide.finish(oem, aem, moment, loaded.name)
     if integrity is not None:
         say(str(levels))
-    say_summary(summary, len(summary.rows), len(sequence), what="poses", step="frame")
+    say_summary(summary, len(summary.rows), summary.total, what="poses", step="frame")
 
 
-def _check_places(output: Path, log: Path | None, *others: Path | None) -> None:
+def _check_places(output: Path | None, log: Path | None, *others: Path | None) -> None:
     """Refuse at once what would fail, or do harm, only when all frames are computed."""
     check_place(output, "the results")
     check_place(log, "the log")
     places = [path.resolve() for path in (output, log, *others) if path is not None]
     if len(set(places)) < len(places):
         raise RendezviewError(
-            f"{output}: everything read and written must be different files: choose another name"
+            f"{output or log}: everything read and written must be different files: choose another "
+            "name"
         )
 
 

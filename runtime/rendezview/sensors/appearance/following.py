@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.results import ResultRow
-from rendezview.io.sequences import Frame, Sequence
+from rendezview.io.sequences import Frame
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -24,7 +24,7 @@ from rendezview.sensors.run import observe
 
 def follow(
     model: ViewModel,
-    sequence: Sequence,
+    sequence: Iterable[Frame],
     *,
     prior: Pose | None = None,
     independent: bool = False,
@@ -37,7 +37,7 @@ def follow(
     expected: Callable[[Frame], tuple[Pose, Array] | None] | None = None,
     where: Callable[[Frame], npt.ArrayLike | None] | None = None,
     first_where: npt.ArrayLike | None = None,
-    watch: Callable[[Frame, GreyImage | None, AppearanceObservation], None] | None = None,
+    watch: Iterable[Callable[[Frame, GreyImage | None, AppearanceObservation], None]] = (),
 ) -> Iterator[tuple[Frame, AppearanceObservation]]:
     """One observation for each frame, in order.
 
@@ -58,7 +58,8 @@ def follow(
         where: the target is in each frame, as for `Recognizer.recognize`'s ``roi``.
         first_where: the same in the first frames, until there is a pose; in all if
             ``independent``.
-        watch: called with every frame, its picture (None: unreadable) and its observation.
+        watch: each is called with every frame, its picture (None: unreadable) and its
+            observation.
 
     A frame that cannot be read gives the status ``UNREADABLE``; the run goes on.
 
@@ -96,8 +97,8 @@ def follow(
     for frame, image, observation in observe(
         sequence, seen_in, AppearanceObservation, ordered=not independent
     ):
-        if watch is not None:
-            watch(frame, image, observation)
+        for each in watch:
+            each(frame, image, observation)
         yield frame, observation
 
 
