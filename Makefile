@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test evidence lint docs benchmark clean
+.PHONY: demo test evidence lint docs dist benchmark clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rendezview demo
@@ -26,6 +26,14 @@ lint: $(VENV)/.installed-dev
 # The site, in build/site; a warning is an error. The notebook is run.
 docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -q -W --keep-going -c docs/site -d build/doctrees docs build/site
+
+# Wheel and sdist, in dist, checked as they would be published.
+dist: $(VENV)/bin/pip
+	$(BIN)/python -m pip install --quiet --group release
+	rm -rf dist
+	$(BIN)/python -m build --quiet
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/check-wheel-contents dist/*.whl
 
 # The short form beside the ratios that are kept in benchmark.json; three minutes, on a quiet machine.
 benchmark: $(VENV)/.installed-dev

@@ -288,3 +288,10 @@ def test_shuttle_doors_close_the_bay() -> None:
         assert own[:, 1].max() == pytest.approx(-other[:, 1].min(), abs=1e-4)
     assert own[:, 1].min() == pytest.approx(0.0, abs=0.01), "they meet in the middle"
     assert own[:, 2].min() == pytest.approx(-2.62, abs=0.01)
+
+
+def test_a_wheel_has_every_vehicle() -> None:
+    """A checkout finds them in its own folder, whatever is packed."""
+    built = tomllib.loads((MODELS.parent / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
+    packed = built["targets"]["wheel"]["force-include"]
+    assert packed == {f"models_cad/{v}": f"rendezview/models_cad/{v}" for v in VEHICLES}
