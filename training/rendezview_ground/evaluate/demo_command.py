@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,8 @@ from rich.console import Console
 
 from rendezview.cli.compiling import compile_ahead, compile_beside, tell_of_compiling
 from rendezview.cli.progress import ProgressBar
+from rendezview.geometry import so3
+from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
 from rendezview.io.files import make_folder
 from rendezview.io.sequences import Sequence, open_sequence
@@ -146,7 +149,7 @@ def demo(
         evaluation=evaluation,
         more=[
             _film(output / "approach.webm", "The approach", "Edges of the model and the axes at "
-                  "each pose; the ellipse is the uncertainty of the centre, 3 σ."),
+                  "each pose; the ellipse is 1 σ of the centre, enlarged as it says."),
             _film(output / "ring.webm", "The docking ring", "Ellipses found; orange: the ring, "
                   "purple: a circle that may be it, no pose is given. Green: the axis."),
             Card("contact", "To the docking ring", "Errors of the ring's centre on the last "
@@ -207,8 +210,18 @@ def _approach(
             roll_jitter_rad=last_jitter,
             seed=seed + 1,
         ),
-    )[1:]
-    return [*flown, *((flown[-1][0] + time_s, pose) for time_s, pose in final)], around
+    )
+    # The camera keeps its roll from the one path to the other.
+    turned = so3.exp(np.array([0.0, 0.0, _roll(final[0][1], flown[-1][1])]))
+    rolled = Pose(turned, np.zeros(3))
+    after = ((flown[-1][0] + time_s, rolled @ pose) for time_s, pose in final[1:])
+    return [*flown, *after], around
+
+
+def _roll(pose: Pose, other: Pose) -> float:
+    """The roll of the camera, rad, that brings the first attitude nearest to the second."""
+    between = other.rotation @ pose.rotation.T
+    return math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
 
 
 def _triple(vector: np.ndarray) -> Triple:

@@ -173,7 +173,7 @@ def _tiles(observations: Ordered[AppearanceObservation], evaluation: Evaluation 
             distance = 100.0 * evaluation.statistics("range_fraction").median
             tiles.append((f"{rotation:.2f}°", "median attitude error", False))
             tiles.append((f"{distance:.2f} %", "median range error", False))
-    if spent:
+    if evaluation is None and spent:  # else the table has the time
         tiles.append((f"{float(np.median(spent)):.1f} ms", "median time per frame", False))
     return tiles_of(tiles)
 
