@@ -150,8 +150,8 @@ def _exactly(surface: TurnedSurface, rough: cKDTree, start: NearSymmetry) -> Nea
     least_m = _LEAST_LAST_TRIM * surface.radius_m
     for _ in range(_LAST_ROUNDS):
         moved = own @ turn.T + shift
-        # To few points it is farther than to all, so beyond their middle nothing is used: far points
-        # take ten times as long.
+        # To few points it is farther than to all: beyond their middle nothing is used, and far
+        # points take ten times as long.
         fewer, _ = rough.query(moved, distance_upper_bound=reach_m)
         most_m = min(1.001 * max(least_m, float(np.quantile(fewer, 0.5, method="lower"))), reach_m)
         far, nearest = surface.tree.query(moved, distance_upper_bound=most_m)
