@@ -185,7 +185,7 @@ def test_a_training_runs_beside_and_its_model_tracks(client, camera, tmp_path):
     assert other["state"] == "queued"
     for job in (other, long):
         assert client.request("DELETE", f"/v1/jobs/{job['id']}")["state"] == "cancelled"
-    job = client.train("block", mesh, order=1, views=150, held_out=20)
+    job = client.train("block", mesh, order=0, views=100, held_out=10)
     JobInfo.model_validate(job)
     now = _ended(client, job)
     assert now["state"] == "done", now["reason"]
