@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,14 @@ settings.register_profile(
 )
 settings.load_profile("repeatable")
 
-SERVICE = "tests/service/"
+SERVICE, PAGES = "tests/service/", "tests/service/test_page"
+# Begun last, they would be what all others wait for.
+LONG = (
+    "tests/ground/learn/test_cluster.py",
+    "tests/ground/mesh/test_public_meshes.py",
+    "tests/ground/render/test_pyrender.py",
+    "tests/cli/test_whole_approach.py",
+)
 Draw = Callable[..., np.ndarray]
 
 BUMPS_M = [  # size, place: no rotation and no mirror maps this body to itself
@@ -66,24 +74,40 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Files go to the worker that is free, in their order; the service's stay together."""
+    """Files go to the worker that is free, in their order; the service's stay together.
+
+    So do those of its pages.
+    """
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            # They share services, models, a flight and a browser. With more workers they would be
-            # what all others wait for.
-            together = self.numnodes <= 2 and nodeid.startswith(SERVICE)
-            return SERVICE if together else super()._split_scope(nodeid)
+            # They share services, models and a browser. With more workers they would be what all
+            # others wait for.
+            if self.numnodes <= 3 and nodeid.startswith(SERVICE):
+                return PAGES if nodeid.startswith(PAGES) else SERVICE
+            return super()._split_scope(nodeid)
 
     config.option.loadscopereorder = False  # else files with few tests come last: the slow ones
     return Scheduling(config, log)
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than there are cores: the tests of the service wait for a third of their time."""
+    return 1 + (os.cpu_count() or 1)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Of several workers one begins with the service's tests: they take a third of the time."""
+
+    def turn(item: pytest.Item) -> int:
+        if item.nodeid.startswith(SERVICE):
+            return int(item.nodeid.startswith(PAGES))
+        return 2 if item.nodeid.startswith(LONG) else 3
+
     if hasattr(config, "workerinput"):
-        items.sort(key=lambda item: not item.nodeid.startswith(SERVICE))
+        items.sort(key=turn)
     for item in items:  # into the JUnit file, which `make evidence` reads
         for marker in item.iter_markers("requirement"):
             item.user_properties += [("requirement", name) for name in marker.args]

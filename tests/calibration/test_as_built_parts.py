@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.ground.mesh.mesh_samples import HINGE_M, WING_BOXES_M, winged_mesh, winged_target
-from tests.quick_training import REFINING
+from tests.quick_training import CONTOURS_ALONE
 
 from rendezview.calibration.as_built import AsBuilt, ShapeEstimator
 from rendezview.calibration.as_built.parts import Part, distrusted, remounted
@@ -36,9 +36,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("winged")
     part = f'[[parts]]\nname = "wing"\ntrust = 1.0\nboxes_m = {WING_BOXES_M}\n'
     target = winged_target(made, part)
-    options = replace(REFINING, shadowed_silhouettes=False, contour_radii=(1.0,))
     mesh = load_mesh(target.mesh_path, target.unit)
-    train_target(replace(target, parts=()), mesh, made / "winged.rvm", options=options, jobs=1)
+    plain, options = replace(target, parts=()), replace(CONTOURS_ALONE, order=2)
+    train_target(plain, mesh, made / "winged.rvm", options=options, jobs=1)
     return made
 
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.made_once import made_once
 from tests.service import approach, page_feed
 from tests.service.browser import Stepwise
 from tests.waiting import MOST_S, wait_until
@@ -189,12 +190,15 @@ def tour(
 @pytest.fixture(scope="session")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A flight to the client's ring, 14 m to 2 m: ``scene``, ``laser.jsonl``, ``client.rvm``."""
-    folder = tmp_path_factory.mktemp("flown")
-    approach.draw(folder, frames=13, seed=1, start_m=14.0, end_m=2.0)
-    # A model as small as it can be: 42 views.
-    smallest = "--order 0 --views 60 --held-out 0 --resolution 128 --shells 1,2 --jobs 1"
-    approach.command(folder, "train", "client", "-o", "client.rvm", *smallest.split())
-    return folder
+
+    def fly(folder: Path) -> None:
+        folder.mkdir()
+        approach.draw(folder, frames=13, seed=1, start_m=14.0, end_m=2.0)
+        # A model as small as it can be: 42 views.
+        smallest = "--order 0 --views 60 --held-out 0 --resolution 128 --shells 1,2 --jobs 1"
+        approach.command(folder, "train", "client", "-o", "client.rvm", *smallest.split())
+
+    return made_once(tmp_path_factory, "flown", fly)
 
 
 # WebGL without a graphics card; everything else drawn as plainly as can be.

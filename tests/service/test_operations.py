@@ -37,15 +37,6 @@ def test_the_service_says_that_it_lives_and_is_ready(service):
         assert answer.json()["status"] == "ok"
 
 
-def test_it_says_that_it_serves_once_it_can_track(start_service):
-    served = start_service(given=False)  # returns with that line
-    assert httpx.get(served.url + "readyz", timeout=MOST_S).status_code == 200
-    starts = next(k for k, line in enumerate(served.lines) if "its page is at" in line)
-    assert served.url in served.lines[starts]
-    assert starts < next(k for k, line in enumerate(served.lines) if "serves at" in line)
-    served.stop()
-
-
 def test_metrics_count_frames_and_forget_sessions(service, client, camera, tour):
     session = client.open(camera, name="counted")
     for time_s, _, image in tour[:3]:
@@ -164,10 +155,14 @@ def test_a_hung_worker_with_three_sessions_does_not_delay_the_end(start_service,
         assert all(isinstance(answer.exception(), RendezviewError) for answer in answers)
 
 
-def test_the_first_model_that_is_sent_warms_it_up(
+def test_it_says_that_it_serves_and_the_first_model_that_is_sent_warms_it_up(
     start_service, model_path, camera, tour, tmp_path
 ):
-    served = start_service("--record", str(tmp_path), given=False)
+    served = start_service("--record", str(tmp_path), given=False)  # returns with that line
+    assert httpx.get(served.url + "readyz", timeout=MOST_S).status_code == 200
+    starts = next(k for k, line in enumerate(served.lines) if "its page is at" in line)
+    assert served.url in served.lines[starts]
+    assert starts < next(k for k, line in enumerate(served.lines) if "serves at" in line)
     with served.client() as client:
         with pytest.raises(ServiceError, match="there are: none"):
             client.open(camera)
@@ -190,7 +185,7 @@ def test_a_training_runs_beside_and_its_model_tracks(client, camera, tmp_path):
     assert other["state"] == "queued"
     for job in (other, long):
         assert client.request("DELETE", f"/v1/jobs/{job['id']}")["state"] == "cancelled"
-    job = client.train("block", mesh, order=1, views=150, held_out=20)
+    job = client.train("block", mesh, order=0, views=100, held_out=10)
     JobInfo.model_validate(job)
     now = _ended(client, job)
     assert now["state"] == "done", now["reason"]

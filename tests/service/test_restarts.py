@@ -34,8 +34,9 @@ def _logged(folder: Path, session: str) -> list[dict]:
     return [frame.state for frame in read_log(first).frames()]
 
 
-@pytest.mark.parametrize("end", ["stop", "kill"])
-def test_sessions_go_on_after_a_restart(start_service, camera, tour, refining_model, tmp_path, end):
+def test_sessions_go_on_after_a_stop_and_after_a_kill(
+    start_service, camera, tour, refining_model, tmp_path
+):
     """One with the model of the command line, and one with a model that only it has."""
     state, logs = tmp_path / "state", tmp_path / "logs"
     replace(refining_model, provenance={"why": "other content"}).save(tmp_path / "sent.rvm")
@@ -50,18 +51,21 @@ def test_sessions_go_on_after_a_restart(start_service, camera, tour, refining_mo
             name: [client.session(name).track(image, time_s) for time_s, _, image in tour[:4]]
             for name in ("one", "two")
         }
-    getattr(served, end)()
-    served = start_service(*flags)
+    for end in ("stop", "kill"):
+        getattr(served, end)()
+        served = start_service(*flags)
+        with served.client() as client:
+            assert sorted(session["id"] for session in client.sessions()) == ["one", "two"]
+            assert client.session("one").state() == states["one"][-1]
+            for name, before in states.items():
+                session, frames = client.session(name), tour[len(before) : len(before) + 4]
+                before += [session.track(image, time_s) for time_s, _, image in frames]
+                assert [state["frame"] for state in before] == [*range(len(before))]
+                assert {(state["status"], state["recorded"]) for state in before} == {("ok", True)}
+                assert len({state["model_sha256"] for state in before}) == 1
     with served.client() as client:
-        assert sorted(session["id"] for session in client.sessions()) == ["one", "two"]
-        assert client.session("one").state() == states["one"][-1]
-        for name, before in states.items():
-            session = client.session(name)
-            before += [session.track(image, time_s) for time_s, _, image in tour[4:8]]
-            assert [state["frame"] for state in before] == [*range(8)]
-            assert {(state["status"], state["recorded"]) for state in before} == {("ok", True)}
-            assert len({state["model_sha256"] for state in before}) == 1
-            session.close()
+        for name in states:
+            client.session(name).close()
         wait_until(lambda: not [*state.glob(f"*{SUFFIX}")])
     served.stop()
     assert {name: _logged(logs, name) for name in states} == states

@@ -62,9 +62,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     trimesh.util.concatenate([box, bump]).export(folder / "box.stl")
     mesh = load_mesh(folder / "box.stl", "m")
     options = TrainingOptions(
-        order=2, perturbed_views=800, held_out_views=200, resolution_px=96, seed=1,
+        order=1, perturbed_views=400, held_out_views=100, resolution_px=96, seed=1,
         contour_radii=(1.0, 2.0), contour_resolution_px=256, shadowed_silhouettes=False,
-        sketches=False, forest_trees=0,
+        sketches=False, forest_trees=0, surface_points=0,
     )  # fmt: skip
     model = train(mesh, folder / "box.rvm", name="box", options=options, jobs=1).model
     camera = Camera.from_fov(160, 120, np.deg2rad(40.0))

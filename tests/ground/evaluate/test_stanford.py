@@ -12,7 +12,6 @@ from rendezview_ground.evaluate.stanford import (
     Judged,
     stanford_dict,
     stanford_text,
-    tail_risk,
     upper_limit,
 )
 
@@ -38,14 +37,6 @@ def test_the_upper_limit_is_that_of_the_binomial():
     limit = upper_limit(4, 200)
     assert binom.cdf(4, 200, limit) == pytest.approx(0.05, abs=1e-9)
     assert upper_limit(5, 5) == 1.0
-
-
-def test_the_fitted_tail_extrapolates_a_known_one():
-    rng = np.random.default_rng(2)
-    heavy = 0.1 * rng.pareto(3.0, 20_000)  # P(> 1) = 11⁻³
-    risk = tail_risk(heavy)
-    assert risk == pytest.approx(11.0**-3, rel=0.5)
-    assert tail_risk(heavy[:50]) is None
 
 
 def test_words_and_numbers_tell_the_counts():

@@ -26,7 +26,7 @@ perturbed_views = 40
 held_out_views = 10
 contour_points = 20
 contour_resolution_px = 64
-surface_points = 64
+surface_points = 0
 
 [[targets]]
 target = "one.stl"

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.quick_training import EVERY_STAGE, FEW_STAGES
 from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
@@ -25,25 +26,10 @@ from rendezview_ground.learn.job import train
 from rendezview_ground.learn.jobs.cores import Cores
 from rendezview_ground.learn.jobs.installed import installed
 from rendezview_ground.learn.jobs.open_executor import open_executor
-from rendezview_ground.learn.options import TrainingOptions
 
 distributed = pytest.importorskip("distributed", reason="rendezview[dask] is not installed")
 
 from rendezview_ground.learn.jobs import cluster  # noqa: E402
-
-SMALL = TrainingOptions(
-    order=1,
-    bins=60,
-    smooth_bins=3,
-    resolution_px=64,
-    perturbed_views=600,
-    held_out_views=20,
-    contour_points=20,
-    contour_radii=(1.0,),
-    contour_resolution_px=64,
-    surface_points=64,
-    forest_trees=2,
-)
 
 
 @dataclass
@@ -119,13 +105,6 @@ def _address(place: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def reference(tmp_path_factory, bumpy_mesh) -> bytes:
-    path = tmp_path_factory.mktemp("reference") / "bumpy.rvm"
-    train(bumpy_mesh, path, name="bumpy", options=SMALL, jobs=1)
-    return path.read_bytes()
-
-
-@pytest.fixture(scope="module")
 def several(tmp_path_factory) -> Iterator[Processes]:
     with processes(tmp_path_factory.mktemp("several"), 2, allowed_failures=1) as started:
         yield started
@@ -170,10 +149,10 @@ for task in (double, deadly, wrong, address_of):
     task.__module__ = "__main__"
 
 
-def test_a_cluster_gives_the_bytes_of_one_machine(tmp_path, bumpy_mesh, several, reference):
+def test_a_cluster_gives_the_bytes_of_one_machine(tmp_path, bumpy_mesh, several, every_stage):
     with open_executor(-1, several.address, tell=lambda line: None) as executor:
-        train(bumpy_mesh, tmp_path / "m.rvm", name="bumpy", options=SMALL, executor=executor)
-    assert (tmp_path / "m.rvm").read_bytes() == reference
+        train(bumpy_mesh, tmp_path / "m.rvm", name="bumpy", options=EVERY_STAGE, executor=executor)
+    assert (tmp_path / "m.rvm").read_bytes() == every_stage
 
 
 def test_a_campaign_on_a_cluster_gives_the_bytes_of_one_machine(
@@ -216,7 +195,7 @@ def test_large_shared_data_is_moved_once_to_each_worker(several, tmp_path):
     assert len(places) == len({pid for pid, _ in places})  # one copy in each process
 
 
-def test_a_killed_worker_costs_only_its_shard(tmp_path, bumpy_mesh, reference):
+def test_a_killed_worker_costs_only_its_shard(tmp_path, bumpy_mesh, few_stages):
     log = tmp_path / "log"
     with processes(tmp_path, 3) as started, cluster.Cluster.connect(started.address) as executor:
         assert executor.cores == 3
@@ -244,12 +223,12 @@ def test_a_killed_worker_costs_only_its_shard(tmp_path, bumpy_mesh, reference):
             bumpy_mesh,
             tmp_path / "m.rvm",
             name="bumpy",
-            options=SMALL,
+            options=FEW_STAGES,
             executor=executor,
             progress=kill,
         )
         wait_until(lambda: executor.cores == 1)
-    assert (tmp_path / "m.rvm").read_bytes() == reference
+    assert (tmp_path / "m.rvm").read_bytes() == few_stages
 
 
 def test_a_shard_that_kills_its_workers_is_told_and_not_waited_for(tmp_path):
@@ -294,7 +273,7 @@ print(faults() - before)
 
 
 def test_a_scheduler_that_is_gone_is_told_and_what_was_done_is_kept(
-    tmp_path, bumpy_mesh, reference
+    tmp_path, bumpy_mesh, few_stages
 ):
     path, first = tmp_path / "m.rvm", {}
     with processes(tmp_path, 2) as started:
@@ -307,18 +286,20 @@ def test_a_scheduler_that_is_gone_is_told_and_what_was_done_is_kept(
             cluster.Cluster.connect(started.address) as executor,
             pytest.raises(RendezviewError, match=r"is gone.*finished work is kept"),
         ):
-            train(bumpy_mesh, path, name="bumpy", options=SMALL, executor=executor, progress=kill)
+            train(
+                bumpy_mesh, path, name="bumpy", options=FEW_STAGES, executor=executor, progress=kill
+            )
     train(
         bumpy_mesh,
         path,
         name="bumpy",
-        options=SMALL,
+        options=FEW_STAGES,
         executor=Cores(1),
         progress=lambda stage, done, of: first.setdefault(stage, (done, of)),
     )
-    assert first["views"] == (10, 10)
+    assert first["views"] == (5, 5)
     assert first["contours"][0] >= 1
-    assert path.read_bytes() == reference
+    assert path.read_bytes() == few_stages
 
 
 def test_an_address_without_a_scheduler_is_refused():

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from sklearn.tree import DecisionTreeClassifier
+from tests.plain_entropy import split_entropy
 
 from rendezview.geometry.geodesic import Geodesic, angle_between
 from rendezview.sensors.appearance.model.signature import rolled, twist
-from rendezview.sensors.appearance.model.trees import split_entropy
 from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.learn.trees.node_trees import (
     Samples,

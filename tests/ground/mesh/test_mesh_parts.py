@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.ground.mesh.mesh_samples import WING_BOXES_M, winged_mesh, winged_target
-from tests.quick_training import REFINING
+from tests.quick_training import CONTOURS_ALONE
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -70,12 +70,11 @@ def test_a_bent_part_that_is_not_trusted_costs_little(tmp_path: Path) -> None:
         pose = Pose(turn, np.array([0.0, 0.0, 12.0]))
         sun = [0.2, 0.1, -1.0]
         frames.append((pose, render_frame(shown, camera, pose, sun, light, rng)))
-    options = replace(REFINING, order=1, shadowed_silhouettes=False, contour_radii=(1.0,))
     medians = []
     for trust in (1.0, 0.0):
         target = trusting(tmp_path / f"t{trust}", trust)
         mesh = load_mesh(target.mesh_path, target.unit)
-        train_target(target, mesh, tmp_path / f"{trust}.rvm", options=options, jobs=1)
+        train_target(target, mesh, tmp_path / f"{trust}.rvm", options=CONTOURS_ALONE, jobs=1)
         recognizer = Recognizer(ViewModel.load(tmp_path / f"{trust}.rvm"), camera)
         errors = []
         for truth, frame in frames:

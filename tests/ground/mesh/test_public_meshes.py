@@ -29,13 +29,14 @@ def test_a_public_mesh_trains_and_its_trees_beat_chance(name: str, tmp_path: Pat
     mesh = load_mesh(Path(data) / name)
     options = TrainingOptions(
         surface_points=64,
-        order=1,
+        order=0,
         perturbed_views=400,
         held_out_views=100,
         resolution_px=128,
         contour_radii=(1.0,),
         contour_resolution_px=256,
         component_step=8,
+        forest_trees=1,
     )
     path = tmp_path / "model.rvm"
     trained = train(mesh, path, name="public", options=options, jobs=1)

@@ -9,7 +9,9 @@ import pickle
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +20,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from tests.quick_training import REFINING
+from tests.quick_training import FEW_STAGES, REFINING
 
 from rendezview.cli.main import main
 from rendezview.errors import RendezviewError
@@ -26,7 +28,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.model.contours import POINT_UNIT
 from rendezview_ground.learn.job import train
-from rendezview_ground.learn.options import view_geometry
+from rendezview_ground.learn.options import TrainingOptions, view_geometry
 from rendezview_ground.learn.views.drawn_view import draw_view
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.projection import Window
@@ -46,17 +48,28 @@ PLATFORM = next(
 WINDOW = Window(90, 70, 80.0, 41.3, 36.9)
 
 
-@pytest.fixture
-def platform(monkeypatch) -> str:
+@pytest.fixture(scope="module")
+def platform() -> Iterator[str]:
     if PLATFORM is None or importlib.util.find_spec("pyrender") is None:
         pytest.skip("EGL_mesa and OSMesa, or pyrender, are not installed here")
-    monkeypatch.setenv("PYOPENGL_PLATFORM", PLATFORM)
-    return PLATFORM
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("PYOPENGL_PLATFORM", PLATFORM)
+        yield PLATFORM
 
 
-@pytest.fixture
-def renderer(platform, bumpy_mesh) -> PyrenderRenderer:
-    return PyrenderRenderer(bumpy_mesh)
+@contextmanager
+def rendering(mesh: Mesh) -> Iterator[PyrenderRenderer]:
+    """Its processes end here, whoever still holds it."""
+    renderer = PyrenderRenderer(mesh)
+    yield renderer
+    for process in renderer._all:
+        process.end()
+
+
+@pytest.fixture(scope="module")
+def renderer(platform, bumpy_mesh) -> Iterator[PyrenderRenderer]:
+    with rendering(bumpy_mesh) as renderer:
+        yield renderer
 
 
 def some_poses(count: int) -> list[Pose]:
@@ -95,38 +108,53 @@ def test_threads_draw_at_the_same_time_with_a_context_each(renderer, bumpy_mesh)
 
 
 def test_a_renderer_travels_to_another_process_as_its_mesh(renderer):
-    pose = some_poses(1)[0]
+    _, (mesh,) = renderer.__reduce__()
     again = pickle.loads(pickle.dumps(renderer))
-    assert np.array_equal(again.draw(pose, WINDOW), renderer.draw(pose, WINDOW))
+    assert again._all == []  # neither drawing processes nor their pipes
+    assert np.array_equal(again._mesh.vertices_m, mesh.vertices_m)
+    assert np.array_equal(again._mesh.faces, mesh.faces)
 
 
-def test_a_drawing_process_that_dies_is_an_error_and_the_next_view_gets_a_new_one(renderer):
+def test_a_drawing_process_that_dies_is_an_error_and_the_next_view_gets_a_new_one(
+    platform, bumpy_mesh
+):
     pose = some_poses(1)[0]
-    before = renderer.draw(pose, WINDOW)
-    (process,) = renderer._idle
-    os.kill(process._process.pid, signal.SIGKILL)
-    with pytest.raises(RendezviewError, match="ended with -9"):
-        renderer.draw(pose, WINDOW)
-    assert np.array_equal(renderer.draw(pose, WINDOW), before)
+    with rendering(bumpy_mesh) as renderer:
+        before = renderer.draw(pose, WINDOW)
+        (process,) = renderer._idle
+        os.kill(process._process.pid, signal.SIGKILL)
+        with pytest.raises(RendezviewError, match="ended with -9"):
+            renderer.draw(pose, WINDOW)
+        assert np.array_equal(renderer.draw(pose, WINDOW), before)
 
 
-def trained(mesh: Mesh, path: Path, renderer: Renderer, jobs: int) -> ViewModel:
-    options = replace(
-        REFINING, order=0, perturbed_views=40, held_out_views=0, forest_trees=2,
-        contour_radii=(1.0,), renderer=renderer,
-    )  # fmt: skip
+def trained(mesh: Mesh, path: Path, options: TrainingOptions, jobs: int = 1) -> ViewModel:
     train(mesh, path, name="bumpy", options=options, jobs=jobs)
     return ViewModel.load(path)
+
+
+def test_a_model_drawn_by_pyrender_has_the_same_bytes_for_any_number_of_jobs(
+    platform, bumpy_mesh, tmp_path
+):
+    options = replace(
+        FEW_STAGES, order=0, perturbed_views=40, held_out_views=0, renderer=Renderer.PYRENDER
+    )
+    first, second = tmp_path / "1.rvm", tmp_path / "2.rvm"
+    trained(bumpy_mesh, first, options)
+    trained(bumpy_mesh, second, options, jobs=2)
+    assert first.read_bytes() == second.read_bytes()
 
 
 def test_a_model_drawn_by_pyrender_equals_ours_to_the_pixels_that_differ(
     platform, bumpy_mesh, tmp_path
 ):
-    ours = trained(bumpy_mesh, tmp_path / "ours.rvm", Renderer.NUMBA, 1)
-    first, second = tmp_path / "1.rvm", tmp_path / "2.rvm"
-    other = trained(bumpy_mesh, first, Renderer.PYRENDER, 1)
-    trained(bumpy_mesh, second, Renderer.PYRENDER, 2)
-    assert first.read_bytes() == second.read_bytes()  # any number of jobs
+    options = replace(
+        REFINING, order=0, perturbed_views=40, held_out_views=0, forest_trees=2,
+        contour_radii=(1.0,),
+    )  # fmt: skip
+    ours = trained(bumpy_mesh, tmp_path / "ours.rvm", options)
+    by_pyrender = replace(options, renderer=Renderer.PYRENDER)
+    other = trained(bumpy_mesh, tmp_path / "other.rvm", by_pyrender)
     assert other.provenance["options"]["renderer"] == "pyrender"
     # A pixel of an outline that differs moves a reading by a per mille or two.
     assert other.views.readings == pytest.approx(ours.views.readings, rel=0.01, abs=60)

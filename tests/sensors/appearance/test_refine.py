@@ -301,7 +301,7 @@ def test_hard_light_is_told_apart_with_lit_silhouettes(refining_model, bumpy_mes
 def test_a_field_of_clouds_alone_has_no_pose(refining_model, bumpy_mesh, camera):
     recognizer = Recognizer(refining_model, camera)
     behind = Pose(np.eye(3), [0.0, 0.0, 9.0])
-    for seed in range(6):
+    for seed in range(3):
         away = Pose(behind.rotation, [200.0, 0.0, 9.0])  # out of the picture
         rng = np.random.default_rng(seed)
         options = SceneOptions(

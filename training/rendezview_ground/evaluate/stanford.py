@@ -20,9 +20,6 @@ from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.sequences import Sequence
 from rendezview_ground.evaluate.logged_poses import of_logged_poses
 
-_TAIL = 0.1  # share of the largest ratios that a tail is fitted to
-_LEAST_IN_TAIL = 30  # ratios; fewer give no tail
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
@@ -64,25 +61,6 @@ class Judged:
 def upper_limit(count: int, of: int, confidence: float = 0.95) -> float:
     """Upper limit of a probability after ``count`` events in ``of`` trials (Clopper & Pearson)."""
     return 1.0 if count >= of else float(betaincinv(count + 1, of - count, confidence))
-
-
-def tail_risk(ratio: Array) -> float | None:
-    """Probability that a ratio exceeds 1, from a generalised Pareto tail (Pickands 1975).
-
-    It extrapolates: the tail is fitted to the largest tenth of the ratios. ``None``: too few.
-    """
-    finite = ratio[np.isfinite(ratio)]
-    count = int(_TAIL * len(finite))
-    if count < _LEAST_IN_TAIL:
-        return None
-    edge = float(np.sort(finite)[-count - 1])
-    beyond = finite[finite > edge] - edge
-    if edge >= 1.0 or not len(beyond):
-        return float(np.mean(finite > 1.0))
-    from scipy.stats import genpareto  # slow to import
-
-    shape, _, scale = genpareto.fit(beyond, floc=0.0)
-    return float(len(beyond) / len(finite) * genpareto.sf(1.0 - edge, shape, 0.0, scale))
 
 
 def judged_log(sequence: Sequence, log: Path, symmetries: Rows[Symmetry] = ()) -> Judged | None:

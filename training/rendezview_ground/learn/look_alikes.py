@@ -17,24 +17,27 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry import so3
-from rendezview.geometry.pose import Array, rotation_angle
+from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.mesh.turned_surface import TurnedSurface
 
 _COARSE_POINTS, _ICP_POINTS = 400, 800  # on the surface
-_ROUGH_POINTS = 10_000  # of the surface, that points come near to at first
+_ROUGH_POINTS, _ROUGH_TESTED = 5_000, 400  # of the surface, and that come near to them at first
 _STEP_RAD = np.deg2rad(12.0)  # of the grid of rotations
 _ON_SURFACE = 0.01  # of the radius; a moved point this near to the surface falls onto it
 _LEAST_LAST_TRIM = 0.003  # of the radius; at last half of the points move a turn
 _TRIMMED, _LEAST_TRIM = 0.8, 0.03  # share of the points, and of the radius, that move a turn
-_ROUNDS, _LAST_ROUNDS = 15, 8  # of closest points; the last of them with the nearest half only
+_ROUGH_ROUNDS, _LAST_ROUNDS = 7, 8  # of closest points; the last with the nearest half only
 _REACH = 0.15  # of the radius: a point farther from the surface moves nothing
 _LEAST_USED = 30  # of them
+# Share that is near after the rough rounds; of two meshes no turn that began with less than 0.42
+# mapped 0.6 in the end. So many are moved exactly whatever they map.
+_LIKELY, _LEAST_MOVED = 0.38, 16
 _SETTLED = 3e-4  # rad, and of the radius
 _DAMPING = 1e-4  # of the planes' weight: what they leave open does not move
 _MOST_STEP = 0.2  # rad, and of the radius
-_TRIED = 48  # turns of each kind that are moved exactly
-_MULTIPLIED, _KNOWN_RAD = 12, np.deg2rad(2.0)  # likest turns, and how near a product is known
+_TRIED = 48  # turns of each kind
+_MULTIPLIED, _KNOWN_RAD = 12, np.deg2rad(2.0)  # likest turns, and how near another is known
 _MOST = 48  # that are kept
 _LEAST_KEPT = 6  # likest turns that are kept whatever they map …
 _LEAST_ALIKE = 0.6  # … and of the others those that map as much of the surface
@@ -61,74 +64,117 @@ def look_alikes(mesh: Mesh, centre_m: Array, seed: int = 0) -> list[NearSymmetry
     """
     surface = TurnedSurface.of(mesh, seed)
     rough = cKDTree(surface.points_m[:_ROUGH_POINTS])
-    found = [one for mirrored in (False, True) for one in _turns(surface, rough, mirrored)]
-    found.sort(key=lambda one: -one.alike)
+    near = [_roughly(surface, rough, turn) for turn in _starts(surface)]
+    found = _apart(surface, rough, near, [])
     # Two near-symmetries, one after the other, are a third, which the grid may have missed.
-    for one, other in product(found[:_MULTIPLIED], repeat=2):
-        turn = one.turn @ other.turn
-        if all(_angle(turn, known.turn) > _KNOWN_RAD for known in found):
-            found.append(_moved(surface, rough, turn))
+    likest = [one.turn for one in found if one.alike >= _LEAST_ALIKE][:_MULTIPLIED]
+    products = [one @ other for one, other in product(likest, repeat=2)]
+    turns = [one.turn for one in found]
+    unknown = [turn for turn in products if _is_apart(turn, turns)]
+    near = [_roughly(surface, rough, turn) for turn in unknown]
+    found += _apart(surface, rough, near, turns)
     found.sort(key=lambda one: -one.alike)
     kept: list[NearSymmetry] = []
     for one in found:
-        if _angle(one.turn, np.eye(3)) < _NO_TURN_RAD or len(kept) == _MOST:
+        if not _is_apart(one.turn, [np.eye(3)], _NO_TURN_RAD) or len(kept) == _MOST:
             continue
         if one.alike < _LEAST_ALIKE and len(kept) >= _LEAST_KEPT:
             continue
-        if all(_angle(one.turn, other.turn) > _KEPT_APART_RAD for other in kept):
+        if _is_apart(one.turn, [other.turn for other in kept], _KEPT_APART_RAD):
             kept.append(one)
     # About the view centre: c + S (x − c) + t, with c the centroid seen from there.
     off = surface.centroid_m - centre_m
     return [NearSymmetry(one.turn, one.shift_m + off - one.turn @ off, one.alike) for one in kept]
 
 
-def _angle(a: Array, b: Array) -> float:
-    """Between two turns; that of a rotation and a reflection is infinite."""
-    between = a @ b.T
-    if np.linalg.det(between) < 0.0:
-        return float("inf")
-    return rotation_angle(between)
-
-
-def _turns(surface: TurnedSurface, rough: cKDTree, mirrored: bool) -> list[NearSymmetry]:
-    """The likest rotations about the centroid, or rotations with a reflection."""
-    grid = rotation_grid(_STEP_RAD)
-    if mirrored:
-        grid = -grid
-    chosen: list[int] = []
-    for k in np.argsort(surface.distances(grid, _COARSE_POINTS), kind="stable"):
-        if all(_angle(grid[k], grid[j]) > _TRIED_APART_RAD for j in chosen):
-            chosen.append(int(k))
-        if len(chosen) == _TRIED:
+def _apart(
+    surface: TurnedSurface, rough: cKDTree, near: list[NearSymmetry], known: list[Array]
+) -> list[NearSymmetry]:
+    """Exactly, the likest first: many starts come to the same turn, and many to none."""
+    apart, known = [], list(known)
+    for one in sorted(near, key=lambda one: -one.alike):
+        if one.alike < _LIKELY and len(known) >= _LEAST_MOVED:
             break
-    return [_moved(surface, rough, grid[k]) for k in chosen]
+        if _is_apart(one.turn, known):
+            known.append(one.turn)
+            apart.append(_exactly(surface, rough, one))
+    return sorted(apart, key=lambda one: -one.alike)
 
 
-def _moved(surface: TurnedSurface, rough: cKDTree, turn: Array) -> NearSymmetry:
-    """The near-symmetry next to a turn; ``rough``: of the first points, for the first rounds."""
-    own, shift = surface.points_m[surface.tested[:_ICP_POINTS]], np.zeros(3)
-    near_m, reach_m = _ON_SURFACE * surface.radius_m, _REACH * surface.radius_m
-    for k in range(_ROUNDS):
-        moved, tree = own @ turn.T + shift, rough if k < _ROUNDS - _LAST_ROUNDS else surface.tree
-        far, nearest = tree.query(moved, distance_upper_bound=reach_m)
-        limit = max(
-            _LEAST_TRIM * surface.radius_m, float(np.quantile(far, _TRIMMED, method="lower"))
-        )
-        if k >= _ROUNDS - _LAST_ROUNDS:  # parts that differ would draw it aside
-            limit = max(
-                _LEAST_LAST_TRIM * surface.radius_m, float(np.quantile(far, 0.5, method="lower"))
-            )
+def _is_apart(turn: Array, known: list[Array], apart_rad: float = _KNOWN_RAD) -> bool:
+    """Whether no known turn is so near; no rotation is near a reflection."""
+    if not known:
+        return True
+    others = np.stack(known)
+    alike = np.linalg.det(others) * np.linalg.det(turn) > 0.0
+    # Of turns between two that are alike, the trace is 1 + 2 cos of the angle.
+    cosines = 0.5 * (np.einsum("nij,ij->n", others, turn) - 1.0)
+    return not np.any(alike & (cosines >= np.cos(apart_rad)))
+
+
+def _starts(surface: TurnedSurface) -> list[Array]:
+    """The likest rotations of a grid about the centroid, and rotations with a reflection."""
+    chosen: list[Array] = []
+    for grid in (rotation_grid(_STEP_RAD), -rotation_grid(_STEP_RAD)):
+        own: list[Array] = []
+        for k in np.argsort(surface.distances(grid, _COARSE_POINTS), kind="stable"):
+            if _is_apart(grid[k], own, _TRIED_APART_RAD):
+                own.append(grid[k])
+            if len(own) == _TRIED:
+                break
+        chosen += own
+    return chosen
+
+
+def _roughly(surface: TurnedSurface, rough: cKDTree, turn: Array) -> NearSymmetry:
+    """A turn moved by few points to few; its share is of those that come near."""
+    own, shift = surface.points_m[surface.tested[:_ROUGH_TESTED]], np.zeros(3)
+    reach_m, near_m = _REACH * surface.radius_m, _LEAST_TRIM * surface.radius_m
+    alike = 0.0
+    for _ in range(_ROUGH_ROUNDS):
+        moved = own @ turn.T + shift
+        far, nearest = rough.query(moved, distance_upper_bound=reach_m)
+        alike = float((far <= near_m).mean())
+        limit = max(near_m, float(np.quantile(far, _TRIMMED, method="lower")))
         used = (far <= limit) & np.isfinite(far)
         if np.count_nonzero(used) < _LEAST_USED:
             break
-        step = _step(surface, moved[used], nearest[used])
-        small = so3.exp(step[:3])
-        turn, shift = small @ turn, small @ shift + surface.radius_m * step[3:]
-        if k >= _ROUNDS - _LAST_ROUNDS and np.abs(step).max() < _SETTLED:
+        turn, shift, _ = _stepped(surface, turn, shift, moved[used], nearest[used])
+    return NearSymmetry(turn, shift, alike)
+
+
+def _exactly(surface: TurnedSurface, rough: cKDTree, start: NearSymmetry) -> NearSymmetry:
+    """The near-symmetry next to another: the nearest half moves it, parts that differ do not."""
+    own, turn, shift = surface.points_m[surface.tested[:_ICP_POINTS]], start.turn, start.shift_m
+    near_m, reach_m = _ON_SURFACE * surface.radius_m, _REACH * surface.radius_m
+    least_m = _LEAST_LAST_TRIM * surface.radius_m
+    for _ in range(_LAST_ROUNDS):
+        moved = own @ turn.T + shift
+        # To few points it is farther than to all: beyond their middle nothing is used, and far
+        # points take ten times as long.
+        fewer, _ = rough.query(moved, distance_upper_bound=reach_m)
+        most_m = min(1.001 * max(least_m, float(np.quantile(fewer, 0.5, method="lower"))), reach_m)
+        far, nearest = surface.tree.query(moved, distance_upper_bound=most_m)
+        middle_m = float(np.quantile(far, 0.5, method="lower"))
+        used = (far <= max(least_m, middle_m)) & np.isfinite(far)
+        if np.count_nonzero(used) < _LEAST_USED:
+            break
+        turn, shift, largest = _stepped(surface, turn, shift, moved[used], nearest[used])
+        if largest < _SETTLED:
             break
     forth, _ = surface.tree.query(own @ turn.T + shift, distance_upper_bound=near_m)
     back, _ = surface.tree.query((own - shift) @ turn, distance_upper_bound=near_m)
     return NearSymmetry(turn, shift, 0.5 * float((forth < near_m).mean() + (back < near_m).mean()))
+
+
+def _stepped(
+    surface: TurnedSurface, turn: Array, shift: Array, moved: Array, nearest: npt.NDArray[np.intp]
+) -> tuple[Array, Array, float]:
+    """Turn and shift after a step to the planes, and the step's largest component."""
+    step = _step(surface, moved, nearest)
+    small = so3.exp(step[:3])
+    shift = small @ shift + surface.radius_m * step[3:]
+    return small @ turn, shift, float(np.abs(step).max())
 
 
 def _step(surface: TurnedSurface, moved: Array, nearest: npt.NDArray[np.intp]) -> Array:

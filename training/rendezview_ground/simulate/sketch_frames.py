@@ -28,7 +28,6 @@ from rendezview_ground.learn.views.sketch_maps import SAMPLES, facing_normals, s
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate.cloudy_skies import cloudy_sky
 from rendezview_ground.simulate.hard_light import HardLightOptions, photograph
-from rendezview_ground.simulate.random_craft import any_craft
 from rendezview_ground.simulate.random_skies import random_sky
 from rendezview_ground.simulate.scene import sun_at_phase
 from rendezview_ground.simulate.shading import ShadingOptions, render
@@ -57,12 +56,6 @@ class CraftDrawing:
     light: npt.NDArray[np.float16]  # (2, S, S) radiance in sunlight and in the light of the sky
     # (S, S) 0 … 255, what hides the sky: the craft and bodies around it; None: the craft alone
     covered: npt.NDArray[np.uint8] | None = None
-
-
-def sketch_frame(seed: int, options: HardLightOptions | None = None) -> tuple[Float32s, Float32s]:
-    """One picture (S, S), grey levels 0 … 255, and its maps (MAPS, S, S), 0 … 1."""
-    rng = np.random.default_rng(seed)
-    return take(draw_craft(any_craft(rng), rng), draw_sky(rng), rng, options)
 
 
 def take(

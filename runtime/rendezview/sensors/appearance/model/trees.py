@@ -1,4 +1,4 @@
-"""Decision trees over signature readings: evaluation, listings, and the entropy of a split.
+"""Decision trees over signature readings: evaluation and listings.
 
 A forest holds one tree per node of the geodesic sphere in flat arrays, children after
 their parent. A reading at or below the threshold goes left (Cleghorn & Sternberg,
@@ -169,29 +169,3 @@ def _leaves(
             entry = left[entry] if reading <= threshold[entry] else right[entry]
             c = component[entry]
         out[t] = entry
-
-
-def split_entropy(left_counts: npt.ArrayLike, right_counts: npt.ArrayLike) -> float:
-    """Entropy of a split (Cleghorn & Sternberg, eq. 5, its scanned ``+ ln`` read as ``× ln``).
-
-    ``H = Σ_i L_i ln(L_i/L) + R_i ln(R_i/R) − (L_i+R_i) ln((L_i+R_i)/(L+R))``: the number
-    of samples times the information gained, in nats. The best split has the greatest.
-
-    Args:
-        left_counts: (C,) samples of each category that go left.
-        right_counts: (C,) samples of each category that go right.
-    """
-    left = np.asarray(left_counts, dtype=np.float64)
-    right = np.asarray(right_counts, dtype=np.float64)
-    if left.shape != right.shape or left.ndim != 1 or (left < 0).any() or (right < 0).any():
-        raise ValueError(f"counts must be two like rows of non-negative numbers: {left}, {right}")
-
-    def n_log(counts: Array, total: float) -> float:
-        some = counts[counts > 0]
-        return float(np.sum(some * np.log(some / total))) if total > 0 else 0.0
-
-    return (
-        n_log(left, left.sum())
-        + n_log(right, right.sum())
-        - n_log(left + right, left.sum() + right.sum())
-    )
