@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import math
 import re
-from collections.abc import Callable
+import secrets
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI, Request
+from fastapi.concurrency import run_in_threadpool
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, HTTPConnection
 from starlette.responses import Response
 
 from rendezview.errors import RendezviewError
+from rendezview.io.files import write_error
 from rendezview_service.http.security import Right
 from rendezview_service.hub.inputs import Answer, Barred, Full
 from rendezview_service.hub.lease import Taken
@@ -76,22 +81,46 @@ async def body_of(request: Request, most: int) -> bytes:
 async def pieces_of(request: Request, most: int) -> list[bytes]:
     """The body in the pieces that arrive, refused as soon as it is too long.
 
-    The pieces are not joined, so that a frame is copied only once, to the worker.
+    The pieces are not joined, so that a frame is copied only once, to the worker; then they go.
 
     Raises:
         HTTPException: 413.
     """
+    return [piece async for piece in _pieces(request, most)]
+
+
+@contextlib.asynccontextmanager
+async def file_of(request: Request, most: int, folder: Path) -> AsyncIterator[Path]:
+    """The body as a file in a folder; if it is still there at the end, it is removed.
+
+    Raises:
+        HTTPException: 413.
+        RendezviewError: the disk is full, or the folder is gone.
+    """
+    path = folder / f".{secrets.token_hex(6)}.tmp"
+    try:
+        try:
+            with open(path, "xb") as file:
+                async for piece in _pieces(request, most):
+                    await run_in_threadpool(file.write, piece)
+        except OSError as error:
+            raise write_error(folder, error) from error
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
+
+
+async def _pieces(request: Request, most: int) -> AsyncIterator[bytes]:
     length_header = request.headers.get("content-length", "0")
     refusal = HTTPException(413, f"the body is too long: send at most {most} bytes")
     if not length_header.isdecimal() or int(length_header) > most:
         raise refusal
-    parts, length = [], 0
-    async for part in request.stream():
-        length += len(part)
+    length = 0
+    async for piece in request.stream():
+        length += len(piece)
         if length > most:
             raise refusal
-        parts.append(part)
-    return parts
+        yield piece
 
 
 async def track(
@@ -123,7 +152,7 @@ async def measure(session: Session, sensor: str, content: bytes, key: str | None
     """
 
     def put(answer: Callable[[Answer], None]) -> None:
-        session.measure(session.input((content,), None, answer, sensor=sensor))
+        session.measure(session.input([content], None, answer, sensor=sensor))
 
     return await session.once.do(key, (sensor, content), lambda: _answered(put))
 

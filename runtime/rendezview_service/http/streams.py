@@ -25,6 +25,7 @@ from rendezview_service.http.answers import (
     service_of,
     session_of,
 )
+from rendezview_service.http.budgets import KEEP
 from rendezview_service.http.security import SUBPROTOCOL, Right
 from rendezview_service.hub.inputs import Answer, Barred, Full
 from rendezview_service.hub.lease import Taken
@@ -91,7 +92,7 @@ async def stream(socket: WebSocket, name: str) -> None:
             elif len(content) <= _TIME.size:
                 answer(Answer(422, b"", "a frame must be 8 bytes of time and a picture"))
             else:
-                _take(session, content, answer, sender_name)
+                _take(session, content, _counted(socket, len(content), answer), sender_name)
             await room.wait()
     except (WebSocketDisconnect, RuntimeError):
         pass
@@ -105,6 +106,19 @@ async def stream(socket: WebSocket, name: str) -> None:
 Answering = Callable[[Answer], None]
 
 
+def _counted(socket: WebSocket, count: int, answer: Answering) -> Answering:
+    """The bytes of a frame count until it is answered. In a cluster its gateway counts them."""
+    if KEEP not in socket.scope:
+        return answer
+    let_go = socket.scope[KEEP](count)
+
+    def answered(result: Answer) -> None:
+        let_go()
+        answer(result)
+
+    return answered
+
+
 def _take(session: Session, content: bytes, answer: Answering, sender: str) -> None:
     (sent_s,) = _TIME.unpack_from(content)
     time_s = None if math.isnan(sent_s) else sent_s
@@ -116,7 +130,7 @@ def _take(session: Session, content: bytes, answer: Answering, sender: str) -> N
         answer(Answer(413, b"", f"the frame is too long: send at most {session.frame_bytes} bytes"))
         return
     try:
-        session.replace(session.input((picture,), time_s, answer, sender=sender))
+        session.replace(session.input([picture], time_s, answer, sender=sender))
     except RendezviewError as error:
         answer(Answer(422, b"", str(error)))
     except Taken as taken:
@@ -148,7 +162,7 @@ def _take_lines(session: Session, settings: Settings, text: str, answer: Answeri
         answer(Answer(error.status_code, b"", str(error.detail)))
         return
     try:
-        session.measure(session.input((content,), None, answer, sensor=sensor))
+        session.measure(session.input([content], None, answer, sensor=sensor))
     except Full:
         answer(Answer(429, b"", "too many lines wait or arrive per second: try again later"))
     except Barred as barred:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import mmap
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from rendezview_service.messages.frames import Bytes
@@ -37,7 +38,7 @@ class Answer:
 class SessionInput:
     """A frame to track, lines of another sensor to fuse, or the last frame to show again."""
 
-    pieces: Sequence[Bytes]  # its bytes, as they arrived
+    pieces: list[Bytes]  # its bytes, as they arrived; the worker's process has them in the end
     time_s: float
     received_unix_s: float
     received_s: float  # monotonic
@@ -47,11 +48,18 @@ class SessionInput:
     key: str | None = None  # of a frame; see `Once`
     waited_s: float = 0.0  # between the session's previous input and this one
     shows_last: bool = False  # it has no bytes: the last frame goes to watchers who missed it
+    length: int = field(init=False)  # bytes
 
-    @property
-    def length(self) -> int:
-        """Number of bytes."""
-        return sum(map(len, self.pieces))
+    def __post_init__(self) -> None:
+        self.length = sum(map(len, self.pieces))
+
+    def move_to(self, memory: mmap.mmap) -> None:
+        """Copy the bytes there and let them go."""
+        place = 0
+        for piece in self.pieces:
+            memory[place : place + len(piece)] = piece
+            place += len(piece)
+        self.pieces.clear()
 
 
 @dataclass(slots=True, eq=False)

@@ -23,6 +23,7 @@ from rendezview_service.hub.checkpoint import (
     lock_state,
 )
 from rendezview_service.hub.feeder import Feeder
+from rendezview_service.hub.history import Histories
 from rendezview_service.hub.inputs import Full
 from rendezview_service.hub.jobs import Jobs
 from rendezview_service.hub.metrics import Metrics
@@ -100,7 +101,7 @@ class Service:
                 source.close()
             raise
         self.recordings = Recordings(settings.record_folder)
-        self._viewers = Viewers(settings)
+        self._viewers, self._histories = Viewers(settings), Histories(settings.history_bytes)
         self._speed = speed
         self.jobs = Jobs(self.models, settings.jobs, settings.job_s, settings.job_bytes)
         self._workers = WorkerPool(settings, self.metrics, self._reopen)
@@ -250,7 +251,8 @@ class Service:
             await self._workers.warmed(stored)
             request = await asyncio.to_thread(self.defaults.filled, request, name, stored)
             of = None if source is None else source.name
-            session = Session(name, stored, request, self.settings, self.metrics, of)
+            about = self.settings, self.metrics, of, self._histories
+            session = Session(name, stored, request, *about)
             if resumed is not None:
                 session.resume(resumed)
             try:

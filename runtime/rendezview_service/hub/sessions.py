@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from pydantic_core import to_json
 
 from rendezview_service.hub.checkpoint import Checkpoint, CheckpointKeeper
 from rendezview_service.hub.clock import SessionClock
-from rendezview_service.hub.history import Past
+from rendezview_service.hub.history import Histories, Past
 from rendezview_service.hub.inputs import Answer, Barred, Full, InputQueue, SessionInput
 from rendezview_service.hub.lease import SOURCE, Lease
 from rendezview_service.hub.metrics import Metrics
@@ -45,12 +45,14 @@ class Session:
         settings: Settings,
         metrics: Metrics,
         source: str | None = None,
+        histories: Histories | None = None,
     ) -> None:
         """A session without a worker; frames wait until it has one.
 
         Args:
             stored: the model; it stays the same, whatever happens to its name.
             source: a source that the service itself reads; None: clients send the frames.
+            histories: of all sessions; None: it is alone.
         """
         self.id = name
         self.stored = stored
@@ -67,7 +69,10 @@ class Session:
         self.worker: WorkerHandle[Session] | None = None
         self.created_unix_s = time.time()
         self.log = SessionLog(name)
-        self.past = Past(settings.history_s, settings.history_rate_hz, settings.history_image_hz)
+        rates_hz = settings.history_rate_hz, settings.history_image_hz
+        self._histories = histories or Histories(settings.history_bytes)
+        self.past = Past(settings.history_s, *rates_hz, self._histories)
+        self._histories.enter(self.past)
         self.progress = Progress()
         self.watchers = Watchers(self._show_last)
         self.finished = False
@@ -99,7 +104,7 @@ class Session:
 
     def input(
         self,
-        pieces: Sequence[Bytes],
+        pieces: list[Bytes],
         time_s: float | None,
         answer: Callable[[Answer], None],
         *,
@@ -235,7 +240,7 @@ class Session:
 
     def _show_last(self) -> None:
         """Ask the worker for the last frame once more: watchers missed it."""
-        self._queue.shows_last = SessionInput((), 0.0, 0.0, 0.0, lambda _: None, shows_last=True)
+        self._queue.shows_last = SessionInput([], 0.0, 0.0, 0.0, lambda _: None, shows_last=True)
         self._wake()
 
     def _wake(self) -> None:
@@ -375,6 +380,7 @@ class Session:
         for waiting in self._queue:
             waiting.answer(Answer(status, b"", reason))
         self._queue.clear()
+        self._histories.leave(self.past)
         self.watchers.end(reason)
         self._metrics.remove()
 
