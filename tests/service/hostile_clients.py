@@ -111,9 +111,9 @@ def many(url: str, count: int, once: Callable[[HTTPConnection, int], None], unti
         thread.join()
 
 
-def attack(name: str, url: str, until_s: float, scale: float = 1.0) -> None:
-    """Be one of `KINDS`, in a number of connections times ``scale``."""
-    count, body = (max(1, int(scale * KINDS[name])), bytes(31_900_000))
+def attack(name: str, url: str, seconds: float) -> None:
+    """Be one of `KINDS` for a while."""
+    count, body, until_s = KINDS[name], bytes(31_900_000), time.monotonic() + seconds
     match name:
         case "nobody":
             time.sleep(max(0.0, until_s - time.monotonic()))
@@ -232,7 +232,7 @@ def campaign(served: Processes, logs: Path, seconds: float) -> Iterator[str]:
         for name in KINDS:
             innocent, told = Innocent(served.url, frame), Counter[str]()
             before = most = memory_mb()
-            of = name, served.url, time.monotonic() + seconds
+            of = name, served.url, seconds
             apart = get_context("spawn").Process(target=attack, args=of)
             with innocent.tracking():
                 apart.start()

@@ -98,6 +98,8 @@ def test_bodies_that_trickle_make_room_for_a_neighbour(served, camera, tour):
                 connection.sendall(head("/v1/sessions", 100_000) + b"{")
         with _trickling(held):
             _neighbour(served, camera, tour)
+            health = httpx.get(served.url + "healthz", timeout=MOST_S).json()
+            metrics = httpx.get(served.url + "metrics", timeout=MOST_S).text
         refused = b""
         for connection in held:
             connection.settimeout(0.01)
@@ -106,6 +108,10 @@ def test_bodies_that_trickle_make_room_for_a_neighbour(served, camera, tour):
     assert refused.count(b"too many requests at once") >= CONNECTIONS // 2
     assert b"HTTP/1.1 503" in refused
     assert b"retry-after" in refused.lower()
+    assert health["budgets"]["requests"]["exceeded"]
+    assert health["budgets"]["connections"]["most"] == CONNECTIONS
+    assert any("budget requests is used up" in reason for reason in health["reasons"])
+    assert f'rendezview_budget_most{{budget="requests"}} {CONNECTIONS // 2}.0' in metrics
 
 
 @pytest.mark.parametrize(

@@ -28,8 +28,8 @@ from rendezview_service.hub.model_store import NameTaken
 from rendezview_service.hub.service import Service
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.worker_pool import NotReady
-from rendezview_service.messages.message_parts import CAMERA, MOST_TIME_S, NAME_PATTERN
-from rendezview_service.messages.messages import Fault
+from rendezview_service.messages.frames import Bytes
+from rendezview_service.messages.message_parts import CAMERA, MOST_TIME_S, NAME_PATTERN, Fault
 
 FAULTS: dict[int | str, dict[str, Any]] = {
     code: {"model": Fault} for code in (400, 401, 403, 404, 409, 413, 422, 429, 503)
@@ -61,9 +61,12 @@ def session_of(connection: HTTPConnection, name: str) -> Session:
 
     Raises:
         HTTPException: 404.
+        NotReady: it is one of an earlier run, which will go on.
     """
     service = service_of(connection)
     session = service.sessions.get(name)
+    if session is None and name in service.resuming:
+        raise NotReady(f"session {name} goes on in a moment: the service has started again")
     if session is None and name in service.ended:
         raise HTTPException(404, f"session {name} has ended: {service.ended[name]}")
     if session is None:
@@ -78,7 +81,7 @@ async def body_of(request: Request, most: int) -> bytes:
     return b"".join(await pieces_of(request, most))
 
 
-async def pieces_of(request: Request, most: int) -> list[bytes]:
+async def pieces_of(request: Request, most: int) -> list[Bytes]:
     """The body in the pieces that arrive, refused as soon as it is too long.
 
     The pieces are not joined, so that a frame is copied only once, to the worker; then they go.
@@ -124,7 +127,7 @@ async def _pieces(request: Request, most: int) -> AsyncIterator[bytes]:
 
 
 async def track(
-    session: Session, pieces: list[bytes], time_s: float | None, sender: str, key: str | None
+    session: Session, pieces: list[Bytes], time_s: float | None, sender: str, key: str | None
 ) -> Answer:
     """The answer of the session's tracker to a frame.
 
@@ -210,10 +213,12 @@ def frame_time(time_s: float | None) -> float | None:
     return time_s
 
 
-def fault(status: int, error: str, headers: dict[str, str] | None = None) -> Response:
-    """The answer with an error."""
+def fault(
+    status: int, error: str, headers: dict[str, str] | None = None, *, again: bool = True
+) -> Response:
+    """The answer with an error; ``again``: a sender that was refused may repeat its request."""
     extra = dict(headers or {})
-    if status in (429, 503):
+    if again and status in (429, 503):
         extra.setdefault("Retry-After", "1")
     text = Fault(error=error, status=status).model_dump_json()
     return Response(text, status, extra, JSON)

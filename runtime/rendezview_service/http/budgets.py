@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ctypes
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -22,9 +23,11 @@ from starlette.types import Receive, Scope, Send
 
 from rendezview_service.http.connections import ARRIVES
 from rendezview_service.hub.clock import Timer
+from rendezview_service.messages.message_parts import BudgetUse
 
 _PATIENCE_S = 10.0  # s, without moving on … Source: chosen
 _SLOWEST = 50_000.0  # … and a second more for so many bytes. Source: chosen, a slow radio link
+_TOLD_S = 10.0  # s, for which health says that somebody was refused. Source: chosen
 _MUCH = 16_000_000  # bytes; what bodies of more have held is given back. Source: chosen
 KEEP = "rendezview.keep"  # key of a WebSocket's scope: see `Socket.keep`
 _TRY_AGAIN = 1013  # WebSocket: try again later. Source: IANA's registry
@@ -49,12 +52,30 @@ class Share:
         self.due_s = time.monotonic() + _PATIENCE_S
 
 
-class Budget:
+class Limit:
+    """What there is of something for all."""
+
+    def __init__(self, most: int) -> None:
+        self.most, self.held = most, 0
+        self._exceeded_s = -math.inf
+
+    def exceed(self) -> None:
+        """Somebody is refused."""
+        self._exceeded_s = time.monotonic()
+
+    def use(self) -> BudgetUse:
+        """How much of it is in use."""
+        exceeded = time.monotonic() - self._exceeded_s < _TOLD_S
+        return BudgetUse(used=self.held, most=self.most, exceeded=exceeded)
+
+
+class Budget(Limit):
     """At most so many at once."""
 
     def __init__(self, most: int, what: str) -> None:
         """``what`` names them, for who is refused."""
-        self._most, self._what = most, what
+        super().__init__(most)
+        self._what = what
         self._shares: set[Share] = set()
 
     def enter(self, share: Share) -> None:
@@ -64,17 +85,20 @@ class Budget:
             HTTPException: 503, there are too many, and it is the service's turn in all of them.
         """
         reason = f"too many {self._what} at once: try again in a moment"
-        if len(self._shares) >= self._most:
+        if self.held >= self.most:
+            self.exceed()
             slow = self._slowest()
             if slow is None or slow.end is None:
                 raise HTTPException(503, reason)
             self.leave(slow)
             slow.end(f"{reason}, and send and read faster")
         self._shares.add(share)
+        self.held = len(self._shares)
 
     def leave(self, share: Share) -> None:
         """It is over; perhaps it was pushed out before."""
         self._shares.discard(share)
+        self.held = len(self._shares)
 
     def _slowest(self) -> Share | None:
         """Of the client with the most, if any of its can be ended."""
@@ -84,12 +108,12 @@ class Budget:
         return min(heavy, key=lambda share: share.due_s, default=None)
 
 
-class Bodies:
+class Bodies(Limit):
     """The bytes that all who send have in memory, or on disk: bodies and messages."""
 
     def __init__(self, most: int) -> None:
         """``most``: bytes of all together."""
-        self.most, self.held = most, 0
+        super().__init__(most)
         self._peak = 0
         self._open: set[Share] = set()
 
@@ -109,6 +133,7 @@ class Bodies:
         self.held += count
         self._peak = max(self._peak, self.held)
         while count > 0 and self.held > self.most:
+            self.exceed()
             reason = "the service receives too much at the moment: try again"
             arriving = (one for one in self._open if one.end is not None)
             largest = max(arriving, key=lambda one: one.held, default=None)

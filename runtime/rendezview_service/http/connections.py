@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
@@ -16,6 +16,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.http11 import Request
 
 from rendezview_service.hub.clock import Timer
+from rendezview_service.messages.message_parts import BudgetUse
 
 HEAD_S = 10.0  # s, for the first line and the headers of a request. Source: chosen
 ABORT = "rendezview.abort"  # key of a request's scope: closes its connection, for a reason
@@ -41,6 +42,19 @@ class BoundedProtocol(HttpToolsProtocol):
     _strangers: dict[BoundedProtocol, None]
     _known: dict[BoundedProtocol, None]
     _unread: set[BoundedProtocol]  # whose answers wait for their readers
+    opened: Collection[Any] = ()  # all, of WebSockets too
+
+    @classmethod
+    def budgets(cls) -> dict[str, Callable[[], BudgetUse]]:
+        """What is in use of its limits."""
+
+        def unread() -> BudgetUse:
+            return BudgetUse(used=sum(map(_unread_bytes, cls._unread)), most=_MOST_UNREAD)
+
+        return {
+            "connections": lambda: BudgetUse(used=len(cls.opened), most=cls.most),
+            "unread_bytes": unread,
+        }
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A connection; perhaps another one must make room."""
@@ -49,6 +63,7 @@ class BoundedProtocol(HttpToolsProtocol):
         self._read_timer: Timer | None = None
         self._has_read = False
         super().connection_made(transport)
+        type(self).opened = self.connections
         self._strangers[self] = None
         self._await_head()
         self._limit()

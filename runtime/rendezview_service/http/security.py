@@ -29,7 +29,7 @@ from rendezview_service.http.budgets import Bodies, Body, Budget, Share, Socket
 from rendezview_service.http.connections import ABORT
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.rate_limit import TokenBucket
-from rendezview_service.messages.messages import Fault
+from rendezview_service.messages.message_parts import Fault
 from rendezview_service.settings import LOOPBACK, Settings
 
 log = logging.getLogger("rendezview_service")
@@ -138,6 +138,13 @@ class Guard:
         self._requests = Budget(settings.connections // 2, "requests")
         self._sockets = Budget(settings.connections // 4, "WebSockets")
         self._downloads = Budget(_MOST_DOWNLOADS, "downloads of logs")
+        self.budgets = {
+            "bodies_bytes": self._bodies.use,
+            "uploads_bytes": self._uploads.use,
+            "requests": self._requests.use,
+            "websockets": self._sockets.use,
+            "downloads": self._downloads.use,
+        }
         self._callers: OrderedDict[str, TokenBucket] = OrderedDict()  # least recent first
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

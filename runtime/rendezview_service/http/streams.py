@@ -31,15 +31,16 @@ from rendezview_service.hub.inputs import Answer, Barred, Full
 from rendezview_service.hub.lease import Taken
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
-from rendezview_service.messages.message_parts import MOST_TIME_S
-from rendezview_service.messages.messages import Fault, WatchEnd
+from rendezview_service.hub.worker_pool import NotReady
+from rendezview_service.messages.message_parts import MOST_TIME_S, Fault
+from rendezview_service.messages.messages import WatchEnd
 from rendezview_service.settings import Settings
 
 router = APIRouter(prefix="/v1/sessions")
 
 _TIME = struct.Struct("<d")
 _OUTBOX = 64  # unread answers; with more, no frames are received. Source: a chosen limit
-_REFUSED, _GONE = 1008, 1001
+_REFUSED, _GONE, _SOON = 1008, 1001, 1013
 
 
 @router.websocket("/{name}/stream")
@@ -232,10 +233,12 @@ async def _accepted(socket: WebSocket, name: str, right: Right) -> Session | Non
     try:
         needs(socket, right)
         session = session_of(socket, name)
-    except HTTPException as error:
+    except (HTTPException, NotReady) as error:
         # Accept first: a browser gives its page no reason for a refused handshake.
         await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
-        await socket.close(_REFUSED, str(error.detail)[:100])
+        soon = isinstance(error, NotReady)
+        reason = str(error if soon else error.detail)  # type: ignore[union-attr]
+        await socket.close(_SOON if soon else _REFUSED, reason[:100])
         return None
     await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
     return session

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import mmap
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from rendezview_service.messages.frames import Bytes
+
+_BARRED_S = 60.0  # s, after an input that ended a process. Source: chosen
+_ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
 
 
 class Full(Exception):
@@ -23,6 +28,31 @@ class Barred(Exception):
             f"it for another {left_s:.0f} s. Send frames that a common program has written"
         )
         self.left_s = left_s
+
+
+@dataclass(slots=True, eq=False)
+class Bar:
+    """The processes that a session's inputs have ended, and for how long nothing is taken."""
+
+    until_s: float = -math.inf  # monotonic
+    ended_at_s: list[float] = field(default_factory=list)
+
+    @property
+    def left_s(self) -> float:
+        """For how long nothing is taken, s; 0: it is."""
+        return max(0.0, self.until_s - time.monotonic())
+
+    def check(self) -> None:
+        """Barred: nothing is taken."""
+        if left_s := self.left_s:
+            raise Barred(left_s)
+
+    def ended(self, at_fault: bool) -> None:
+        """A process ended over an input, which is perhaps at fault."""
+        now_s = time.monotonic()
+        if at_fault:
+            self.until_s = now_s + _BARRED_S
+        self.ended_at_s = [*(at_s for at_s in self.ended_at_s if now_s - at_s < _ENDED_S), now_s]
 
 
 @dataclass(slots=True, eq=False)
@@ -52,6 +82,11 @@ class SessionInput:
 
     def __post_init__(self) -> None:
         self.length = sum(map(len, self.pieces))
+
+    @property
+    def lines(self) -> int:
+        """How many lines it can hold."""
+        return 1 + sum(bytes(piece).count(b"\n") for piece in self.pieces)
 
     def move_to(self, memory: mmap.mmap) -> None:
         """Copy the bytes there and let them go."""

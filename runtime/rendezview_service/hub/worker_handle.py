@@ -56,9 +56,6 @@ class WorkerClient(Protocol):
     def header_of(self, waiting: SessionInput) -> Header:
         """The request that goes to the process with an input."""
 
-    def most_lines_of(self, waiting: SessionInput) -> int:
-        """How many sensor lines an input can hold."""
-
     def tracked(self, waiting: SessionInput, header: Header, state: bytes) -> None:
         """A frame's state has come."""
 
@@ -190,10 +187,11 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
             if session.has_waiting:
                 self._turns.append(session)
             self._current = session, waiting
+            request = session.header_of(waiting)
             # Every late line makes the filter repeat what came after it.
-            count = 1 if waiting.sensor is None else session.most_lines_of(waiting)
+            count = min(waiting.lines, request["most_lines"]) if waiting.sensor is not None else 1
             waiting.move_to(self._memory)
-            self._transport.write(pack(session.header_of(waiting)))
+            self._transport.write(pack(request))
             limit_s = count * self._frame_timeout_s
             self._sent_at_s, self._spent_before_s = time.monotonic(), self._processor_s()
             self._timer = Timer(limit_s, partial(self._late, limit_s))
