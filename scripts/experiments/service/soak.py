@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 from experiments.service.serving import Loop, Served
 from rendezview_service.client import Client
 
-_WARM_MIN = 10  # history, caches and allocators fill; a session remembers five minutes
+_WARM_MIN = 30  # history, caches and allocators fill; a log's part lasts ten minutes here
 _ENOUGH_MB = 2.0  # that memory may change by after that
 
 
