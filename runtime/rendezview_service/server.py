@@ -15,7 +15,7 @@ import uvicorn
 
 from rendezview.errors import RendezviewError
 from rendezview_service.http.app import make_app
-from rendezview_service.http.connections import BoundedSocket, bounded
+from rendezview_service.http.connections import BoundedProtocol, BoundedSocket, bounded
 from rendezview_service.http.security import Token, read_tokens
 from rendezview_service.hub.service import Service
 from rendezview_service.settings import Settings
@@ -77,7 +77,9 @@ def run(
     """
     settings = service.settings
     app = _Watched(make_app(service, tokens_of(settings)))
-    server = _Server(_config(app, settings))
+    protocol = bounded(_connections(settings.connections))
+    service.budgets |= protocol.budgets()
+    server = _Server(_config(app, settings, protocol))
     service.on_failure = server.stop
     server.on_listening = on_listening
 
@@ -100,7 +102,8 @@ def run_gateway(settings: Settings, on_ready: Callable[[str], None]) -> None:
     from rendezview_service.cluster.gateway import make_gateway
 
     app = _Watched(make_gateway(settings, tokens_of(settings)))
-    _serve(_Server(_config(app, settings)), settings, on_ready)
+    protocol = bounded(_connections(settings.connections))
+    _serve(_Server(_config(app, settings, protocol)), settings, on_ready)
     if app.failure is not None:
         raise app.failure
 
@@ -110,10 +113,10 @@ def tokens_of(settings: Settings) -> list[Token]:
     return [] if settings.tokens_file is None else read_tokens(settings.tokens_file)
 
 
-def _config(app: _Watched, settings: Settings) -> uvicorn.Config:
+def _config(app: _Watched, settings: Settings, protocol: type[BoundedProtocol]) -> uvicorn.Config:
     return uvicorn.Config(
         app,
-        http=bounded(_connections(settings.connections)),
+        http=protocol,
         ws=BoundedSocket,
         loop="uvloop" if sys.platform != "win32" else "asyncio",
         lifespan="on",

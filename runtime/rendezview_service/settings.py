@@ -66,14 +66,15 @@ class Settings(BaseSettings):
         default=4, ge=1, le=256
     )  # frames of a session that plain requests may queue
     frame_bytes: int = Field(default=32_000_000, ge=1024, le=1_000_000_000)
-    model_bytes: int = Field(default=500_000_000, ge=1024)
+    model_bytes: int = Field(default=200_000_000, ge=1024)
     mesh_bytes: int = Field(default=200_000_000, ge=1024)
     sensors: int = Field(default=8, ge=0, le=64)  # of a session, beside its camera; 0: none
     measurement_bytes: int = Field(default=256_000, ge=256)  # of a message of a sensor
     measurement_lines: int = Field(default=32, ge=1, le=1000)  # in one message
     measurements_waiting: int = Field(default=16, ge=1, le=256)  # messages, of a session
     measurements_per_s: float = Field(default=500.0, gt=0.0)  # lines, of a session
-    bodies_bytes: int = Field(default=200_000_000, ge=1024)  # of all requests together
+    bodies_bytes: int = Field(default=64_000_000, ge=1024)  # in memory, of all who send
+    uploads_bytes: int = Field(default=200_000_000, ge=1024)  # of models and meshes, on disk
     connections: int = Field(default=1000, ge=10)  # half for requests, a quarter for WebSockets
     message_bytes: int = Field(default=1_000_000, ge=1024)  # any other body
     requests_per_s: float = Field(default=5000.0, gt=0.0)  # of one caller
@@ -81,6 +82,7 @@ class Settings(BaseSettings):
     sender_hold_s: float = Field(default=2.0, ge=0.0)  # a silent sender keeps its session
     idle_s: float = Field(default=60.0, gt=0.0)  # sessions without frames for longer are closed
     history_s: float = Field(default=300.0, ge=0.0)
+    history_bytes: int = Field(default=100_000_000, ge=1024)  # of all sessions together
     history_rate_hz: float = Field(default=30.0, gt=0.0)
     history_image_hz: float = Field(default=4.0, ge=0.0)
     history_image_px: int = Field(default=480, ge=16, le=4096)

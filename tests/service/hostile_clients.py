@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import socket
+import struct
 import threading
 import time
 from collections import Counter
@@ -56,6 +57,20 @@ def head(path: str, length: int | None = None, method: str = "POST", more: str =
     return f"{method} {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n{kind}{more}\r\n".encode()
 
 
+def upgrade(session: str) -> bytes:
+    """The head of a stream."""
+    more = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+    more += "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+    return head(f"/v1/sessions/{session}/stream", None, "GET", more)
+
+
+def begin_message(connection: socket.socket, session: str, length: int, sent: int) -> None:
+    """Open a stream, and send the beginning of a message."""
+    connection.sendall(upgrade(session))
+    connection.recv(1000)
+    connection.sendall(b"\x82\xff" + struct.pack(">Q", length) + bytes(4) + bytes(sent))
+
+
 def hold(url: str, count: int, first: bytes, again: bytes, until_s: float) -> None:
     """So many connections, each with a request that it goes on with; lost ones are renewed."""
     held: list[socket.socket] = []
@@ -96,19 +111,16 @@ def many(url: str, count: int, once: Callable[[HTTPConnection, int], None], unti
         thread.join()
 
 
-def attack(name: str, url: str, until_s: float, scale: float = 1.0) -> None:
-    """Be one of `KINDS`, in a number of connections times ``scale``."""
-    count, body = (max(1, int(scale * KINDS[name])), bytes(31_900_000))
-    upgrade = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
-    upgrade += "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
-    stream = head(f"/v1/sessions/{THEIRS}/stream", None, "GET", upgrade)
+def attack(name: str, url: str, seconds: float) -> None:
+    """Be one of `KINDS` for a while."""
+    count, body, until_s = KINDS[name], bytes(31_900_000), time.monotonic() + seconds
     match name:
         case "nobody":
             time.sleep(max(0.0, until_s - time.monotonic()))
         case "bodies that trickle":
             hold(url, count, head("/v1/sessions", 100_000) + b"{", b" ", until_s)
         case "WebSockets":
-            hold(url, count, stream, b"\x89\x80" + bytes(4), until_s)  # a ping
+            hold(url, count, upgrade(THEIRS), b"\x89\x80" + bytes(4), until_s)  # a ping
         case "downloads that nobody reads":
             first = head(f"/v1/recordings/{LOG}/log", None, "GET")
             hold(url, count, first, b"", until_s)
@@ -120,6 +132,14 @@ def attack(name: str, url: str, until_s: float, scale: float = 1.0) -> None:
                 http.sock.recv(1000)
 
             many(url, count, send, until_s)
+        case "messages of 31.9 MB":
+
+            def begin(http: HTTPConnection, _: int) -> None:
+                http.connect()
+                begin_message(http.sock, THEIRS, 32_000_000, 31_900_000)
+                http.sock.recv(1000)
+
+            many(url, count, begin, until_s)
         case "a picture of many chunks":
             grey = np.random.default_rng(1).integers(0, 256, (480, 640), np.uint8)
             picture = hostile(grey, 2_200_000)["png, chunks of a byte"]()
@@ -152,6 +172,7 @@ KINDS = {
     "bodies that trickle": 1100,
     "WebSockets": 1000,
     "bodies of 31.9 MB": 33,
+    "messages of 31.9 MB": 33,
     "downloads that nobody reads": 300,
     "a picture of many chunks": 3,
     "uploads": 8,
@@ -211,7 +232,7 @@ def campaign(served: Processes, logs: Path, seconds: float) -> Iterator[str]:
         for name in KINDS:
             innocent, told = Innocent(served.url, frame), Counter[str]()
             before = most = memory_mb()
-            of = name, served.url, time.monotonic() + seconds
+            of = name, served.url, seconds
             apart = get_context("spawn").Process(target=attack, args=of)
             with innocent.tracking():
                 apart.start()

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import httpx
 import pytest
-from tests.service.hostile_clients import LOG, connected, head, large_log
+from tests.service.hostile_clients import LOG, begin_message, connected, head, large_log
 from tests.waiting import MOST_S, wait_until
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
+from rendezview.geometry.camera import Camera
 from rendezview_service.client import ServiceError
 
 CONNECTIONS = 100  # of the service: half for requests, a quarter for WebSockets
@@ -97,6 +98,8 @@ def test_bodies_that_trickle_make_room_for_a_neighbour(served, camera, tour):
                 connection.sendall(head("/v1/sessions", 100_000) + b"{")
         with _trickling(held):
             _neighbour(served, camera, tour)
+            health = httpx.get(served.url + "healthz", timeout=MOST_S).json()
+            metrics = httpx.get(served.url + "metrics", timeout=MOST_S).text
         refused = b""
         for connection in held:
             connection.settimeout(0.01)
@@ -105,22 +108,39 @@ def test_bodies_that_trickle_make_room_for_a_neighbour(served, camera, tour):
     assert refused.count(b"too many requests at once") >= CONNECTIONS // 2
     assert b"HTTP/1.1 503" in refused
     assert b"retry-after" in refused.lower()
+    assert health["budgets"]["requests"]["exceeded"]
+    assert health["budgets"]["connections"]["most"] == CONNECTIONS
+    assert any("budget requests is used up" in reason for reason in health["reasons"])
+    assert f'rendezview_budget_most{{budget="requests"}} {CONNECTIONS // 2}.0' in metrics
 
 
-def test_large_bodies_hold_no_more_than_their_budget_and_give_it_back(served, camera, tour):
+@pytest.mark.parametrize(
+    ("kind", "most_mb"), [("models", 0.5 * BODIES_MB), ("frames", 1.5 * BODIES_MB),
+                          ("messages", 1.5 * BODIES_MB)],
+)  # fmt: skip
+def test_what_many_send_holds_no_more_than_its_budget_and_is_given_back(
+    served, camera, tour, kind, most_mb
+):
+    """Models go to the disk."""
     _neighbour(served, camera, tour)
     before_mb = _resident_mb(served)
     with contextlib.ExitStack() as stack:
+        client = stack.enter_context(served.client())
+        name = stack.enter_context(client.open(Camera.from_fov(1900, 1600, 0.7))).name
         held = [stack.enter_context(connected(served.url)) for _ in range(8)]
         peak_mb = 0.0
         for k, connection in enumerate(held):
             with contextlib.suppress(OSError):
-                connection.sendall(head(f"/v1/models/m{k}", 36_000_000, "PUT"))
-                connection.sendall(bytes(35_000_000))
+                if kind == "messages":
+                    begin_message(connection, name, 31_000_000, 30_000_000)
+                else:
+                    path = f"/v1/sessions/{name}/frames"
+                    way = ("PUT", f"/v1/models/m{k}") if kind == "models" else ("POST", path)
+                    connection.sendall(head(way[1], 31_000_000, way[0]) + bytes(30_000_000))
             peak_mb = max(peak_mb, _resident_mb(served))
         _neighbour(served, camera, tour)
         peak_mb = max(peak_mb, _resident_mb(served))
-    assert peak_mb - before_mb < 2.5 * BODIES_MB  # the bodies, and what is on its way
+    assert peak_mb - before_mb < most_mb
     wait_until(lambda: _resident_mb(served) - before_mb < 0.5 * BODIES_MB)
 
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
+import httpx
 import pytest
 from tests.waiting import wait_until
 
 from rendezview.errors import RendezviewError
+from rendezview_service.client import Client, ServiceError
+from rendezview_service.http.app import make_app
 from rendezview_service.hub import checkpoint
 from rendezview_service.hub.checkpoint import (
     Checkpoint,
@@ -19,8 +24,11 @@ from rendezview_service.hub.checkpoint import (
     kept_in,
     lock_state,
     read_checkpoint,
+    write_checkpoint,
 )
+from rendezview_service.hub.service import Service
 from rendezview_service.messages.messages import SessionRequest
+from rendezview_service.settings import Settings
 
 
 def _after(frames: int) -> Checkpoint:
@@ -62,9 +70,15 @@ def _frames(path: Path) -> int | None:
 def test_a_checkpoint_is_there_when_the_state_is_acknowledged(path, monkeypatch):
     monkeypatch.setattr(checkpoint, "_WAIT_S", 60.0)
     keeper = CheckpointKeeper(path)
-    for frames in range(1, 20):
-        keeper.keep(_after(frames))
-        assert (_frames(path), keeper.reason) == (frames, None)
+
+    async def answers() -> None:
+        for frames in range(1, 20):
+            answered = asyncio.Event()
+            keeper.keep(_after(frames), answered.set)
+            await answered.wait()
+            assert (_frames(path), keeper.reason) == (frames, None)
+
+    asyncio.run(answers())
     assert keeper.end()
     assert _frames(path) == 19  # for the next service
     keeper = CheckpointKeeper(path)
@@ -86,24 +100,23 @@ def test_a_disk_that_fails_is_told_until_it_works_again(path):
 
 
 def test_a_disk_that_hangs_delays_one_state_and_gets_the_newest_checkpoint(path, monkeypatch):
-    answers, waits_s, write = threading.Event(), [], checkpoint.write_checkpoint
+    answers, write = threading.Event(), checkpoint.write_checkpoint
 
     def hang(*about: object) -> None:
         answers.wait()
         write(*about)
 
-    class Counted(threading.Condition):
-        def wait_for(self, happened, timeout=None):
-            if timeout is not None:
-                waits_s.append(timeout)
-            return super().wait_for(happened, timeout)
-
     monkeypatch.setattr(checkpoint, "write_checkpoint", hang)
-    monkeypatch.setattr(threading, "Condition", Counted)
     keeper = CheckpointKeeper(path)
-    for frames in range(50):
-        keeper.keep(_after(frames))
-    assert len(waits_s) == 1  # of fifty states
+
+    async def states() -> None:
+        for frames in range(50):
+            answered = asyncio.Event()
+            keeper.keep(_after(frames), answered.set)
+            assert answered.is_set() == (frames > 0)
+            await answered.wait()
+
+    asyncio.run(states())
     wait_until(lambda: keeper.reason is not None)
     assert "has not answered for" in keeper.reason
     assert not keeper.end()
@@ -111,3 +124,49 @@ def test_a_disk_that_hangs_delays_one_state_and_gets_the_newest_checkpoint(path,
     wait_until(keeper.end)
     assert _frames(path) == 49
     assert keeper.reason is None
+
+
+def test_a_session_of_an_earlier_run_is_not_unknown_before_it_goes_on(tmp_path):
+    write_checkpoint(checkpoint_path(tmp_path, "run"), _after(1))
+    guard = make_app(Service(Settings(state_folder=tmp_path)), [])  # it has not started yet
+
+    async def ask(session: str) -> httpx.Response:
+        transport = httpx.ASGITransport(guard)
+        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
+            return await client.post(f"/v1/sessions/{session}/frames", content=b"frame")
+
+    answer = asyncio.run(ask("run"))
+    assert (answer.status_code, answer.headers["retry-after"]) == (503, "1")
+    assert "goes on in a moment" in answer.json()["error"]
+    assert asyncio.run(ask("other")).status_code == 404
+
+
+def test_the_client_waits_for_a_session_that_goes_on_in_a_moment():
+    asked = []
+
+    class Answers(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            waits = len(asked) in (2, 3)
+            body = b'{"error": "in a moment"}' if waits else b'{"sessions": []}'
+            self.send_response(503 if waits else 200)
+            self.send_header("Content-Length", str(len(body)))
+            if waits:
+                self.send_header("Retry-After", "0")
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = HTTPServer(("127.0.0.1", 0), Answers)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    url = f"http://127.0.0.1:{server.server_port}"
+    with Client(url) as client:
+        assert client.sessions() == client.sessions() == []
+    assert len(asked) == 4
+    del asked[1:]
+    with Client(url) as client, pytest.raises(ServiceError, match="in a moment"):
+        client.sessions()  # it was not reached before: the answer is passed on
+    server.shutdown()
+    server.server_close()

@@ -10,6 +10,7 @@ import pytest
 from tests.waiting import MOST_S
 
 from rendezview_service.client import Client, ServiceError
+from rendezview_service.messages.frames import read_frame
 
 
 @pytest.mark.parametrize(
@@ -34,6 +35,15 @@ def test_where_to_look_holds_until_there_is_a_pose(client, camera, tour):
         assert session.track(frame)["pose"] is None
     with client.open(camera, roi=[x, y]) as session:
         assert session.track(frame)["pose"] is not None
+
+
+def test_a_raw_frame_stays_when_the_next_one_comes_into_the_same_memory(camera):
+    """The pictures of the last frames of two sessions, which share a worker."""
+    memory = bytearray(camera.width * camera.height)
+    image = read_frame(memoryview(memory), camera)
+    memory[:] = b"\xff" * len(memory)
+    assert not image.any()
+    assert image.flags.writeable
 
 
 @pytest.mark.parametrize("approach", [{"port": {"centre_m": [0, 0, 0], "axis": [1e308, 0, 1e308]}}])

@@ -43,8 +43,8 @@ time.time = time_with_steps
 SLOW_DECODER = """
 import sys
 if "serve" in sys.orig_argv:
-    import rendezview_service.hub.sessions as sessions
-    sessions._BARRED_S = 6000.0
+    import rendezview_service.hub.inputs as inputs
+    inputs._BARRED_S = 6000.0
 if "rendezview_service.worker.worker" in sys.orig_argv:
     import rendezview.io.sequences.decoding as decoding
     import rendezview_service.messages.frames as frames

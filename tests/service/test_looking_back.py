@@ -15,7 +15,7 @@ from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
 from rendezview_service.client import ServiceError, ServiceTimeout
-from rendezview_service.hub.history import Past
+from rendezview_service.hub.history import Histories, Past
 from rendezview_service.logs.replay import model_of, read_log, repeat
 from rendezview_service.messages.messages import EventList, History, State
 from rendezview_service.messages.model_messages import Geometry, RecordedList
@@ -165,10 +165,26 @@ def test_errors_of_the_client_are_its_own() -> None:
 
 
 def test_the_newest_state_is_kept_however_fast_they_come() -> None:
-    past = Past(keep_s=300.0, rate_hz=30.0, image_hz=4.0)
+    past = Past(keep_s=300.0, rate_hz=30.0, image_hz=4.0, histories=Histories(10_000_000))
     for frame in range(4):
         past.add(0.01 * frame, frame, b"%d" % frame)
     assert past.states(-1.0, 0, 10) == [(0, b"0"), (3, b"3")]
     assert [past.state(frame) for frame in range(4)] == [b"0", b"0", b"0", b"3"]
     past.add(0.04, 4, b"4")
     assert past.states(-1.0, 0, 10) == [(0, b"0"), (4, b"4")]
+
+
+def test_with_too_many_bytes_the_session_with_the_most_forgets_its_oldest() -> None:
+    histories = Histories(1000)
+    small, large = (Past(300.0, 30.0, 4.0, histories) for _ in range(2))
+    for past in (small, large):
+        histories.enter(past)
+    small.add(0.0, 0, bytes(100))
+    for frame in range(40):
+        large.add(float(frame), frame, bytes(20))
+        large.add_image(float(frame), frame, bytes(80))
+    assert small.state(0) == bytes(100)
+    assert large.image_frames == list(range(32, 40))
+    assert histories.held == small.held + large.held <= 1000
+    histories.leave(large)
+    assert histories.held == 100

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 from rendezview.errors import RendezviewError
 from rendezview_service.hub.model_store import ModelStore, StoredModel
@@ -11,13 +12,15 @@ from rendezview_service.hub.model_store import ModelStore, StoredModel
 
 def test_of_uploads_with_one_name_at_once_one_is_kept(model_path, tmp_path):
     store = ModelStore(tmp_path)
-    content, refusals = model_path.read_bytes(), []
+    refusals = []
 
-    def add(_: int) -> StoredModel | None:
+    def add(number: int) -> StoredModel | None:
+        sent = Path(shutil.copy(model_path, tmp_path / f".{number}.tmp"))
         try:
-            return store.add("same", content)
+            return store.add("same", sent)
         except RendezviewError as error:
             refusals.append(str(error))
+            sent.unlink()
             return None
 
     with ThreadPoolExecutor(8) as threads:

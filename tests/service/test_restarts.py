@@ -16,8 +16,8 @@ from rendezview_service.logs.replay import read_log
 FATAL_DECODER = """
 import os, sys
 if "serve" in sys.orig_argv:
-    import rendezview_service.hub.sessions as sessions
-    sessions._BARRED_S = 0.0
+    import rendezview_service.hub.inputs as inputs
+    inputs._BARRED_S = 0.0
 if "rendezview_service.worker.worker" in sys.orig_argv:
     import rendezview_service.messages.frames as frames
     real = frames.read_frame

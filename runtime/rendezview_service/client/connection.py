@@ -68,7 +68,8 @@ class Client:
         Args:
             certificate: PEM file of the authority to trust, if the system does not trust the
                 service's certificate (``https``).
-            reconnect_s: for how long a service that was reached before is tried again.
+            reconnect_s: for how long a service that was reached before is tried again, when it
+                does not answer or asks to wait.
             sender: who sends frames; a client that takes over from another one gives its name.
 
         Raises:
@@ -238,8 +239,8 @@ class Client:
     ) -> tuple[HTTPResponse, bytes]:
         """An answer, from a new connection if the old one was closed.
 
-        An idle connection may be closed meanwhile, or the service may start again. What was
-        perhaps received does no harm a second time: `fetch` gives a POST its key.
+        An idle connection may be closed meanwhile, or the service may start again, or ask to wait.
+        What was perhaps received does no harm a second time: `fetch` gives a POST its key.
         """
         until_s = time.monotonic() + (self._reconnect_s if self._reached else 0.0)
         while True:
@@ -255,7 +256,12 @@ class Client:
                     time.sleep(_PAUSE_S)
             else:
                 self._reached = True
-                return response, content
+                wait = response.headers.get("Retry-After", "")
+                if response.status != 503 or not wait.isdecimal():
+                    return response, content
+                if time.monotonic() + int(wait) > until_s:
+                    return response, content
+                time.sleep(int(wait))
 
     def _send(
         self, method: str, path: str, body: bytes | memoryview | None, headers: dict[str, str]

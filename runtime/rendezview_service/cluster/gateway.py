@@ -28,6 +28,7 @@ from rendezview_service.http.security import Guard, Right, Token
 from rendezview_service.hub.inputs import Full
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.worker_pool import NotReady
+from rendezview_service.messages.message_parts import BudgetUse
 from rendezview_service.settings import Settings
 
 log = logging.getLogger("rendezview_service")
@@ -54,6 +55,7 @@ class Gateway:
         self._actors: dict[str, Any] = {}  # of the slots
         self._heartbeats = Heartbeats()
         self._page = page_files()
+        self.budgets: dict[str, Callable[[], BudgetUse]] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """ASGI."""
@@ -76,10 +78,15 @@ class Gateway:
             await send({"type": "http.response.body", "body": body})
         elif scope["path"] == "/metrics":
             await self._health(True)
-            text = Response(self._metrics.text(), 200, None, "text/plain; version=0.0.4")
+            text = Response(
+                self._metrics.text(self._budgets()), 200, None, "text/plain; version=0.0.4"
+            )
             await text(scope, receive, send)
         else:
             await self._page(scope, receive, send)
+
+    def _budgets(self) -> dict[str, BudgetUse]:
+        return {name: use() for name, use in self.budgets.items()}
 
     async def _life(self, receive: Receive, send: Send) -> None:
         await receive()
@@ -144,7 +151,8 @@ class Gateway:
         reasons += [reason for slot in slots for reason in slot["reasons"]]
         self._metrics.faults.set(len(reasons))
         status = ("degraded" if reasons else "ok") if slots else "not ready"
-        health = {"status": status, "reasons": reasons, "seats": slots}
+        used = {name: budget.model_dump() for name, budget in self._budgets().items()}
+        health = {"status": status, "reasons": reasons, "seats": slots, "budgets": used}
         return _json(health, bool(slots) or of_itself)
 
     async def _open(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
@@ -337,4 +345,7 @@ def _json(value: Any, good: bool = True, bad: int = 503) -> tuple[int, list[Any]
 def make_gateway(settings: Settings, tokens: list[Token]) -> ASGIApp:
     """The application of a gateway."""
     metrics = Metrics()
-    return Guard(Gateway(settings, metrics), settings, tokens, metrics)
+    gateway = Gateway(settings, metrics)
+    guard = Guard(gateway, settings, tokens, metrics)
+    gateway.budgets |= guard.budgets
+    return guard

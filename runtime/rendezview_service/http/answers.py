@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import math
 import re
-from collections.abc import Callable
+import secrets
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI, Request
+from fastapi.concurrency import run_in_threadpool
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, HTTPConnection
 from starlette.responses import Response
 
 from rendezview.errors import RendezviewError
+from rendezview.io.files import write_error
 from rendezview_service.http.security import Right
 from rendezview_service.hub.inputs import Answer, Barred, Full
 from rendezview_service.hub.lease import Taken
@@ -23,8 +28,8 @@ from rendezview_service.hub.model_store import NameTaken
 from rendezview_service.hub.service import Service
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.worker_pool import NotReady
-from rendezview_service.messages.message_parts import CAMERA, MOST_TIME_S, NAME_PATTERN
-from rendezview_service.messages.messages import Fault
+from rendezview_service.messages.frames import Bytes
+from rendezview_service.messages.message_parts import CAMERA, MOST_TIME_S, NAME_PATTERN, Fault
 
 FAULTS: dict[int | str, dict[str, Any]] = {
     code: {"model": Fault} for code in (400, 401, 403, 404, 409, 413, 422, 429, 503)
@@ -56,9 +61,12 @@ def session_of(connection: HTTPConnection, name: str) -> Session:
 
     Raises:
         HTTPException: 404.
+        NotReady: it is one of an earlier run, which will go on.
     """
     service = service_of(connection)
     session = service.sessions.get(name)
+    if session is None and name in service.resuming:
+        raise NotReady(f"session {name} goes on in a moment: the service has started again")
     if session is None and name in service.ended:
         raise HTTPException(404, f"session {name} has ended: {service.ended[name]}")
     if session is None:
@@ -73,29 +81,53 @@ async def body_of(request: Request, most: int) -> bytes:
     return b"".join(await pieces_of(request, most))
 
 
-async def pieces_of(request: Request, most: int) -> list[bytes]:
+async def pieces_of(request: Request, most: int) -> list[Bytes]:
     """The body in the pieces that arrive, refused as soon as it is too long.
 
-    The pieces are not joined, so that a frame is copied only once, to the worker.
+    The pieces are not joined, so that a frame is copied only once, to the worker; then they go.
 
     Raises:
         HTTPException: 413.
     """
+    return [piece async for piece in _pieces(request, most)]
+
+
+@contextlib.asynccontextmanager
+async def file_of(request: Request, most: int, folder: Path) -> AsyncIterator[Path]:
+    """The body as a file in a folder; if it is still there at the end, it is removed.
+
+    Raises:
+        HTTPException: 413.
+        RendezviewError: the disk is full, or the folder is gone.
+    """
+    path = folder / f".{secrets.token_hex(6)}.tmp"
+    try:
+        try:
+            with open(path, "xb") as file:
+                async for piece in _pieces(request, most):
+                    await run_in_threadpool(file.write, piece)
+        except OSError as error:
+            raise write_error(folder, error) from error
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
+
+
+async def _pieces(request: Request, most: int) -> AsyncIterator[bytes]:
     length_header = request.headers.get("content-length", "0")
     refusal = HTTPException(413, f"the body is too long: send at most {most} bytes")
     if not length_header.isdecimal() or int(length_header) > most:
         raise refusal
-    parts, length = [], 0
-    async for part in request.stream():
-        length += len(part)
+    length = 0
+    async for piece in request.stream():
+        length += len(piece)
         if length > most:
             raise refusal
-        parts.append(part)
-    return parts
+        yield piece
 
 
 async def track(
-    session: Session, pieces: list[bytes], time_s: float | None, sender: str, key: str | None
+    session: Session, pieces: list[Bytes], time_s: float | None, sender: str, key: str | None
 ) -> Answer:
     """The answer of the session's tracker to a frame.
 
@@ -123,7 +155,7 @@ async def measure(session: Session, sensor: str, content: bytes, key: str | None
     """
 
     def put(answer: Callable[[Answer], None]) -> None:
-        session.measure(session.input((content,), None, answer, sensor=sensor))
+        session.measure(session.input([content], None, answer, sensor=sensor))
 
     return await session.once.do(key, (sensor, content), lambda: _answered(put))
 
@@ -181,10 +213,12 @@ def frame_time(time_s: float | None) -> float | None:
     return time_s
 
 
-def fault(status: int, error: str, headers: dict[str, str] | None = None) -> Response:
-    """The answer with an error."""
+def fault(
+    status: int, error: str, headers: dict[str, str] | None = None, *, again: bool = True
+) -> Response:
+    """The answer with an error; ``again``: a sender that was refused may repeat its request."""
     extra = dict(headers or {})
-    if status in (429, 503):
+    if again and status in (429, 503):
         extra.setdefault("Retry-After", "1")
     text = Fault(error=error, status=status).model_dump_json()
     return Response(text, status, extra, JSON)

@@ -42,7 +42,9 @@ def page_files() -> StaticFiles:
 
 def make_app(service: Service, tokens: list[Token]) -> ASGIApp:
     """The application of a service that is not started yet, behind its guard."""
-    return Guard(make_routes(service), service.settings, tokens, service.metrics)
+    guard = Guard(make_routes(service), service.settings, tokens, service.metrics)
+    service.budgets |= guard.budgets
+    return guard
 
 
 def make_routes(service: Service) -> FastAPI:
@@ -91,8 +93,11 @@ def make_routes(service: Service) -> FastAPI:
         """Metrics for Prometheus."""
         needs(request, Right.READ)
         service = service_of(request)
-        service.metrics.faults.set(len(service.health().reasons))
-        return Response(service.metrics.text(), 200, None, "text/plain; version=0.0.4")
+        health = service.health()
+        service.metrics.faults.set(len(health.reasons))
+        return Response(
+            service.metrics.text(health.budgets), 200, None, "text/plain; version=0.0.4"
+        )
 
     if PAGE.is_dir():
         app.mount("/", page_files(), name="page")

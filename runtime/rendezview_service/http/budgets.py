@@ -2,7 +2,8 @@
 
 Each has a time by which it must have moved on: a body or an answer at a least rate, a WebSocket by
 its next message. Over budget, the client with the most loses the one that is nearest to that time.
-Whoever moves on is far from it, so that many slow ones push each other out.
+Whoever moves on is far from it, so that many slow ones push each other out. Of bytes, the one that
+has the most is refused.
 """
 
 from __future__ import annotations
@@ -10,20 +11,25 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ctypes
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from starlette.exceptions import HTTPException
 from starlette.types import Receive, Scope, Send
 
+from rendezview_service.http.connections import ARRIVES
 from rendezview_service.hub.clock import Timer
-from rendezview_service.settings import Settings
+from rendezview_service.messages.message_parts import BudgetUse
 
 _PATIENCE_S = 10.0  # s, without moving on … Source: chosen
 _SLOWEST = 50_000.0  # … and a second more for so many bytes. Source: chosen, a slow radio link
+_TOLD_S = 10.0  # s, for which health says that somebody was refused. Source: chosen
 _MUCH = 16_000_000  # bytes; what bodies of more have held is given back. Source: chosen
+KEEP = "rendezview.keep"  # key of a WebSocket's scope: see `Socket.keep`
 _TRY_AGAIN = 1013  # WebSocket: try again later. Source: IANA's registry
 
 
@@ -32,7 +38,7 @@ class Share:
 
     def __init__(self, caller: str) -> None:
         self.caller = caller
-        self.held = 0  # bytes of its body
+        self.held = 0  # bytes that it has sent, as long as they are needed
         self.due_s = time.monotonic() + _PATIENCE_S
         # Ends it for a reason; None: it is the service's turn, and nobody ends it for that.
         self.end: Callable[[str], None] | None = None
@@ -46,12 +52,30 @@ class Share:
         self.due_s = time.monotonic() + _PATIENCE_S
 
 
-class Budget:
+class Limit:
+    """What there is of something for all."""
+
+    def __init__(self, most: int) -> None:
+        self.most, self.held = most, 0
+        self._exceeded_s = -math.inf
+
+    def exceed(self) -> None:
+        """Somebody is refused."""
+        self._exceeded_s = time.monotonic()
+
+    def use(self) -> BudgetUse:
+        """How much of it is in use."""
+        exceeded = time.monotonic() - self._exceeded_s < _TOLD_S
+        return BudgetUse(used=self.held, most=self.most, exceeded=exceeded)
+
+
+class Budget(Limit):
     """At most so many at once."""
 
     def __init__(self, most: int, what: str) -> None:
         """``what`` names them, for who is refused."""
-        self._most, self._what = most, what
+        super().__init__(most)
+        self._what = what
         self._shares: set[Share] = set()
 
     def enter(self, share: Share) -> None:
@@ -61,17 +85,20 @@ class Budget:
             HTTPException: 503, there are too many, and it is the service's turn in all of them.
         """
         reason = f"too many {self._what} at once: try again in a moment"
-        if len(self._shares) >= self._most:
+        if self.held >= self.most:
+            self.exceed()
             slow = self._slowest()
             if slow is None or slow.end is None:
                 raise HTTPException(503, reason)
             self.leave(slow)
             slow.end(f"{reason}, and send and read faster")
         self._shares.add(share)
+        self.held = len(self._shares)
 
     def leave(self, share: Share) -> None:
         """It is over; perhaps it was pushed out before."""
         self._shares.discard(share)
+        self.held = len(self._shares)
 
     def _slowest(self) -> Share | None:
         """Of the client with the most, if any of its can be ended."""
@@ -81,57 +108,46 @@ class Budget:
         return min(heavy, key=lambda share: share.due_s, default=None)
 
 
-class Bodies:
-    """The bodies of requests: each of limited length, all of them together too."""
+class Bodies(Limit):
+    """The bytes that all who send have in memory, or on disk: bodies and messages."""
 
-    def __init__(self, settings: Settings) -> None:
-        self._settings = settings
-        self._held = self._peak = 0  # bytes
+    def __init__(self, most: int) -> None:
+        """``most``: bytes of all together."""
+        super().__init__(most)
+        self._peak = 0
         self._open: set[Share] = set()
 
-    def most(self, scope: Scope) -> int:
-        """The longest body of a request, bytes."""
-        path, settings = scope["path"], self._settings
-        most = settings.message_bytes
-        if path.endswith("/frames"):
-            most = settings.frame_bytes
-        elif path.endswith("/measurements"):
-            most = min(settings.measurement_bytes, settings.frame_bytes)
-        elif scope["method"] == "PUT" and path.startswith("/v1/models/"):
-            most = settings.model_bytes
-        elif path == "/v1/jobs":
-            most = settings.mesh_bytes
-        return min(most, settings.bodies_bytes)
-
-    def received(self, scope: Scope, receive: Receive, share: Share) -> Body:
-        """The body of a request."""
+    def enter(self, share: Share) -> None:
+        """It begins to send."""
         self._open.add(share)
-        return Body(self, receive, self.most(scope), share)
 
     def hold(self, share: Share, count: int) -> None:
-        """Count bytes that arrive.
+        """Count bytes that arrive; fewer than 0 are not needed any more.
 
         Raises:
-            HTTPException: 503, there are too many of all requests, and this one has the most.
+            HTTPException: 503, there are too many, and this one has the most.
         """
-        reason = "the service receives too much at the moment: try again"
+        if share not in self._open:
+            return
         share.held += count
-        self._held += count
-        self._peak = max(self._peak, self._held)
-        while self._held > self._settings.bodies_bytes:
+        self.held += count
+        self._peak = max(self._peak, self.held)
+        while count > 0 and self.held > self.most:
+            self.exceed()
+            reason = "the service receives too much at the moment: try again"
             arriving = (one for one in self._open if one.end is not None)
             largest = max(arriving, key=lambda one: one.held, default=None)
             if largest is None or largest.end is None or largest.held <= share.held:
                 raise HTTPException(503, reason)
-            self.drop(largest)
+            self.leave(largest)
             largest.end(reason)
 
-    def drop(self, share: Share) -> None:
-        """A body is not needed any more."""
+    def leave(self, share: Share) -> None:
+        """Nothing of it is needed any more; perhaps it was pushed out before."""
         self._open.discard(share)
-        self._held -= share.held
+        self.held -= share.held
         share.held = 0
-        if self._held == 0 and self._peak > _MUCH:
+        if self.held == 0 and self._peak > _MUCH:
             self._peak = 0
             trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # absent without glibc
             if trim is not None:
@@ -142,7 +158,10 @@ class Body:
     """One body, as an ASGI channel."""
 
     def __init__(self, bodies: Bodies, receive: Receive, most: int, share: Share) -> None:
-        self._bodies, self._receive, self._most, self._share = bodies, receive, most, share
+        """``most``: its longest length, bytes."""
+        self._bodies, self._receive, self._share = bodies, receive, share
+        self._most = min(most, bodies.most)
+        bodies.enter(share)
         self._length = 0
         self._refusal: str | None = None
         self.complete = False
@@ -171,7 +190,7 @@ class Body:
 
     def close(self) -> None:
         """The request is answered."""
-        self._bodies.drop(self._share)
+        self._bodies.leave(self._share)
 
     async def _next(self, receive: Receive) -> Any:
         """The next message; None: it is late, or not wanted any more."""
@@ -194,30 +213,61 @@ class Body:
             return None
 
 
-def watched(share: Share, receive: Receive, send: Send) -> tuple[Receive, Send]:
+class Socket:
     """The channels of a WebSocket that a budget may end."""
-    ended = asyncio.Event()
-    closing: list[asyncio.Task[None]] = []
 
-    async def close(reason: str) -> None:
-        ended.set()
-        with contextlib.suppress(RuntimeError, OSError):  # it has closed meanwhile
-            await send({"type": "websocket.close", "code": _TRY_AGAIN, "reason": reason[:100]})
+    def __init__(
+        self, bodies: Bodies, scope: Scope, receive: Receive, send: Send, share: Share
+    ) -> None:
+        self._bodies, self._receive, self._send, self._share = bodies, receive, send, share
+        self._ended = asyncio.Event()
+        self._closing: list[asyncio.Task[None]] = []
+        bodies.enter(share)
+        self._let_go: Callable[[], None] = lambda: None  # of what has come
+        if ARRIVES in scope:
+            self._let_go = scope[ARRIVES](self._arrives)
+        scope[KEEP] = self.keep
 
-    def end(reason: str) -> None:
-        closing.append(asyncio.create_task(close(reason)))
+    def keep(self, count: int) -> Callable[[], None]:
+        """Count bytes of a message that was taken, until the function that it returns is called."""
+        self._arrives(count)
+        return partial(self._bodies.hold, self._share, -count)
 
-    async def received() -> Any:
-        message = await receive()
-        share.moved_on()
+    async def receive(self) -> Any:
+        """The next ASGI message."""
+        message = await self._receive()
+        self._share.moved_on()
         if message["type"] == "websocket.connect":
-            share.end = end
+            self._share.end = self._end
+        self._bodies.hold(self._share, -len(message.get("bytes") or message.get("text") or b""))
         return message
 
-    async def sent(message: Any) -> None:
-        if ended.is_set():  # the application does not know yet
-            return
-        await send(message)
-        share.moved_on()
+    async def send(self, message: Any) -> None:
+        """Send an ASGI message, unless it has ended and the application does not know yet."""
+        if not self._ended.is_set():
+            await self._send(message)
+            self._share.moved_on()
 
-    return received, sent
+    def close(self) -> None:
+        """It is over."""
+        self._bodies.leave(self._share)
+
+    def _arrives(self, count: int) -> bool:
+        """Bytes arrive, or fewer than 0 turn out to be none of a message; whether they may."""
+        try:
+            self._bodies.hold(self._share, count)
+        except HTTPException as full:
+            self._end(str(full.detail))
+            return False
+        return True
+
+    def _end(self, reason: str) -> None:
+        self._let_go()
+        if not self._closing:
+            self._closing.append(asyncio.create_task(self._close(reason)))
+
+    async def _close(self, reason: str) -> None:
+        self._ended.set()
+        with contextlib.suppress(RuntimeError, OSError):  # it has closed meanwhile
+            close = {"type": "websocket.close", "code": _TRY_AGAIN, "reason": reason[:100]}
+            await self._send(close)

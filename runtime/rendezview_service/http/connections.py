@@ -8,18 +8,22 @@ from __future__ import annotations
 import asyncio
 import socket
 import struct
+from collections.abc import Callable, Collection
 from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.http11 import Request
 
 from rendezview_service.hub.clock import Timer
+from rendezview_service.messages.message_parts import BudgetUse
 
 HEAD_S = 10.0  # s, for the first line and the headers of a request. Source: chosen
 ABORT = "rendezview.abort"  # key of a request's scope: closes its connection, for a reason
+ARRIVES = "rendezview.arrives"  # key of a WebSocket's scope: takes who is told of its bytes
 _READ_S = 10.0  # s, in which an answer that waits for its reader … Source: chosen
 _LEAST_READ = 50_000  # … must become shorter by so many bytes. Source: chosen, a slow radio link
-_MOST_UNREAD = 100_000_000  # bytes of all answers that wait for their readers. Source: chosen
+_MOST_UNREAD = 32_000_000  # bytes of all answers that wait for their readers. Source: chosen
 _ROOM_S = 0.05  # s, that too many connections are borne, for their heads. Source: chosen
 _CLOSE_S = 1.0  # s, for the other side's part of a WebSocket's end. Source: chosen
 MOST_HEAD = 65_536  # bytes of them. Source: a chosen limit, four times that of most servers
@@ -38,6 +42,19 @@ class BoundedProtocol(HttpToolsProtocol):
     _strangers: dict[BoundedProtocol, None]
     _known: dict[BoundedProtocol, None]
     _unread: set[BoundedProtocol]  # whose answers wait for their readers
+    opened: Collection[Any] = ()  # all, of WebSockets too
+
+    @classmethod
+    def budgets(cls) -> dict[str, Callable[[], BudgetUse]]:
+        """What is in use of its limits."""
+
+        def unread() -> BudgetUse:
+            return BudgetUse(used=sum(map(_unread_bytes, cls._unread)), most=_MOST_UNREAD)
+
+        return {
+            "connections": lambda: BudgetUse(used=len(cls.opened), most=cls.most),
+            "unread_bytes": unread,
+        }
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A connection; perhaps another one must make room."""
@@ -46,6 +63,7 @@ class BoundedProtocol(HttpToolsProtocol):
         self._read_timer: Timer | None = None
         self._has_read = False
         super().connection_made(transport)
+        type(self).opened = self.connections
         self._strangers[self] = None
         self._await_head()
         self._limit()
@@ -180,6 +198,47 @@ class BoundedSocket(WebSocketsSansIOProtocol):
         """A connection that was one for requests."""
         super().connection_made(transport)
         self.close_timeout = _CLOSE_S
+        self._incoming = self._newest = 0  # bytes of an incomplete message; of the last piece
+        self._arrives: Callable[[int], bool] = lambda count: True
+
+    def handle_connect(self, event: Request) -> None:
+        """The handshake."""
+        super().handle_connect(event)
+        if self.handshake_initiated and not self.close_sent:
+            scope: dict[str, Any] = self.scope  # type: ignore[assignment]
+            scope[ARRIVES] = self._report_to
+
+    def _report_to(self, arrives: Callable[[int], bool]) -> Callable[[], None]:
+        """Ask whether bytes may arrive; the function that it returns refuses all from then on."""
+        self._arrives = arrives
+        return self._refuse_all
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The end of the connection, and of what has come of a message."""
+        super().connection_lost(exc)
+        self._refuse_all()
+
+    def _refuse_all(self) -> None:
+        self._arrives = lambda count: False
+        self.conn.reader.discard()
+        self.frames.clear()
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes of messages, counted until the application takes these."""
+        self._newest = len(data)
+        self._incoming += self._newest
+        if self._arrives(self._newest):
+            super().data_received(data)
+        else:  # its end follows
+            self.transport.pause_reading()
+
+    def send_receive_event_to_app(self) -> None:
+        """A message is complete; the rest of the last piece belongs to the next one."""
+        length = sum(map(len, self.frames))
+        left = max(0, min(self._incoming - length, self._newest))
+        self._arrives(left + length - self._incoming)
+        self._incoming = left
+        super().send_receive_event_to_app()
 
     def send_keepalive_ping(self) -> None:
         """Ask whether the other side is there; a pause of the service is not its silence."""

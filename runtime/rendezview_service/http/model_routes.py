@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request
@@ -10,7 +12,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from rendezview.errors import RendezviewError
-from rendezview_service.http.answers import FAULTS, JSON, body_of, key_of, needs, service_of
+from rendezview_service.http.answers import FAULTS, JSON, file_of, key_of, needs, service_of
 from rendezview_service.http.security import Right
 from rendezview_service.hub.jobs import Job
 from rendezview_service.hub.model_store import StoredModel
@@ -69,8 +71,8 @@ async def put_model(request: Request, name: Name, replace: bool = False) -> Mode
     service = service_of(request)
     service.models.path_for(name, replace)  # refuses before the body is read
     present = service.models.get(name)
-    content = await body_of(request, service.settings.model_bytes)
-    stored = await run_in_threadpool(service.models.add, name, content, replace)
+    async with file_of(request, service.settings.model_bytes, service.models.folder) as sent:
+        stored = await run_in_threadpool(service.models.add, name, sent, replace)
     if present is not None:
         service.release()
     return await run_in_threadpool(_info, stored)
@@ -117,16 +119,17 @@ async def add_job(
     """Upload a mesh and train a model of it, in a separate process."""
     needs(request, Right.ADMIN)
     service = service_of(request)
-    mesh = await body_of(request, service.settings.mesh_bytes)
-    if not mesh:
-        raise HTTPException(422, "the mesh is empty: send the file as the body")
     given = {"unit": unit, "order": order, "views": views, "held-out": held_out, "seed": seed}
     options = {name: str(value) for name, value in given.items() if value is not None}
 
-    async def added() -> str:
-        return service.jobs.add(model, file, mesh, options, camera).id
+    async with file_of(request, service.settings.mesh_bytes, Path(tempfile.gettempdir())) as mesh:
+        if not (length := mesh.stat().st_size):
+            raise HTTPException(422, "the mesh is empty: send the file as the body")
 
-    job_id = await service.once.do(key_of(request), (model, file, len(mesh)), added)
+        async def added() -> str:
+            return service.jobs.add(model, file, mesh, options, camera).id
+
+        job_id = await service.once.do(key_of(request), (model, file, length), added)
     return _job(request, job_id).info()
 
 

@@ -25,11 +25,11 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import checked, read_text
-from rendezview_service.http.budgets import Bodies, Budget, Share, watched
+from rendezview_service.http.budgets import Bodies, Body, Budget, Share, Socket
 from rendezview_service.http.connections import ABORT
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.rate_limit import TokenBucket
-from rendezview_service.messages.messages import Fault
+from rendezview_service.messages.message_parts import Fault
 from rendezview_service.settings import LOOPBACK, Settings
 
 log = logging.getLogger("rendezview_service")
@@ -126,17 +126,25 @@ class Guard:
         self._app = app
         self._tokens = list(tokens)
         self._metrics = metrics
-        self._rate = settings.requests_per_s
+        self._settings = settings
         self._hosts = {settings.host.lower(), *LOOPBACK, *map(str.lower, settings.allowed_hosts)}
         # Names of the machine only: another name may belong to a page of somebody else (DNS
         # rebinding), while an address cannot.
         self._hosts.add(socket.gethostname().lower())
         self._any_address = settings.host in ("0.0.0.0", "::")
-        self._bodies = Bodies(settings)
+        self._bodies = Bodies(settings.bodies_bytes)
+        self._uploads = Bodies(settings.uploads_bytes)
         # The rest of the connections is for those without a request, and for health and metrics.
         self._requests = Budget(settings.connections // 2, "requests")
         self._sockets = Budget(settings.connections // 4, "WebSockets")
         self._downloads = Budget(_MOST_DOWNLOADS, "downloads of logs")
+        self.budgets = {
+            "bodies_bytes": self._bodies.use,
+            "uploads_bytes": self._uploads.use,
+            "requests": self._requests.use,
+            "websockets": self._sockets.use,
+            "downloads": self._downloads.use,
+        }
         self._callers: OrderedDict[str, TokenBucket] = OrderedDict()  # least recent first
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -161,7 +169,11 @@ class Guard:
         try:
             if scope["type"] == "websocket":
                 _audit(scope, "opened")
-                await self._app(scope, *watched(share, receive, send))
+                channels = Socket(self._bodies, scope, receive, send, share)
+                try:
+                    await self._app(scope, channels.receive, channels.send)
+                finally:
+                    channels.close()
             else:
                 await self._request(scope, receive, send, share)
         finally:
@@ -178,7 +190,8 @@ class Guard:
             share.moved(len(message.get("body", b"")))
             await send(message)
 
-        body = self._bodies.received(scope, receive, share)
+        most, uploads = _longest_body(scope, self._settings)
+        body = Body(self._uploads if uploads else self._bodies, receive, most, share)
         try:
             await self._app(scope, body, with_headers)
         finally:
@@ -217,7 +230,8 @@ class Guard:
     def _within_rate(self, name: str) -> bool:
         """Whether the caller has a request left in its bucket."""
         now_s = time.monotonic()
-        bucket = self._callers.pop(name, None) or TokenBucket.full(self._rate, now_s)
+        rate = self._settings.requests_per_s
+        bucket = self._callers.pop(name, None) or TokenBucket.full(rate, now_s)
         self._callers[name] = bucket
         while len(self._callers) > _MOST_CALLERS:
             self._callers.popitem(last=False)
@@ -225,6 +239,20 @@ class Guard:
         if allowed:
             bucket.spend(1.0)
         return allowed
+
+
+def _longest_body(scope: Scope, settings: Settings) -> tuple[int, bool]:
+    """Bytes of the longest body of a request, and whether it goes to the disk."""
+    path = scope["path"]
+    if scope["method"] == "PUT" and path.startswith("/v1/models/"):
+        return settings.model_bytes, True
+    if path == "/v1/jobs":
+        return settings.mesh_bytes, True
+    if path.endswith("/frames"):
+        return settings.frame_bytes, False
+    if path.endswith("/measurements"):
+        return min(settings.measurement_bytes, settings.frame_bytes), False
+    return settings.message_bytes, False
 
 
 def _audit(scope: Scope, outcome: int | str) -> None:

@@ -127,7 +127,7 @@ async def post_frame(request: Request, name: str, time_s: float | None = None) -
         raise HTTPException(422, "the frame is empty: send a PNG, a JPEG or grey bytes")
     answer = await track(session, pieces, at_s, sender_of(request), key_of(request))
     if answer.status != 200:
-        return fault(answer.status, answer.error)
+        return fault(answer.status, answer.error, again=False)
     return Response(answer.body, 200, None, JSON)
 
 
@@ -164,7 +164,7 @@ async def post_measurements(
     content = await body_of(request, min(settings.measurement_bytes, settings.frame_bytes))
     answer = await measure(session, sensor, content, key_of(request))
     if answer.status != 200:
-        return fault(answer.status, answer.error)
+        return fault(answer.status, answer.error, again=False)
     return Response(answer.body, 200, None, JSON)
 
 

@@ -25,20 +25,22 @@ from rendezview_service.http.answers import (
     service_of,
     session_of,
 )
+from rendezview_service.http.budgets import KEEP
 from rendezview_service.http.security import SUBPROTOCOL, Right
 from rendezview_service.hub.inputs import Answer, Barred, Full
 from rendezview_service.hub.lease import Taken
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
-from rendezview_service.messages.message_parts import MOST_TIME_S
-from rendezview_service.messages.messages import Fault, WatchEnd
+from rendezview_service.hub.worker_pool import NotReady
+from rendezview_service.messages.message_parts import MOST_TIME_S, Fault
+from rendezview_service.messages.messages import WatchEnd
 from rendezview_service.settings import Settings
 
 router = APIRouter(prefix="/v1/sessions")
 
 _TIME = struct.Struct("<d")
 _OUTBOX = 64  # unread answers; with more, no frames are received. Source: a chosen limit
-_REFUSED, _GONE = 1008, 1001
+_REFUSED, _GONE, _SOON = 1008, 1001, 1013
 
 
 @router.websocket("/{name}/stream")
@@ -91,7 +93,7 @@ async def stream(socket: WebSocket, name: str) -> None:
             elif len(content) <= _TIME.size:
                 answer(Answer(422, b"", "a frame must be 8 bytes of time and a picture"))
             else:
-                _take(session, content, answer, sender_name)
+                _take(session, content, _counted(socket, len(content), answer), sender_name)
             await room.wait()
     except (WebSocketDisconnect, RuntimeError):
         pass
@@ -105,6 +107,19 @@ async def stream(socket: WebSocket, name: str) -> None:
 Answering = Callable[[Answer], None]
 
 
+def _counted(socket: WebSocket, count: int, answer: Answering) -> Answering:
+    """The bytes of a frame count until it is answered. In a cluster its gateway counts them."""
+    if KEEP not in socket.scope:
+        return answer
+    let_go = socket.scope[KEEP](count)
+
+    def answered(result: Answer) -> None:
+        let_go()
+        answer(result)
+
+    return answered
+
+
 def _take(session: Session, content: bytes, answer: Answering, sender: str) -> None:
     (sent_s,) = _TIME.unpack_from(content)
     time_s = None if math.isnan(sent_s) else sent_s
@@ -116,7 +131,7 @@ def _take(session: Session, content: bytes, answer: Answering, sender: str) -> N
         answer(Answer(413, b"", f"the frame is too long: send at most {session.frame_bytes} bytes"))
         return
     try:
-        session.replace(session.input((picture,), time_s, answer, sender=sender))
+        session.replace(session.input([picture], time_s, answer, sender=sender))
     except RendezviewError as error:
         answer(Answer(422, b"", str(error)))
     except Taken as taken:
@@ -148,7 +163,7 @@ def _take_lines(session: Session, settings: Settings, text: str, answer: Answeri
         answer(Answer(error.status_code, b"", str(error.detail)))
         return
     try:
-        session.measure(session.input((content,), None, answer, sensor=sensor))
+        session.measure(session.input([content], None, answer, sensor=sensor))
     except Full:
         answer(Answer(429, b"", "too many lines wait or arrive per second: try again later"))
     except Barred as barred:
@@ -218,10 +233,12 @@ async def _accepted(socket: WebSocket, name: str, right: Right) -> Session | Non
     try:
         needs(socket, right)
         session = session_of(socket, name)
-    except HTTPException as error:
+    except (HTTPException, NotReady) as error:
         # Accept first: a browser gives its page no reason for a refused handshake.
         await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
-        await socket.close(_REFUSED, str(error.detail)[:100])
+        soon = isinstance(error, NotReady)
+        reason = str(error if soon else error.detail)  # type: ignore[union-attr]
+        await socket.close(_SOON if soon else _REFUSED, reason[:100])
         return None
     await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
     return session

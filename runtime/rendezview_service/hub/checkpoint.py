@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import os
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
@@ -88,6 +90,11 @@ def kept_in(folder: Path) -> list[Checkpoint]:
     return found
 
 
+def names_in(folder: Path) -> set[str]:
+    """The sessions that have a checkpoint in a folder."""
+    return {path.name.removesuffix(SUFFIX) for path in folder.glob(f"*{SUFFIX}")}
+
+
 def lock_state(folder: Path) -> int:
     """Keep other services from a folder, as long as the descriptor that it returns is open.
 
@@ -122,9 +129,12 @@ class CheckpointKeeper:
         self._change = threading.Condition()
         self._newest: Checkpoint | None = None  # that is not written yet
         self._asked = self._done = 0
-        self._asked_s = 0.0
+        self._asked_s = 0.0  # when the oldest that is not written was asked for
         self._error: str | None = None
         self._ending = self._removing = False
+        # Who waits for a checkpoint, by its number, each for a limited time. Of the event loop.
+        self._waiting: dict[int, tuple[Callable[[], None], asyncio.TimerHandle]] = {}
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -137,19 +147,27 @@ class CheckpointKeeper:
                 return self._error
             return self._error or f"{self._path}: the disk has not answered for {waits_s:.0f} s"
 
-    def keep(self, checkpoint: Checkpoint) -> None:
-        """Replace the checkpoint; wait for that, unless the disk is late or failing already."""
+    def keep(self, checkpoint: Checkpoint, then: Callable[[], None] | None = None) -> None:
+        """Replace the checkpoint.
+
+        Args:
+            then: is called by the running event loop when that is done; at once if the disk is
+                late or failing already, and soon if it turns out to be late.
+        """
         with self._change:
-            in_time = self._done == self._asked and self._error is None and not self._late
             if self._done == self._asked:
                 self._asked_s = time.monotonic()
             self._newest = checkpoint
             self._asked += 1
+            number, in_time = self._asked, self._error is None and not self._late
             self._change.notify_all()
-            if in_time:
-                self._change.wait_for(lambda: self._done == self._asked, _WAIT_S)
-                if self._done != self._asked:
-                    self._late.add(self)
+        if then is not None and in_time:
+            self._loop = asyncio.get_running_loop()
+            timer = self._loop.call_later(_WAIT_S, self._is_late, number)
+            self._waiting[number] = then, timer
+            self._written(self._done)  # perhaps meanwhile, when nobody waited yet
+        elif then is not None:
+            then()
 
     def end(self, *, remove: bool = False) -> bool:
         """No other follows; whether all is done. If it is not yet, ask again.
@@ -167,6 +185,17 @@ class CheckpointKeeper:
     def is_ended(self) -> bool:
         """Whether all is done."""
         return not self._thread.is_alive()
+
+    def _written(self, number: int) -> None:
+        """The checkpoints up to a number need no waiting any more."""
+        for done in [one for one in self._waiting if one <= number]:
+            then, timer = self._waiting.pop(done)
+            timer.cancel()
+            then()
+
+    def _is_late(self, number: int) -> None:
+        self._late.add(self)
+        self._written(number)
 
     def _run(self) -> None:
         while True:
@@ -186,5 +215,9 @@ class CheckpointKeeper:
                 error = str(failed)
             with self._change:
                 self._done, self._error = asked, error
+                self._asked_s = time.monotonic()
                 self._late.discard(self)
                 self._change.notify_all()
+            if self._loop is not None:
+                with contextlib.suppress(RuntimeError):  # it is closed: the service has ended
+                    self._loop.call_soon_threadsafe(self._written, asked)

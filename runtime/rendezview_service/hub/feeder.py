@@ -70,7 +70,7 @@ class Feeder:
             if not done.done():
                 done.set_result(result)
 
-        waiting = self._session.input((frame.content,), frame.time_s, answer, sender=SOURCE)
+        waiting = self._session.input([frame.content], frame.time_s, answer, sender=SOURCE)
         self._loop.call_soon_threadsafe(self._session.replace, waiting)
         if not self._source.live:
             while not self._stop.is_set():

@@ -5,19 +5,46 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 _MOST_MARKS_BYTES = 32_768  # bytes; more would be larger than their picture. Source: a chosen limit
-Kept = TypeVar("Kept")
 
 
 @dataclass(slots=True)
+class Histories:
+    """What all sessions remember: with too many bytes, the one with the most forgets first."""
+
+    most: int  # bytes
+    held: int = 0
+    _all: list[Past] = field(default_factory=list)
+
+    def enter(self, past: Past) -> None:
+        """A session begins."""
+        self._all.append(past)
+
+    def leave(self, past: Past) -> None:
+        """A session has ended."""
+        if past in self._all:
+            self._all.remove(past)
+            self.held -= past.held
+
+    def count(self, past: Past, size: int) -> None:
+        """So many bytes more, or fewer."""
+        past.held += size
+        if past in self._all:
+            self.held += size
+        while size > 0 and self.held > self.most:
+            max(self._all, key=lambda one: one.held).forget()
+
+
+@dataclass(slots=True, eq=False)
 class Past:
-    """States and pictures of the last minutes; bounded in time and number."""
+    """States and pictures of the last minutes; bounded in time, number and bytes."""
 
     keep_s: float
     rate_hz: float
     image_hz: float
+    histories: Histories
+    held: int = 0  # bytes
     _states: deque[tuple[float, int, bytes]] = field(default_factory=deque)
     _images: deque[tuple[float, int, tuple[bytes, bytes]]] = field(default_factory=deque)
     _newest: tuple[float, int, bytes] | None = None
@@ -29,7 +56,7 @@ class Past:
         if self._states and now_s - self._states[-1][0] < 0.9 / self.rate_hz:
             return
         self._states.append((now_s, frame, state))
-        _trim(self._states, now_s - self.keep_s)
+        self._grown(now_s, len(state))
 
     def wants_image(self, now_s: float) -> bool:
         """Whether the next picture is kept."""
@@ -40,12 +67,12 @@ class Past:
         self._image_at_s = now_s
         kept = marks if len(marks) <= _MOST_MARKS_BYTES else b"[]"
         self._images.append((now_s, frame, (jpeg, kept)))
-        _trim(self._images, now_s - self.keep_s)
+        self._grown(now_s, len(jpeg) + len(kept))
 
     def states(self, after_s: float, since_frame: int, most: int) -> list[tuple[int, bytes]]:
         """States since a time and a frame, evenly thinned to at most ``most``, newest included."""
         kept = [*self._states]
-        if self._newest is not None and self._newest != kept[-1]:
+        if self._newest is not None and self._newest not in kept[-1:]:
             kept.append(self._newest)
         chosen = [(f, s) for at, f, s in kept if at >= after_s and f >= since_frame]
         if len(chosen) <= most:
@@ -79,7 +106,15 @@ class Past:
         """Frames whose picture is kept."""
         return [frame for _, frame, _ in self._images]
 
+    def forget(self) -> None:
+        """Forget the oldest picture or state."""
+        if self._images and not (self._states and self._states[0][0] < self._images[0][0]):
+            self.histories.count(self, -sum(map(len, self._images.popleft()[2])))
+        else:
+            self.histories.count(self, -len(self._states.popleft()[2]))
 
-def _trim(entries: deque[tuple[float, int, Kept]], oldest_s: float) -> None:
-    while entries and entries[0][0] < oldest_s:
-        entries.popleft()
+    def _grown(self, now_s: float, size: int) -> None:
+        self.histories.count(self, size)
+        for entries in (self._states, self._images):
+            while entries and entries[0][0] < now_s - self.keep_s:
+                self.forget()

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import mmap
+import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from rendezview_service.messages.frames import Bytes
+
+_BARRED_S = 60.0  # s, after an input that ended a process. Source: chosen
+_ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
 
 
 class Full(Exception):
@@ -25,6 +31,31 @@ class Barred(Exception):
 
 
 @dataclass(slots=True, eq=False)
+class Bar:
+    """The processes that a session's inputs have ended, and for how long nothing is taken."""
+
+    until_s: float = -math.inf  # monotonic
+    ended_at_s: list[float] = field(default_factory=list)
+
+    @property
+    def left_s(self) -> float:
+        """For how long nothing is taken, s; 0: it is."""
+        return max(0.0, self.until_s - time.monotonic())
+
+    def check(self) -> None:
+        """Barred: nothing is taken."""
+        if left_s := self.left_s:
+            raise Barred(left_s)
+
+    def ended(self, at_fault: bool) -> None:
+        """A process ended over an input, which is perhaps at fault."""
+        now_s = time.monotonic()
+        if at_fault:
+            self.until_s = now_s + _BARRED_S
+        self.ended_at_s = [*(at_s for at_s in self.ended_at_s if now_s - at_s < _ENDED_S), now_s]
+
+
+@dataclass(slots=True, eq=False)
 class Answer:
     """The answer to a frame or to sensor lines, or the reason why there is none."""
 
@@ -37,7 +68,7 @@ class Answer:
 class SessionInput:
     """A frame to track, lines of another sensor to fuse, or the last frame to show again."""
 
-    pieces: Sequence[Bytes]  # its bytes, as they arrived
+    pieces: list[Bytes]  # its bytes, as they arrived; the worker's process has them in the end
     time_s: float
     received_unix_s: float
     received_s: float  # monotonic
@@ -47,11 +78,23 @@ class SessionInput:
     key: str | None = None  # of a frame; see `Once`
     waited_s: float = 0.0  # between the session's previous input and this one
     shows_last: bool = False  # it has no bytes: the last frame goes to watchers who missed it
+    length: int = field(init=False)  # bytes
+
+    def __post_init__(self) -> None:
+        self.length = sum(map(len, self.pieces))
 
     @property
-    def length(self) -> int:
-        """Number of bytes."""
-        return sum(map(len, self.pieces))
+    def lines(self) -> int:
+        """How many lines it can hold."""
+        return 1 + sum(bytes(piece).count(b"\n") for piece in self.pieces)
+
+    def move_to(self, memory: mmap.mmap) -> None:
+        """Copy the bytes there and let them go."""
+        place = 0
+        for piece in self.pieces:
+            memory[place : place + len(piece)] = piece
+            place += len(piece)
+        self.pieces.clear()
 
 
 @dataclass(slots=True, eq=False)

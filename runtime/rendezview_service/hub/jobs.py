@@ -100,7 +100,7 @@ class Jobs:
         self,
         model: str,
         file_name: str,
-        mesh: bytes,
+        mesh: Path,
         options: dict[str, str],
         camera: str | None = None,
     ) -> Job:
@@ -108,6 +108,7 @@ class Jobs:
 
         Args:
             file_name: only its suffix is used.
+            mesh: the file; it is moved away.
             camera: content of a camera file, of any kind that `load_camera` reads.
             options: of ``rendezview train``: unit, order, views, held-out, seed.
 
@@ -128,7 +129,7 @@ class Jobs:
             raise RendezviewError(f"model {model}: is being trained: choose another name")
         folder = Path(tempfile.mkdtemp(prefix="rendezview-job-"))
         target = folder / f"{model}{suffix}"
-        target.write_bytes(mesh)
+        shutil.move(mesh, target)
         arguments = [str(target), "-o", str(folder / path.name)]
         if camera is not None:
             given = folder / "camera"
@@ -197,8 +198,7 @@ class Jobs:
                 self._over(job, JobState.FAILED)
             else:
                 made = job.folder / f"{job.model}.rvm"
-                content = await asyncio.to_thread(made.read_bytes)
-                await asyncio.to_thread(self._store.add, job.model, content)
+                await asyncio.to_thread(self._store.add, job.model, made)
                 self._over(job, JobState.DONE)
         except TimeoutError:
             _kill(job)

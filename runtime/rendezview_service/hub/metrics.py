@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 
 from prometheus_client import (
     CollectorRegistry,
@@ -13,6 +14,7 @@ from prometheus_client import (
     generate_latest,
 )
 
+from rendezview_service.messages.message_parts import BudgetUse
 from rendezview_service.messages.messages import Recording, RecordingState
 
 # s. Source: chosen.
@@ -27,6 +29,10 @@ class Metrics:
         ProcessCollector(registry=self.registry)
         self.faults = Gauge(
             "rendezview_faults", "Reasons in /healthz; 0: all is well.", registry=self.registry
+        )
+        self._used, self._most = (
+            Gauge(f"rendezview_budget_{name}", text, ["budget"], registry=self.registry)
+            for name, text in (("used", "In use of a budget."), ("most", "What a budget allows."))
         )
         clock = Gauge("rendezview_unix_seconds", "The service's clock.", registry=self.registry)
         clock.set_function(time.time)
@@ -97,8 +103,11 @@ class Metrics:
         """The metrics of one session."""
         return SessionMetrics(self, name)
 
-    def text(self) -> bytes:
+    def text(self, budgets: Mapping[str, BudgetUse]) -> bytes:
         """Prometheus text format."""
+        for name, budget in budgets.items():
+            self._used.labels(name).set(budget.used)
+            self._most.labels(name).set(budget.most)
         return generate_latest(self.registry)
 
 

@@ -12,6 +12,7 @@ import hashlib
 import logging
 import os
 import re
+import secrets
 import shutil
 import tempfile
 import threading
@@ -20,7 +21,7 @@ from functools import cached_property
 from pathlib import Path
 
 from rendezview.errors import RendezviewError
-from rendezview.io.files import atomic_write, make_folder
+from rendezview.io.files import atomic_write, make_folder, write_error
 from rendezview.sensors.appearance import ViewModel
 from rendezview_service.messages.model_messages import ModelInfo
 from rendezview_service.tracker.model_geometry import geometry
@@ -29,6 +30,7 @@ log = logging.getLogger("rendezview_service")
 
 SUFFIX = ".rvm"
 BY_HASH = "by-hash"  # folder of copies that several services share
+_PIECE = 1_000_000  # bytes of a file that are in memory at once. Source: chosen
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -90,15 +92,7 @@ class StoredModel:
     def _loaded(self) -> tuple[ViewModel, Path]:
         with self._lock:
             if self._read is None:
-                try:
-                    content = self.path.read_bytes()
-                except OSError:
-                    ViewModel.load(self.path)  # says what is wrong
-                    raise
-                copy = self._copies / f"{hashlib.sha256(content).hexdigest()}{SUFFIX}"
-                if not copy.exists():
-                    with atomic_write(copy, durable=False) as file:
-                        file.write(content)
+                copy = self._copied()
                 try:
                     self._read = ViewModel.load(copy), copy
                 except RendezviewError as error:
@@ -108,6 +102,21 @@ class StoredModel:
                 self._held = os.open(copy, os.O_RDONLY)
                 weakref.finalize(self, os.close, self._held)
             return self._read
+
+    def _copied(self) -> Path:
+        """Copy the file, in pieces, under its hash."""
+        part, checksum = self._copies / f".{secrets.token_hex(6)}.tmp", hashlib.sha256()
+        try:
+            with open(self.path, "rb") as source, open(part, "xb") as file:
+                while piece := source.read(_PIECE):
+                    checksum.update(piece)
+                    file.write(piece)
+            return part.rename(self._copies / f"{checksum.hexdigest()}{SUFFIX}")
+        except OSError as error:
+            ViewModel.load(self.path)  # says what is wrong, if it is that file
+            raise write_error(self._copies, error) from error
+        finally:
+            part.unlink(missing_ok=True)
 
     @cached_property
     def info(self) -> ModelInfo:
@@ -233,10 +242,11 @@ class ModelStore:
             )
         return self.folder / f"{name}{SUFFIX}"
 
-    def add(self, name: str, content: bytes, replace: bool = False) -> StoredModel:
+    def add(self, name: str, sent: Path, replace: bool = False) -> StoredModel:
         """Store an uploaded model after it is read and checked.
 
         Args:
+            sent: its file; it is moved.
             replace: a model of this name may be there; sessions that use it keep it.
 
         Raises:
@@ -245,16 +255,21 @@ class ModelStore:
         """
         with self._lock:  # no other upload takes the name meanwhile
             path = self.path_for(name, replace)
-            with atomic_write(path) as file:
-                file.write(content)
-                file.flush()
-                stored = self._stored(name, Path(file.name), own=True)
-                try:
-                    _ = stored.model
-                except RendezviewError as error:
-                    said = str(error).replace(file.name, "the model sent")
-                    raise RendezviewError(said) from None
-            stored.path = path.resolve()
+            part = path.with_name(f".{secrets.token_hex(6)}.tmp")
+            stored = self._stored(name, part, own=True)
+            try:
+                shutil.move(sent, part)
+                _ = stored.model
+                with open(part, "rb") as file:
+                    os.fsync(file.fileno())
+                stored.path = part.rename(path).resolve()
+            except RendezviewError as error:
+                said = str(error).replace(str(stored.path), "the model sent")
+                raise RendezviewError(said) from None
+            except OSError as error:
+                raise write_error(path, error) from error
+            finally:
+                part.unlink(missing_ok=True)
             self._models[name] = stored
         return stored
 

@@ -21,15 +21,17 @@ from rendezview_service.hub.checkpoint import (
     checkpoint_path,
     kept_in,
     lock_state,
+    names_in,
 )
 from rendezview_service.hub.feeder import Feeder
+from rendezview_service.hub.health import budgets_of, health_of
+from rendezview_service.hub.history import Histories
 from rendezview_service.hub.inputs import Full
 from rendezview_service.hub.jobs import Jobs
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import ModelStore, StoredModel
 from rendezview_service.hub.once import Once
 from rendezview_service.hub.session_defaults import SessionDefaults
-from rendezview_service.hub.session_info import troubles_of
 from rendezview_service.hub.session_log import LogNames
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.source_process import open_apart
@@ -80,6 +82,7 @@ class Service:
         self.metrics = Metrics()
         self.sessions: dict[str, Session] = {}
         self.ended: dict[str, str] = {}  # why the last ones ended, by id
+        self.resuming: set[str | None] = set()  # of an earlier run, that will go on
         self.watchers, self.stopping = 0, False
         self.started_s = time.monotonic()
         self.version = metadata.version("rendezview")
@@ -88,6 +91,7 @@ class Service:
         try:
             state, folder = settings.state_folder if self._alone else None, settings.models_folder
             self._state_lock = None if state is None else lock_state(state)
+            self.resuming |= set() if state is None else names_in(state)
             self.models = ModelStore(folder, state if self._alone else folder, shared=shares_models)
             self.given: StoredModel | None = None if model is None else self.models.give(model)
             self.defaults = SessionDefaults(settings)
@@ -100,12 +104,13 @@ class Service:
                 source.close()
             raise
         self.recordings = Recordings(settings.record_folder)
-        self._viewers = Viewers(settings)
+        self._viewers, self.histories = Viewers(settings), Histories(settings.history_bytes)
         self._speed = speed
         self.jobs = Jobs(self.models, settings.jobs, settings.job_s, settings.job_bytes)
         self._workers = WorkerPool(settings, self.metrics, self._reopen)
         self._feeders: dict[str, Feeder] = {}
         self._opening: set[str] = set()
+        self.budgets = budgets_of(self)
         self._ending: dict[str, CheckpointKeeper] = {}  # of sessions that have ended
         self.once: Once[str] = Once(_REMEMBERED)  # ids of what requests have begun
         self._tasks: set[asyncio.Task[None]] = set()
@@ -170,6 +175,8 @@ class Service:
             except (RendezviewError, NotReady, Full) as error:
                 about = {"session": kept.request.id, "reason": str(error)}
                 log.warning("a session does not go on", extra=about)
+            self.resuming.discard(kept.request.id)
+        self.resuming.clear()
         self.models.prune(used)
 
     def _begin_done(self, begun: asyncio.Task[None]) -> None:
@@ -198,18 +205,7 @@ class Service:
         reasons = self._workers.troubles
         if self._begun is not None and not self._begun.done():
             reasons = [f"starting: {self._workers.progress}"]
-        failing, troubles = troubles_of(list(self.sessions.values()))
-        status = "stopping" if self.stopping else "not ready" if reasons else "ok"
-        if status == "ok" and troubles:
-            status = "degraded"
-        return Health(
-            status=status,  # type: ignore[arg-type]
-            reasons=reasons + troubles,
-            version=self.version,
-            uptime_s=time.monotonic() - self.started_s,
-            sessions=len(self.sessions),
-            recording_failures=failing,
-        )
+        return health_of(self, reasons)
 
     # Sessions
 
@@ -250,7 +246,8 @@ class Service:
             await self._workers.warmed(stored)
             request = await asyncio.to_thread(self.defaults.filled, request, name, stored)
             of = None if source is None else source.name
-            session = Session(name, stored, request, self.settings, self.metrics, of)
+            about = self.settings, self.metrics, of, self.histories
+            session = Session(name, stored, request, *about)
             if resumed is not None:
                 session.resume(resumed)
             try:
@@ -265,8 +262,10 @@ class Service:
         self.sessions[name] = session
         if self.settings.state_folder is not None and source is None:
             keeper = CheckpointKeeper(checkpoint_path(self.settings.state_folder, name))
-            keeper.keep(session.checkpoint())
+            kept = asyncio.Event()
+            keeper.keep(session.checkpoint(), kept.set)
             session.keeper = keeper
+            await kept.wait()
             if keeper.reason is not None and resumed is None:
                 await self.close(session, "it has no checkpoint")
                 raise RendezviewError(f"session {name} cannot be opened: {keeper.reason}")
@@ -370,7 +369,7 @@ class Service:
         for session in orphans:
             if session.id not in self.sessions:
                 continue
-            if len(session.ended_at_s) >= _MOST_ENDED_PROCESSES:
+            if len(session.bar.ended_at_s) >= _MOST_ENDED_PROCESSES:
                 await self.close(session, "its frames ended the tracker's process repeatedly")
                 continue
             session.reopened()

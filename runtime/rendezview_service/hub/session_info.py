@@ -1,10 +1,10 @@
-"""A session as a message, and what is wrong with sessions."""
+"""A session as a message."""
 
 from __future__ import annotations
 
 from rendezview_service.hub.sessions import Session
 from rendezview_service.messages.frame_sensor_messages import FrameSensorsRequest
-from rendezview_service.messages.messages import RecordingState, SessionInfo
+from rendezview_service.messages.messages import SessionInfo
 
 
 def info_of(session: Session) -> SessionInfo:
@@ -35,16 +35,3 @@ def info_of(session: Session) -> SessionInfo:
         reason=session.reason,
         warnings=list(dict.fromkeys(session.request.notes)),
     )
-
-
-def troubles_of(sessions: list[Session]) -> tuple[int, list[str]]:
-    """How many sessions are not recorded, and what is wrong with any of them."""
-    found = [said for session in sessions if (said := session.blind_reason)]
-    logs = {session.id: session.log.recording for session in sessions}
-    failed = {name: r for name, r in logs.items() if r.state is RecordingState.FAILED}
-    found += [f"session {name} is not recorded: {r.reason}" for name, r in failed.items()]
-    logs = {name: r for name, r in logs.items() if r.fault and name not in failed}
-    found += [f"session {name} is recorded again: {r.fault}" for name, r in logs.items()]
-    stays = {session.id: session.keeper.reason for session in sessions if session.keeper}
-    found += [f"session {n} cannot go on elsewhere: {why}" for n, why in stays.items() if why]
-    return len(failed), found

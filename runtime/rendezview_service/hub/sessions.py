@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 
 from pydantic_core import to_json
 
 from rendezview_service.hub.checkpoint import Checkpoint, CheckpointKeeper
 from rendezview_service.hub.clock import SessionClock
-from rendezview_service.hub.history import Past
-from rendezview_service.hub.inputs import Answer, Barred, Full, InputQueue, SessionInput
+from rendezview_service.hub.history import Histories, Past
+from rendezview_service.hub.inputs import Answer, Bar, Full, InputQueue, SessionInput
 from rendezview_service.hub.lease import SOURCE, Lease
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
@@ -30,8 +31,6 @@ from rendezview_service.settings import Settings
 from rendezview_service.tracker.sensor_health import STALE_S, Arrivals, OtherSensors
 
 _REMEMBERED = 64  # answers, for requests that are repeated. Source: a chosen limit
-_BARRED_S = 60.0  # s, after an input that ended a process. Source: chosen
-ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
 
 
 class Session:
@@ -45,12 +44,14 @@ class Session:
         settings: Settings,
         metrics: Metrics,
         source: str | None = None,
+        histories: Histories | None = None,
     ) -> None:
         """A session without a worker; frames wait until it has one.
 
         Args:
             stored: the model; it stays the same, whatever happens to its name.
             source: a source that the service itself reads; None: clients send the frames.
+            histories: of all sessions; None: it is alone.
         """
         self.id = name
         self.stored = stored
@@ -58,7 +59,7 @@ class Session:
         self.request = request
         self.request_now = request  # of the present worker: its prior is the last pose
         self.handover: Header | None = None  # the `Fused` state that its filter goes on from
-        self.ended_at_s: list[float] = []  # worker processes that its frames ended, monotonic
+        self.bar = Bar()
         self.settings = settings
         assert request.camera is not None
         longest = longest_frame(request.camera.width, request.camera.height)
@@ -67,7 +68,10 @@ class Session:
         self.worker: WorkerHandle[Session] | None = None
         self.created_unix_s = time.time()
         self.log = SessionLog(name)
-        self.past = Past(settings.history_s, settings.history_rate_hz, settings.history_image_hz)
+        rates_hz = settings.history_rate_hz, settings.history_image_hz
+        self._histories = histories or Histories(settings.history_bytes)
+        self.past = Past(settings.history_s, *rates_hz, self._histories)
+        self._histories.enter(self.past)
         self.progress = Progress()
         self.watchers = Watchers(self._show_last)
         self.finished = False
@@ -90,7 +94,6 @@ class Session:
         self._others = OtherSensors()
         self._lines = TokenBucket.full(settings.measurements_per_s, time.monotonic())
         self._last_fault: str | None = None
-        self._barred_until_s = -math.inf
         self._refused_since_s: float | None = None  # no frame has been usable since
         self.was_fused = False  # at another service
         self.keeper: CheckpointKeeper | None = None
@@ -99,7 +102,7 @@ class Session:
 
     def input(
         self,
-        pieces: Sequence[Bytes],
+        pieces: list[Bytes],
         time_s: float | None,
         answer: Callable[[Answer], None],
         *,
@@ -217,15 +220,9 @@ class Session:
             "extras": self.watchers.extras(now_s, history_px),
         }
 
-    def most_lines_of(self, waiting: SessionInput) -> int:
-        """How many lines a sensor's message can hold."""
-        breaks = sum(bytes(piece).count(b"\n") for piece in waiting.pieces)
-        return min(1 + breaks, self.settings.measurement_lines)
-
     def _admit(self, waiting: SessionInput) -> None:
-        left_s = self._barred_until_s - waiting.received_s
-        if left_s > 0.0 and self.source is None:
-            raise Barred(left_s)
+        if self.source is None:
+            self.bar.check()
         if waiting.sensor is None:
             self.lease.take(waiting.sender, waiting.received_s)
 
@@ -235,7 +232,7 @@ class Session:
 
     def _show_last(self) -> None:
         """Ask the worker for the last frame once more: watchers missed it."""
-        self._queue.shows_last = SessionInput((), 0.0, 0.0, 0.0, lambda _: None, shows_last=True)
+        self._queue.shows_last = SessionInput([], 0.0, 0.0, 0.0, lambda _: None, shows_last=True)
         self._wake()
 
     def _wake(self) -> None:
@@ -258,9 +255,11 @@ class Session:
         self.recorded(header)
         self._others.tracked(waiting.received_s, waiting.received_unix_s, header)
         self._metrics.tracked(header["status"], header["track_ms"], now_s - waiting.received_s)
-        if self.keeper is not None:
-            self.keeper.keep(self.checkpoint())
-        waiting.answer(Answer(200, state))
+        answer = partial(waiting.answer, Answer(200, state))
+        if self.keeper is None:
+            answer()
+        else:
+            self.keeper.keep(self.checkpoint(), answer)
         self.past.add(now_s, header["frame"], state)
         self.watchers.tracked()
 
@@ -309,10 +308,7 @@ class Session:
     def lost(self, waiting: SessionInput, at_fault: bool) -> None:
         """The worker ended over a frame or sensor lines; perhaps these are at fault."""
         error = "the tracker's process ended over it: another one continues with the next frame"
-        now_s = time.monotonic()
-        if at_fault:
-            self._barred_until_s = now_s + _BARRED_S
-        self.ended_at_s = [*(at_s for at_s in self.ended_at_s if now_s - at_s < ENDED_S), now_s]
+        self.bar.ended(at_fault)
         self.events.add("worker", Level.ALARM, error)
         if waiting.sensor is None:
             self._last_fault = error
@@ -375,6 +371,7 @@ class Session:
         for waiting in self._queue:
             waiting.answer(Answer(status, b"", reason))
         self._queue.clear()
+        self._histories.leave(self.past)
         self.watchers.end(reason)
         self._metrics.remove()
 

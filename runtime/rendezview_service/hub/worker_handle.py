@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import mmap
 import os
 import signal
 import socket
@@ -31,6 +32,8 @@ _OWN_FAULTS = (
     -signal.SIGILL,
 )  # fmt: skip
 _END_S = 1.0  # s, from the end of a process's connection to its own. Source: chosen
+_KEPT = 4_000_000  # bytes of shared memory that stay for the next input. Source: chosen
+_GIVE_BACK: int | None = getattr(mmap, "MADV_REMOVE", None)  # absent on macOS
 _START_S = 120.0  # s; the first start on a machine compiles. Source: a chosen limit
 
 
@@ -52,9 +55,6 @@ class WorkerClient(Protocol):
 
     def header_of(self, waiting: SessionInput) -> Header:
         """The request that goes to the process with an input."""
-
-    def most_lines_of(self, waiting: SessionInput) -> int:
-        """How many sensor lines an input can hold."""
 
     def tracked(self, waiting: SessionInput, header: Header, state: bytes) -> None:
         """A frame's state has come."""
@@ -187,18 +187,18 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
             if session.has_waiting:
                 self._turns.append(session)
             self._current = session, waiting
-            place = 0
-            for piece in waiting.pieces:
-                self._memory[place : place + len(piece)] = piece
-                place += len(piece)
-            self._transport.write(pack(session.header_of(waiting)))
+            request = session.header_of(waiting)
             # Every late line makes the filter repeat what came after it.
-            count = 1 if waiting.sensor is None else session.most_lines_of(waiting)
+            count = min(waiting.lines, request["most_lines"]) if waiting.sensor is not None else 1
+            waiting.move_to(self._memory)
+            self._transport.write(pack(request))
             limit_s = count * self._frame_timeout_s
             self._sent_at_s, self._spent_before_s = time.monotonic(), self._processor_s()
             self._timer = Timer(limit_s, partial(self._late, limit_s))
 
     def _done(self) -> None:
+        if self._current is not None and self._current[1].length > _KEPT and _GIVE_BACK is not None:
+            self._memory.madvise(_GIVE_BACK)
         self._current = None
         if self._timer is not None:
             self._timer.cancel()

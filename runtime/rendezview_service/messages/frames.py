@@ -70,10 +70,10 @@ def read_frame(content: Bytes, camera: Camera) -> GreyImage:
                 f"a raw frame of this camera has {camera.width} × {camera.height} = {wanted} "
                 f"bytes, not {len(content)}: send grey levels row by row, or a PNG or JPEG file"
             )
-        # Writable, like all frames: numba compiles read-only arrays separately, and the two
-        # compilations may round differently.
-        own = bytearray(content) if isinstance(content, bytes) else content
-        return np.frombuffer(own, dtype=np.uint8).reshape(camera.height, camera.width)
+        # A copy: the next frame comes in the same memory. Writable, like all frames: numba compiles
+        # read-only arrays separately, and the two compilations may round differently.
+        levels = np.frombuffer(bytearray(content), dtype=np.uint8)
+        return levels.reshape(camera.height, camera.width)
     damaged = (
         f"the {kind.upper()} frame is cut short or damaged, or packed wastefully: send it again"
     )

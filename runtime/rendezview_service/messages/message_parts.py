@@ -59,3 +59,18 @@ class ProtectionLevels(Message):
     drift: float = Field(description="largest cumulative sum of the innovations, σ")
     alarm: bool = Field(description="the pose must not be used")
     alarms: list[str] = Field(description="why: attitude, position, witnesses, drift")
+
+
+class BudgetUse(Message):
+    """How much is in use of what there is for all who send and read."""
+
+    used: int
+    most: int
+    exceeded: bool = Field(default=False, description="in the last 10 s: somebody was refused")
+
+
+class Fault(Message):
+    """The body of every answer with a status of 400 or more."""
+
+    error: str = Field(description="what is wrong, where, and what to do")
+    status: int

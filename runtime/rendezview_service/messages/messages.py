@@ -28,6 +28,7 @@ from rendezview_service.messages.frame_sensor_messages import (
 )
 from rendezview_service.messages.fusion_messages import Fused, FusionRequest, Marks
 from rendezview_service.messages.message_parts import (
+    BudgetUse,
     Direction,
     Matrix6,
     Message,
@@ -391,10 +392,8 @@ class Health(Message):
     uptime_s: float
     sessions: int
     recording_failures: int
-
-
-class Fault(Message):
-    """The body of every answer with a status of 400 or more."""
-
-    error: str = Field(description="what is wrong, where, and what to do")
-    status: int
+    budgets: dict[str, BudgetUse] = Field(
+        default={},
+        description="bodies_bytes, uploads_bytes, unread_bytes, history_bytes, connections, "
+        "requests, websockets, downloads, watchers, sessions, barred_sessions",
+    )

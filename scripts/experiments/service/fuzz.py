@@ -14,14 +14,26 @@ from rendezview_service.client import Client
 harness = tests_module("service.fuzz")
 
 
-def run(model: Path, *, count: int = 50000, seed: int = 0, hostile_s: float = 0.0) -> None:
+# Cases of a block.
+PARTS = {"by_routes": 1800, "by_http": 100, "by_stream": 100}
+
+
+def run(
+    model: Path,
+    *,
+    count: int = 50000,
+    minutes: float = 600.0,
+    seed: int = 0,
+    hostile_s: float = 0.0,
+) -> None:
     """Malformed frames and messages, by the ten thousand: none may crash, hang or leak.
 
-    Half of the cases go to every route with every method, and to the socket itself; a quarter are
-    damaged frames of all kinds, lines of other sensors and JSON that is almost right, by HTTP; a
-    quarter the same by WebSocket. Failures: a server error (5xx other than 503), an answer that
-    takes more than 10 s, more than 5 s of processor time or 200 MB for a case, a worker that ends,
-    a session that remains, or a service that no longer tracks a good frame. With --hostile-s,
+    Most cases go to every route with every method, pictures among them, and to the socket itself.
+    One in twenty is a damaged frame of any kind, lines of other sensors or JSON that is almost
+    right, by HTTP, and one in twenty the same by WebSocket: these cost a search each. No block of
+    cases begins after so many minutes. Failures: a server error (5xx other than 503), an answer
+    that takes more than 10 s, more than 5 s of processor time or 200 MB for a case, a worker that
+    ends, a session that remains, or a service that no longer tracks a good frame. With --hostile-s,
     clients that take what they can instead, each for so many seconds beside an innocent one.
     """
     if hostile_s:
@@ -40,10 +52,14 @@ def run(model: Path, *, count: int = 50000, seed: int = 0, hostile_s: float = 0.
         fuzz.open(client)
         fuzz.still_tracks()
         before = served.resident_mb()
-        for part, share in ((fuzz.by_routes, 2), (fuzz.by_http, 4), (fuzz.by_stream, 4)):
-            part(count // share)
-            print(f"{part.__name__}: {len(fuzz.failures)} failures", file=sys.stderr, flush=True)
-        fuzz.still_tracks()
+        done = 0
+        while done < count and time.monotonic() < start + 60.0 * minutes:
+            for part, size in PARTS.items():
+                getattr(fuzz, part)(size)
+                done += size
+            fuzz.still_tracks()
+            told = f"{done} cases, {len(fuzz.failures)} failures, {served.resident_mb():.0f} MB"
+            print(told, file=sys.stderr, flush=True)
         sessions = [s["id"] for s in client.sessions()]
         ended, after = harness.RESTARTS not in client.fetch("GET", "/metrics"), served.resident_mb()
     served.stop()
@@ -54,7 +70,7 @@ def run(model: Path, *, count: int = 50000, seed: int = 0, hostile_s: float = 0.
     if ended:
         fuzz.failures.append("workers ended")
     spent = time.monotonic() - start
-    print(f"seed {seed}: {count} cases in {spent:.0f} s, {len(fuzz.failures)} failures")
+    print(f"seed {seed}: {done} cases in {spent:.0f} s, {len(fuzz.failures)} failures")
     print(", ".join(f"{name}: {count}" for name, count in fuzz.outcomes.most_common()))
     print(f"memory {before:.0f} MB before, {after:.0f} MB after")
     print(f"most for one case {fuzz.worst_s[0]:.2f} s of processor time ({fuzz.worst_s[1]})")

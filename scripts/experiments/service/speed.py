@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from multiprocessing import Queue, get_context
@@ -12,6 +13,7 @@ import cv2
 import numpy as np
 
 from experiments.service.serving import Loop, Served
+from experiments.service.soak import soak
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview_service.client import Client, ServiceError
 
@@ -117,13 +119,16 @@ def many(loop: Loop, model: Path, scene: Path) -> None:
     )
 
 
-def run(model: Path, scene: Path) -> None:
+def run(model: Path, scene: Path, *, soak_min: int = 0, rate_hz: float = 2.0) -> None:
     """Cost of the service over the bare tracker call, and throughput with eight clients.
 
     SCENE is a folder that rendezview simulate wrote, 640 × 480, of the model's target, moving
     little from frame to frame (--dt 0.0333 --jitter 0 --turn 10). The service runs on a free port
-    of this machine; bare calls and the service take turns, so that other load disturbs both.
+    of this machine; bare calls and the service take turns, so that other load disturbs both. With
+    --soak-min, memory minute by minute at a steady rate instead.
     """
+    if soak_min:
+        sys.exit(not soak(model, scene, soak_min, rate_hz))
     cv2.setNumThreads(1)
     loop = Loop(scene)
     overhead(loop, model)

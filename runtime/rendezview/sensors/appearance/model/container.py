@@ -87,8 +87,6 @@ def read_container(path: Path) -> tuple[dict[str, Any], dict[str, npt.NDArray[An
         raise RendezviewError(f"{path}: no such model file") from None
     except OSError as error:
         raise RendezviewError(f"{path}: {error.strerror or error}") from None
-    if data[: len(MAGIC)] != MAGIC:
-        raise RendezviewError(f"{path}: not a rendezview model; make one with `rendezview train`")
     if len(data) < _PREFIX.size:
         raise RendezviewError(f"{path}: the model file is cut off; train or copy it again")
     _, version, length = _PREFIX.unpack_from(data)
@@ -126,6 +124,10 @@ def _read(path: Path) -> tuple[memoryview, bytes]:
     A second thread computes the checksum of one block while the next is read.
     """
     with path.open("rb", buffering=0) as file, ThreadPoolExecutor(1) as pool:
+        if file.read(len(MAGIC)) != MAGIC:  # before a large file of another kind is read
+            said = "not a rendezview model; make one with `rendezview train`"
+            raise RendezviewError(f"{path}: {said}")
+        file.seek(0)
         size = os.fstat(file.fileno()).st_size
         buffer: npt.NDArray[np.uint8] = np.empty(size, dtype=np.uint8)
         data = buffer.data
