@@ -70,13 +70,18 @@ def second_moments(points: npt.NDArray[np.int16], kinds: npt.NDArray[np.uint8]) 
 
 
 def within(prior: Pose, error_rad: float, centre_m: Array) -> Bound:
-    """Whether a pose is near enough to a prior, whose range is right to a quarter."""
+    """Whether a pose is near enough to a prior.
+
+    An error of the range displaces the outline by as many pixels as an attitude error of as many
+    radians, so its share has the same bound, a quarter at most.
+    """
     range_m = float(np.linalg.norm(prior.apply(centre_m)))
+    most_rad = furthest_rad(error_rad)
+    most = min(RANGE_ERROR, most_rad)
 
     def near(pose: Pose) -> bool:
         off = float(np.linalg.norm(pose.apply(centre_m))) / max(range_m, 1e-9)
-        turned_rad = pose.angle_to(prior)
-        return abs(off - 1.0) <= RANGE_ERROR and turned_rad < furthest_rad(error_rad)
+        return abs(off - 1.0) <= most and pose.angle_to(prior) < most_rad
 
     return near
 
