@@ -122,9 +122,8 @@ class PoseSearch:
         other = copy(self)
         other.camera, other.refine_options = camera, options
         other.refiner = Refiner(self.model, camera, options)
-        other.shading = Shading(self.model, camera)
-        if self.rivals is not None:
-            other.rivals = Rivals(self.model, camera, other.shading)
+        other.shading = self.shading.with_camera(camera)
+        other.rivals = self.rivals and self.rivals.with_camera(camera)
         if other.refiner.articulation is not None and self.refiner.articulation is not None:
             other.refiner.articulation.start_rad = self.refiner.articulation.start_rad
             other.refiner.articulation.tracked = self.refiner.articulation.tracked
@@ -316,8 +315,7 @@ class PoseSearch:
         found = single.choose(shade=not reaches_usual)
         if reaches_usual and found is not None and found.confidence < _CONFIDENT:
             found = single.choose()
-        confirmed = refined.inlier_ratio >= sufficient_inlier_ratio
-        least = _CONFIRMED if confirmed else _CONFIDENT
+        least = _CONFIRMED if refined.inlier_ratio >= sufficient_inlier_ratio else _CONFIDENT
         return replace(found, single=True) if found and found.confidence >= least else None
 
     def proposed(
