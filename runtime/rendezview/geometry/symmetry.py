@@ -77,10 +77,13 @@ def nearest_alike(estimate: Pose, truth: Pose, symmetries: Sequence[Symmetry]) -
     group = _group(tuple(symmetries))
     if group.ball:
         rotation = truth.rotation
+    elif group.axis is None:
+        # The least angle has the largest trace, Σ Aᵢⱼ Sⱼᵢ for A = truthᵀ estimate and a turn S.
+        traces = group.transposed @ (truth.rotation.T @ estimate.rotation).ravel()
+        rotation = estimate.rotation @ group.turns[int(np.argmax(traces))]
     else:
-        alike = [estimate.rotation @ turn for turn in group.turns]
-        if group.axis is not None:
-            alike = [_spun(rotation, truth.rotation, group.axis) for rotation in alike]
+        turned = (estimate.rotation @ turn for turn in group.turns)
+        alike = [_spun(rotation, truth.rotation, group.axis) for rotation in turned]
         rotation = min(alike, key=lambda rotation: rotation_angle(rotation @ truth.rotation.T))
     if not group.centre_m.any():
         return Pose(rotation, estimate.translation_m)
@@ -170,6 +173,7 @@ class _Group:
     """All turns of a target's symmetries."""
 
     turns: tuple[Array, ...]  # (3, 3) each, the identity first
+    transposed: Array  # (N, 9) of them
     axis: Array | None  # (3,) unit, of any turn
     ball: bool  # any attitude looks alike
     centre_m: Array  # (3,) stays in place
@@ -184,7 +188,8 @@ def _group(symmetries: tuple[Symmetry, ...]) -> _Group:
         moved = [turn @ axes[0] for turn in turns] + axes
         ball = any(np.linalg.norm(np.cross(axis, axes[0])) > _SAME_RAD for axis in moved)
     axis = axes[0] if axes else None
-    return _Group(tuple(turns), axis, ball, common_point(symmetries))
+    transposed = np.array(turns).transpose(0, 2, 1).reshape(-1, 9)
+    return _Group(tuple(turns), transposed, axis, ball, common_point(symmetries))
 
 
 def _spun(rotation: Array, truth: Array, axis: Array) -> Array:

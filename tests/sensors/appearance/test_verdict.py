@@ -14,6 +14,7 @@ from rendezview.sensors.appearance.edges.refinement import Refined
 from rendezview.sensors.appearance.judge.confidence import Found
 from rendezview.sensors.appearance.judge.rivals import Weighed
 from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.search.starts import within
 from rendezview.sensors.appearance.verdict import Near
 
 SUN = np.array([0.0, 0.0, -1.0])
@@ -44,6 +45,18 @@ def test_an_answer_is_as_near_to_its_prior_as_both_errors_allow(apart_deg, sigma
     answer = found(turned(20.0 + apart_deg), sigma_deg)
     assert near.bounds(answer) is (answer if kept else None)
     assert near.bounds(None) is None
+
+
+@pytest.mark.parametrize(
+    ("share", "error_deg", "near"),
+    [(1.2, 20.0, True), (0.8, 20.0, True), (1.3, 20.0, False), (0.7, 60.0, False),
+     (1.1, 8.0, True), (1.2, 8.0, False)],
+)  # fmt: skip
+def test_the_range_of_a_prior_is_as_right_as_its_attitude_a_quarter_at_most(share, error_deg, near):
+    prior, centre_m = turned(20.0), np.array([0.5, 0.0, 0.2])
+    arm = prior.rotation @ centre_m
+    moved = Pose(prior.rotation, share * (prior.translation_m + arm) - arm)
+    assert within(prior, np.deg2rad(error_deg), centre_m)(moved) == near
 
 
 def sketched(pose: Pose, probability: float) -> SketchFound:

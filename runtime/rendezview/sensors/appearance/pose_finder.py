@@ -108,7 +108,7 @@ class PoseFinder:
         if self.search is not None:
             other.search = self.search.with_camera(camera, may_be)
         if self._rivals is not None:
-            other._rivals = Rivals(self.model, camera)
+            other._rivals = self._rivals.with_camera(camera)
         if self.close is not None:
             other.close = CloseSearch(self.model, camera)
         if self.sketch is not None and other.search is not None:

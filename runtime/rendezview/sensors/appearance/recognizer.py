@@ -134,10 +134,11 @@ class Recognizer:
 
         Args:
             image: (H, W) grey levels, or (H, W, 3) blue, green, red; see `check_frame`.
-            prior: camera_from_target, roughly. Refinement starts from it, and it chooses among
-                several bodies. ``None``: all attitudes are searched, and a view that fits two
-                of them gives ``AMBIGUOUS``.
-            prior_error_rad: how far off the prior's attitude may be; default 20°.
+            prior: camera_from_target, its range right to a quarter. Refinement starts from it, and
+                it chooses among several bodies. ``None``: all attitudes are searched, and a view
+                that fits two of them gives ``AMBIGUOUS``.
+            prior_error_rad: how far off the prior's attitude may be; default 20°. Its range may be
+                off by as large a share as radians.
             sun_camera: (3,) towards the Sun, camera frame, if it is known.
             enough_inliers: inlier ratio at which the pose next to the prior is accepted without
                 another search, where it is below that of the search's options.

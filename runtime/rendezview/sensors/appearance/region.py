@@ -15,6 +15,7 @@ from rendezview.sensors.appearance.edges.contour_at import contour_pixels
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.reading import LateReading, OutlineReading
+from rendezview.sensors.appearance.search.starts import RANGE_ERROR
 from rendezview.sensors.appearance.search.windows import overlap
 
 # Of the longer side of a box: what is looked at around it. A detector's box that is 20 % too small
@@ -26,7 +27,6 @@ _LEAST_OVERLAP = 0.3
 # The same of a mask, whose sides are wrong by a tenth at most. Source: by construction
 _LEAST_OF_MASK = 0.6
 _BESIDE = 0.2  # of the box of a pose: a place may lie so far beside it. Source: by construction
-_MOST_OFF = 0.25  # of a range that is told. Source: by construction, as a box that is a fifth wrong
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +130,7 @@ class Region:
             return overlap(self.box_px, box) >= least
         if self.range_m is not None:
             range_m = float(np.linalg.norm(pose.apply(model.centre_m)))
-            if abs(range_m - self.range_m) > _MOST_OFF * self.range_m:
+            if abs(range_m - self.range_m) > RANGE_ERROR * self.range_m:
                 return False
         return self.holds(box)
 

@@ -144,8 +144,7 @@ def test_poses_are_found_before_a_sky_where_no_threshold_holds(
         assert near is not None
         assert near.prior
         assert near.pose.angle_to(start) < np.deg2rad(20.0)
-        # The mean of sketches of two scales is another pose than that of one, which every second
-        # contour point gives, and near it.
+        # The pose converges on the finer sketch from that of every second contour point.
         apart_deg = np.rad2deg(near.pose.angle_to(near.best.pose))
         assert 0.0 < apart_deg < 2.0 * near.spread_deg + 0.5
         assert np.linalg.eigvalsh(near.covariance).min() > 0.0

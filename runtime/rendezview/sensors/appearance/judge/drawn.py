@@ -9,6 +9,7 @@ under the other pose's Sun would look worse than it can.
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 
 import cv2
@@ -115,6 +116,12 @@ class DrawnEvidence:
         self._albedo = shape.albedo.astype(np.float64) * ALBEDO_UNIT
         self._centre_m, self._radius_m = model.centre_m, model.target_radius_m
         self._camera = camera
+
+    def with_camera(self, camera: Camera) -> DrawnEvidence:
+        """The same in the frames of another camera."""
+        other = copy(self)
+        other._camera = camera
+        return other
 
     def window(self, image: Picture, sky: Sky, pose: Pose) -> Window:
         """The part of a frame (H, W) about a pose, for it and its rivals."""

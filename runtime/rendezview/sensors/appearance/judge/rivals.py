@@ -10,6 +10,7 @@ pictures leave unexplained of the frame, beside the merit of the edges, decides 
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,6 +56,13 @@ class Rivals:
         self._centre_m = model.centre_m
         self._evidence = DrawnEvidence(model.shape, model, camera)
         self._shading = shading or Shading(model, camera)
+
+    def with_camera(self, camera: Camera) -> Rivals:
+        """The same in the frames of another camera."""
+        other = copy(self)
+        other._evidence = self._evidence.with_camera(camera)
+        other._shading = self._shading.with_camera(camera)
+        return other
 
     def look_alikes(self, pose: Pose) -> list[Pose]:
         """Poses (camera_from_target) that look nearly like one."""

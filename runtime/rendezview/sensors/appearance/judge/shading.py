@@ -9,6 +9,7 @@ This separates half turns and other poses whose edges are alike.
 
 from __future__ import annotations
 
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -103,6 +104,12 @@ class Shading:
             self._surface = SurfaceTables.of(model.surface, model.target_radius_m)
         self._centre_m = model.centre_m
         self._lens = (lens_vector(camera), camera.is_distorted)
+
+    def with_camera(self, camera: Camera) -> Shading:
+        """The same in the frames of another camera."""
+        other = copy(self)
+        other._lens = (lens_vector(camera), camera.is_distorted)
+        return other
 
     def of(self, image: Picture, sky: Sky, pose: Pose) -> Shade | None:
         """Agreement in small windows and its Sun; None where the model has no surface."""

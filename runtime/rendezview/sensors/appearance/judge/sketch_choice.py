@@ -107,8 +107,8 @@ class SketchChoice:
     passes: Passes
     prior: bool  # found near a prior
     cut: bool  # the target leaves the frame
-    pose: Pose  # the mean of those that the best leads to in sketches of two scales
-    spread_deg: float = 0.0  # °; the largest angle between the mean and one of them
+    pose: Pose  # that the best leads to in the finer sketch
+    spread_deg: float = 0.0  # °; between those of two scales and their mean, at most
     overflows: bool = False  # … on two opposite sides: what is seen does not tell poses apart
     other: float | None = None  # confidence of the less confident of two opinions, and …
     agree: bool = False  # … whether both are the same answer

@@ -40,6 +40,7 @@ from rendezview.sensors.appearance.sky import Sky
 
 # Source: commit 7a5ba6e, experiment pose-accuracy
 _CONFIDENT = 0.98  # probability; such a pose needs no further search, nor its shading
+_CONFIRMED = 0.9  # the same after a search. Source: as of a restart, TrackerOptions
 # Of the log of the rank by similarity, a unit of the forest's log odds. Source: experiment
 # tree-ablation (0.1), seed 4101
 _VOTES_WORTH = 0.3
@@ -121,9 +122,8 @@ class PoseSearch:
         other = copy(self)
         other.camera, other.refine_options = camera, options
         other.refiner = Refiner(self.model, camera, options)
-        other.shading = Shading(self.model, camera)
-        if self.rivals is not None:
-            other.rivals = Rivals(self.model, camera, other.shading)
+        other.shading = self.shading.with_camera(camera)
+        other.rivals = self.rivals and self.rivals.with_camera(camera)
         if other.refiner.articulation is not None and self.refiner.articulation is not None:
             other.refiner.articulation.start_rad = self.refiner.articulation.start_rad
             other.refiner.articulation.tracked = self.refiner.articulation.tracked
@@ -302,21 +302,21 @@ class PoseSearch:
     ) -> Found | None:  # fmt: skip
         """The pose next to a prior that is right to a few degrees; None unless it is confident.
 
-        ``sufficient_inlier_ratio`` lowers the inlier ratio that the options require.
+        ``sufficient_inlier_ratio`` lowers what the options require: a search has confirmed it.
         """
         usual = self.options.inlier_ratio if sky.dark else self.options.inlier_ratio_bright
         refined = self.refiner.refine(image, sky, prior)
         if refined is None or refined.inlier_ratio < min(sufficient_inlier_ratio, usual):
             return None
-        single = self._candidates(image, sky, [], prior=within(prior, error_rad))
+        near = within(prior, error_rad, self.model.centre_m)
+        single = self._candidates(image, sky, [], prior=near)
         single.add([refined])
         reaches_usual = refined.inlier_ratio >= usual
         found = single.choose(shade=not reaches_usual)
         if reaches_usual and found is not None and found.confidence < _CONFIDENT:
             found = single.choose()
-        if found is None or found.confidence < _CONFIDENT:
-            return None
-        return replace(found, single=True)
+        least = _CONFIRMED if refined.inlier_ratio >= sufficient_inlier_ratio else _CONFIDENT
+        return replace(found, single=True) if found and found.confidence >= least else None
 
     def proposed(
         self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
@@ -343,7 +343,8 @@ class PoseSearch:
     ) -> Found | None:  # fmt: skip
         """The pose within some angle of a prior, from rotations of it and retrieved views."""
         rotations, centres = self._starts_near(prior, error_rad, bodies, also)
-        candidates = self._candidates(image, sky, bodies, prior=within(prior, error_rad))
+        near = within(prior, error_rad, self.model.centre_m)
+        candidates = self._candidates(image, sky, bodies, prior=near)
         candidates.add(self._close_to(image, sky, prior))
         keep = self.options.refined_near
         candidates.add(self.refiner.best(image, sky, rotations, centres, keep))

@@ -21,7 +21,7 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.so3 import exp, hat, log
+from rendezview.geometry.so3 import hat, log
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
@@ -156,7 +156,7 @@ class SketchSearch:
         rotations = np.concatenate([around, around, alike])
         centres = np.concatenate([stay, self.retrieval.placed(sketch, around), places])
         reading = self.read(sketch, sky)
-        first = within(prior, error_rad + _VIEW_RAD)
+        first = within(prior, error_rad + _VIEW_RAD, self.model.centre_m)
         poses = self._bounded(self.aligned(reading, rotations, centres), first)
         return self._closer(frame, sky, reading, poses, (prior, error_rad), turned=False)
 
@@ -259,13 +259,13 @@ class SketchSearch:
         starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
         places = np.array([b.pose.apply(centre_m) for b in best[1:]]).reshape(-1, 3)
         others = self._aligned(reading, starts, places, _FINE)
-        bounds = () if prior is None else (within(*prior),)
+        bounds = () if prior is None else (within(*prior, centre_m),)
         around, others = (self._bounded(found, *bounds) for found in (around, others))
         passes, near = Passes(poses, around, others), prior is not None
         choice = chosen(passes, self.model.symmetries, prior=near, cut=sketch.is_cut)
         if choice is None:
             return None
-        pose, spread_deg, scatter = self._mean(choice.best.pose, [first, reading])
+        pose, spread_deg, scatter = self._finest(choice.best.pose, [first, reading])
         choice = replace(
             choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows,
             aligned=partial(self._each_aligned, reading),
@@ -281,16 +281,19 @@ class SketchSearch:
         every = (*self.bounds, *bounds)
         return [found for found in poses if all(bound(found.pose) for bound in every)]
 
-    def _mean(self, best: Pose, readings: list[Reading]) -> tuple[Pose, float, Array]:
-        """The mean of the poses that one leads to in some sketches, weighted by what each knows.
+    def _finest(self, best: Pose, readings: list[Reading]) -> tuple[Pose, float, Array]:
+        """The pose that one leads to in the last and finest of some sketches.
+
+        Coarser ones draw outlines a quarter to half a sketch pixel inside: too far away.
 
         Returns:
-            The mean; the largest angle between it and one of them, °; (6, 6) its covariance as
-            their scatter shows it, of the rotation vector and the target's origin.
+            The pose; the largest angle between the sketches' poses and their mean, °, weighted by
+            what each knows; (6, 6) covariance of the mean as their scatter shows it, of the
+            rotation vector and the target's origin.
         """
         centre = best.apply(self.model.centre_m)
-        each = (self._measured(r.maps, r.lens, r.last, best) for r in readings)
-        found = [edges for edges in each if edges is not None]
+        each = [self._measured(r.maps, r.lens, r.last, best) for r in readings]
+        found, finest = [edges for edges in each if edges is not None], each[-1]
         if not found:
             return best, 0.0, np.zeros((6, 6))
         moves = np.array(
@@ -299,16 +302,17 @@ class SketchSearch:
         known = np.array([edges.information for edges in found])
         total = known.sum(0)
         total += _UNKNOWN * np.diag(np.diag(total))
-        move = np.linalg.solve(total, np.einsum("kij,kj->i", known, moves))
-        off = moves - move
-        rotation = exp(move[:3]) @ best.rotation
-        arm = rotation @ self.model.centre_m
+        off = moves - np.linalg.solve(total, np.einsum("kij,kj->i", known, moves))
+        pose = best
+        if finest is not None:
+            arm = finest.rotation @ self.model.centre_m
+            pose = Pose(finest.rotation, finest.centre_m - arm)
         carry = np.eye(6)  # from the view centre to the target's origin
-        carry[3:, :3] = hat(arm)
+        carry[3:, :3] = hat(pose.rotation @ self.model.centre_m)
         count = len(found)
         scatter = carry @ (off.T @ off) @ carry.T / (count * max(count - 1, 1))
         spread_deg = float(np.rad2deg(np.linalg.norm(off[:, :3], axis=1).max()))
-        return Pose(rotation, centre + move[3:] - arm), spread_deg, scatter
+        return pose, spread_deg, scatter
 
     def _lens_of(self, place: Array) -> Lens:
         """The lens of a camera whose picture is a sketch, ``place`` as of ``Sketch.place``."""
