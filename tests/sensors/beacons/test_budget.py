@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from rendezview.sensors.beacons.budget import budget_of, budget_rows, common_of,
 from rendezview.sensors.beacons.pose.refinement import refine
 from rendezview.sensors.beacons.tracker import ReflectorSensor
 from rendezview.sensors.measurement import PoseMeasurement
+from rendezview.sensors.observation import Status
 
 SIX = SixNumbers(3.0, 0.05, -0.03, 0.2, 0.15, -0.25)
 SIGMA = np.array([0.8, 0.7, 1.5, 1.2])  # px, of fx fy cx cy
@@ -221,9 +223,28 @@ def test_a_target_file_gives_the_sigma_of_a_place(tmp_path):
 
 
 def test_places_that_are_not_known_apart_leave_the_roll_open(three):
-    aside = replace(three, positions_m=three.positions_m + [[0, 0, 0], [8e-4, 5e-4, 1e-3], [0] * 3])
+    off = np.array([[0.0, 0.0, 0.0], [8e-4, 5e-4, 1e-3], [0.0, 0.0, 0.0]])
+    aside = replace(three, positions_m=three.positions_m + off)
     assert len(three.symmetries()) == 1
     assert aside.symmetries() == []
     assert replace(aside, sigmas_m=np.array([0.0, 1e-3, 0.0])).symmetries() == [(2, 1, 0)]
     larger = replace(aside, sigmas_m=np.full(3, 1e-3), diameters_m=np.array([0.025, 0.025, 0.026]))
     assert larger.symmetries() == []  # the third dot is another
+
+
+def test_the_reflector_that_is_mounted_aside_is_named(paper_camera, five, picture):
+    places = five.positions_m.copy()
+    places[3, 0] += 3e-3
+    mounted = replace(five, positions_m=places)
+    frames = picture(mounted, pose_of(SIX, five), np.random.default_rng(6))
+    reading = ReflectorSensor(paper_camera, [five]).update(0.0, frames)
+    assert reading.status is Status.AMBIGUOUS
+    assert "'top'" in reading.reason
+    aside_mm = float(re.search(r"([\d.]+) mm aside", reading.reason)[1])
+    assert aside_mm == pytest.approx(3.0, abs=0.3)
+    # Stated in the file, it is an error like others.
+    known = replace(five, sigmas_m=np.array([0.0, 0.0, 0.0, 3e-3, 0.0]), sigmas_known=True)
+    sensor = ReflectorSensor(paper_camera, [known])
+    found = [sensor.update(t, frames) for t in (0.0, 0.1)][-1]
+    off = difference(found.pose, pose_of(SIX, five))
+    assert off @ np.linalg.solve(found.covariance, off) < 25.0
