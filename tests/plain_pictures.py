@@ -81,11 +81,13 @@ def _blurred(fine: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def disc(
-    camera: Pinhole, place: np.ndarray, normal: np.ndarray, radius: float, look: Look
-) -> tuple[slice, slice, np.ndarray] | None:
+    camera: Pinhole, place: np.ndarray, normal: np.ndarray, radius: float, look: Look,
+    cover: tuple[float, float] | None = None,
+) -> tuple[slice, slice, np.ndarray] | None:  # fmt: skip
     """Rows, columns and grey levels of one disc of unit radiance; None out of the picture.
 
     A ray through every point of a fine grid meets the disc's plane inside or outside the disc.
+    ``cover``: direction (rad) and radii from its middle of an edge behind which it is hidden.
     """
     (u, v), *_ = camera.project(place[None])
     half = math.ceil(radius * camera.focal_px / place[2] * 1.3 + 4.5 * look.blur + 2.0)
@@ -98,6 +100,11 @@ def disc(
     off2 = (gx * depth - place[0]) ** 2 + (gy * depth - place[1]) ** 2 + (depth - place[2]) ** 2
     rise = np.hypot(*np.gradient(off2)) + 1e-30
     inside = np.clip(0.5 + (radius * radius - off2) / rise, 0.0, 1.0)
+    if cover is not None:
+        way = math.cos(cover[0]) * (gx * depth - place[0]) + math.sin(cover[0]) * (
+            gy * depth - place[1]
+        )
+        inside = inside * (way < cover[1] * radius)
     if not look.even:
         inside = inside * float(place @ place) / ((gx * gx + gy * gy + 1.0) * depth * depth)
     soft = _blurred(inside, look.blur * fine)
@@ -117,15 +124,19 @@ def disc(
 def discs(
     camera: Pinhole, rotation: np.ndarray, translation: np.ndarray, points: np.ndarray,
     normals: np.ndarray, diameters: np.ndarray, look: Look, hidden: tuple[int, ...] = (),
+    covers: dict[int, tuple[float, float]] | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """(H, W) light of all discs that face the camera; the brightest reaches ``look.peak``."""
+    """(H, W) light of all discs that face the camera; the brightest reaches ``look.peak``.
+
+    ``covers``: the ``cover`` of a `disc`, by its number.
+    """
     picture = np.zeros((camera.height, camera.width))
     places = points @ rotation.T + translation
     for k, place in enumerate(places):
         normal = rotation @ normals[k]
         if k in hidden or place[2] <= 0.0 or normal @ place >= 0.0:
             continue
-        painted = disc(camera, place, normal, 0.5 * diameters[k], look)
+        painted = disc(camera, place, normal, 0.5 * diameters[k], look, (covers or {}).get(k))
         if painted is not None:
             rows, columns, grey = painted
             falls = 1.0 if look.even else float(translation @ translation / (place @ place))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -53,10 +53,9 @@ class CharucoBoard:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraCalibration:
-    """A camera with the σ of its numbers."""
+    """A camera with the covariance of its numbers."""
 
-    camera: Camera
-    sigma: Array  # (9,) of fx fy cx cy k1 k2 p1 p2 k3
+    camera: Camera  # with its covariance
     rms_px: float
     used: int
     given: int
@@ -66,13 +65,14 @@ class CameraCalibration:
         """Name, value and σ of every number."""
         c = self.camera
         values = (c.fx, c.fy, c.cx, c.cy, *c.distortion)
-        yield from zip(_NAMES, values, self.sigma.tolist(), strict=True)
+        assert c.sigma is not None
+        yield from zip(_NAMES, values, c.sigma.tolist(), strict=True)
 
 
 def calibrate_camera(
     pictures: Sequence[Path], board: Chessboard | CharucoBoard
 ) -> CameraCalibration:
-    """Intrinsics and five lens terms by ``cv2.calibrateCameraExtended``.
+    """Intrinsics and five lens terms by ``cv2.calibrateCamera``, and their covariance.
 
     Raises:
         RendezviewError: pictures that cannot be read or differ in size, or too few boards.
@@ -87,22 +87,57 @@ def calibrate_camera(
         if found is None:
             without.append(path.name)
             continue
-        points.append(found[0].astype(np.float32))
-        corners.append(found[1].astype(np.float32))
+        points.append(found[0])
+        corners.append(found[1])
     if size is None or len(points) < _FEWEST_VIEWS:
         raise RendezviewError(
             f"the board is in {len(points)} of {len(paths)} pictures, {_FEWEST_VIEWS} are needed: "
             "check --board, or take more pictures, tilted and up to the corners of the picture"
         )
-    rms, matrix, lens, _, _, sigma, *_ = cv2.calibrateCameraExtended(
-        points, corners, size, np.eye(3), np.zeros(5)
+    camera, rms = camera_of_corners(points, corners, size)
+    return CameraCalibration(camera, rms, len(points), len(paths), tuple(without))
+
+
+def camera_of_corners(
+    points: Sequence[Array], corners: Sequence[Array], size: tuple[int, int]
+) -> tuple[Camera, float]:
+    """A camera with its covariance, and the r.m.s. residual, px.
+
+    Args:
+        points: (N, 3) of a board, m, for each view.
+        corners: (N, 2) where they are in the picture, px.
+        size: of the picture.
+    """
+    known = [np.asarray(each, np.float32) for each in points]
+    seen = [np.asarray(each, np.float32) for each in corners]
+    rms, matrix, lens, turns, places = cv2.calibrateCamera(
+        known, seen, size, np.eye(3), np.zeros(5)
     )
-    terms = tuple(float(term) for term in np.ravel(lens)[:5])
-    camera = Camera(*size, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], terms)
-    order = np.ravel(sigma)[:9]
-    return CameraCalibration(
-        camera, np.asarray(order, np.float64), float(rms), len(points), len(paths), tuple(without)
-    )
+    camera = Camera.from_matrix(matrix, size, np.ravel(lens)[:5].tolist())
+    covariance = _covariance(known, seen, matrix, lens, turns, places)
+    return replace(camera, covariance=covariance), float(rms)
+
+
+def _covariance(
+    points: Sequence[npt.NDArray[np.float32]], corners: Sequence[npt.NDArray[np.float32]],
+    matrix: cv2.typing.MatLike, lens: cv2.typing.MatLike,
+    turns: Sequence[cv2.typing.MatLike], places: Sequence[cv2.typing.MatLike],
+) -> tuple[tuple[float, ...], ...]:  # fmt: skip
+    """(9, 9) of fx fy cx cy k1 k2 p1 p2 k3; the boards' poses are unknown too."""
+    count = len(lens.ravel()) + 4
+    normal, squares, spare = np.zeros((count, count)), 0.0, -count
+    for known, seen, turn, place in zip(points, corners, turns, places, strict=True):
+        at, slopes = cv2.projectPoints(known, turn, place, matrix, lens)
+        by_pose, by_camera = slopes[:, :6], slopes[:, 6 : 6 + count]
+        residual = (seen - at.reshape(-1, 2)).ravel()
+        # What the board's own pose cannot take up.
+        left = by_camera - by_pose @ np.linalg.lstsq(by_pose, by_camera, rcond=None)[0]
+        normal += left.T @ left
+        squares += float(residual @ residual)
+        spare += len(residual) - 6
+    scale = np.sqrt(np.diag(normal))
+    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    return tuple(tuple(row) for row in (squares / max(spare, 1) * inverse).tolist())
 
 
 def _listed(pictures: Sequence[Path]) -> list[Path]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -12,6 +11,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import typer
 
+from rendezview.cli.budget import BudgetReport
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
 from rendezview.cli.inputs import say_once
 from rendezview.cli.progress import ProgressBar, say, say_summary
@@ -120,8 +120,7 @@ def reflectors(
         str | None, typer.Option(help="Splitter: 'a,b,c,d,e,f', rows of the map between cameras.")
     ] = None,
     registered: Annotated[
-        bool,
-        typer.Option("--register", help="The background moves between lit and dark: follow it."),
+        bool, typer.Option("--register", hidden=True, help="No effect: the pictures tell.")
     ] = False,
     independent: Annotated[
         bool, typer.Option("--independent", help="Each reading on its own, no memory.")
@@ -134,6 +133,9 @@ def reflectors(
         int | None, typer.Option(min=1, help="Stop after so many; a camera goes on until Ctrl-C.")
     ] = None,
     overlay: Annotated[Path | None, typer.Option(help="Folder for pictures of readings.")] = None,
+    budget: Annotated[
+        bool, typer.Option("--budget", help="Print the errors of the poses by cause, at the end.")
+    ] = False,
 ) -> None:
     """Read a video guidance sensor: reflectors to six numbers, or calibrate it.
 
@@ -186,12 +188,10 @@ def reflectors(
                   {"camera": s.camera, "chaser_from_target": s.chaser_from_target})
             for s in of_set
         )  # fmt: skip
-        _run(itertools.islice(steps, total), patterns, forms, overlay, output, total, options)
+        chosen = itertools.islice(steps, total)
+        _run(chosen, patterns, forms, overlay, output, total, options, BudgetReport(budget))
         return
     pairs, total = _pairs(places, camera, mode, lit_from_dark, invert, rate, readings)
-    if registered:
-        followed = (replace(pair, register=True) for pair in pairs)
-        pairs = list(followed) if isinstance(pairs, list) else followed
     if calibrating:
         if output is None:
             raise RendezviewError("reflectors calibrate: give -o, the file for the calibration")
@@ -202,7 +202,7 @@ def reflectors(
         accelerations=pushes, independent=independent,
     )  # fmt: skip
     steps = (_Step(*step, {}) for step in read)
-    _run(steps, patterns, forms, overlay, output, total, options)
+    _run(steps, patterns, forms, overlay, output, total, options, BudgetReport(budget))
 
 
 _SEPARATE = "Dots are found, but no reading follows the one before: separate poses? --independent"
@@ -269,6 +269,7 @@ def _pairs(
 def _run(
     steps: Iterable[_Step], patterns: list[ReflectorPattern], forms: PaperForms,
     overlay: Path | None, output: Path | None, total: int | None, options: ThresholdOptions,
+    report: BudgetReport,
 ) -> None:  # fmt: skip
     """Write log and pictures of all readings; a run that starts without a pose gets a hint."""
     compile_ahead("reflectors")
@@ -281,6 +282,7 @@ def _run(
                 drawn = draw_reading(pictures, reading, pair.lit.camera, patterns)
                 write_png(overlay / f"{pair.lit.im_id:06d}.png", drawn)
             hint.look(pair, pictures, reading)
+            report.take(reading.budget)
             noted = record(pair, reading, patterns, forms, pictures) | more
             yield Line(noted, reading.status, spent_ms=sum(reading.stage_ms.values()))
 
@@ -289,6 +291,7 @@ def _run(
     poses = summary.outcomes[Status.OK]
     say_summary(summary, poses, summary.total, what="poses", step="reading")
     hint.tell()
+    report.tell()
 
 
 def _calibrate(

@@ -21,6 +21,7 @@ from rendezview.calibration.board import (
 )
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.calibration.laboratory_files import load_record
+from rendezview.cli.budget import BudgetReport
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
 from rendezview.cli.progress import ProgressBar, say_summary
 from rendezview.errors import RendezviewError
@@ -120,6 +121,9 @@ def track(
             "--multiplex-s", min=0.0, help="Seconds from one light to the next of a reading."
         ),
     ] = 0.0,
+    budget: Annotated[
+        bool, typer.Option("--budget", help="Print the errors of the poses by cause, at the end.")
+    ] = False,
 ) -> None:
     """Track a target's lights through a log of readings or pictures.
 
@@ -150,6 +154,7 @@ def track(
         raise RendezviewError(f"{readings}: holds no readings")
     compile_ahead("stereo")
     tell_of_compiling()
+    report = BudgetReport(budget)
 
     def lines() -> Iterator[Line]:
         for reading in series:
@@ -157,6 +162,7 @@ def track(
             observation = tracker.update(reading.time_s, reading.fetch())
             spent_ms = 1e3 * (time.perf_counter() - start)
             row = None
+            report.take(observation.budget)
             if observation.pose is not None:
                 score, spent_s = float(observation.inliers), 1e-3 * spent_ms
                 row = ResultRow(1, reading.im_id, 1, score, observation.pose, spent_s)
@@ -169,6 +175,7 @@ def track(
         progress = bar.stage("readings", len(series))
         summary = run(lines(), log=log, results=output, progress=progress)
     say_summary(summary, len(summary.rows), len(series), what="poses", step="reading")
+    report.tell()
 
 
 def _from_pictures(folder: Path, board: str, pitch_mm: float, lens: str) -> Rig:

@@ -17,12 +17,19 @@ from rendezview.fusion.state import RING_GEOMETRY, FilterState, estimate_of, pre
 from rendezview.fusion.trust import Trust, Verdict
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.measurement import Measurement, PoseMeasurement
+from rendezview.sensors.measurement import (
+    Measurement,
+    PoseMeasurement,
+    RateMeasurement,
+    ThrustMeasurement,
+)
 from rendezview.sensors.observation import Status
 from rendezview.sensors.protection import ESTIMATORS_DISAGREE, Protection
 
 _ROUNDING_S = 1e-9  # Source: by construction
 _ORDER_LEAD = 1.0  # by which the other order must be likelier, nats. Source: by construction
+# Of a variance, in directions in which readings share no error. Source: by construction, nothing
+_LEAST_SHARE = 1e-6
 _ALARM = 0.1  # probability of a rival that raises an alarm. Source: by construction
 
 
@@ -58,6 +65,8 @@ class Fusion:
         self._base = Snapshot()  # before the first measurement that is remembered
         self._measurements: list[Measurement] = []
         self._after: list[Snapshot] = []  # beside them
+        # By sensor that gives places: what its readings have in common; None: not known.
+        self._common: dict[str, Array | None] = {}
         self._floor_s = -math.inf  # nothing earlier can be put in
         self._lock = threading.Lock()  # of all of the above
 
@@ -99,6 +108,9 @@ class Fusion:
                     self._put(place, measurements, swapped)
                     return other_verdict
         self._put(place, [measurement], after)
+        if verdict.accepted and not isinstance(measurement, RateMeasurement | ThrustMeasurement):
+            common = measurement.common if isinstance(measurement, PoseMeasurement) else None
+            self._common[measurement.sensor] = common
         return verdict
 
     def _filtered(
@@ -200,6 +212,7 @@ class Fusion:
         assert main is not None
         status, reason = Status.TRACKING, None
         pose, rates, covariance = estimate_of(state)
+        covariance = _floored(covariance, list(self._common.values()))
         limit_m = options.lost_range_fraction * math.sqrt(pose.translation_m @ pose.translation_m)
         why = useless_covariance(covariance, limit_m, options.lost_rad)
         silent_s = state.time_s - main.last_accepted_s
@@ -231,6 +244,26 @@ class Fusion:
             self._base = self._after[count - 1]
             self._floor_s = self._measurements[count - 1].time_s
             del self._measurements[:count], self._after[:count]
+
+
+def _floored(covariance: Array, commons: list[Array | None]) -> Array:
+    """A covariance (12, 12) of which no direction of the pose is below what readings share.
+
+    Of several sensors each tells what the others do not: their information adds. Where one of them
+    does not say what its readings share, there is no floor.
+    """
+    known = [common for common in commons if common is not None and common.any()]
+    if not known or len(known) < len(commons):
+        return covariance
+    least = np.diag(covariance)[:6] * _LEAST_SHARE  # a common error may leave a direction out
+    floor = np.linalg.inv(sum(np.linalg.inv(one + np.diag(least)) for one in known))
+    root = np.linalg.cholesky(floor)
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ covariance[:6, :6] @ inverse.T)
+    sides = root @ vectors * np.sqrt(np.maximum(1.0 - values, 0.0))
+    raised = covariance.copy()
+    raised[:6, :6] += sides @ sides.T
+    return raised
 
 
 def _ring_geometry(

@@ -194,7 +194,8 @@ def _pose_of(record: Mapping[str, Any], sensor: str, _: LogContext) -> Measureme
     if record.get("protection", {}).get("alarm"):
         return None
     covariance = np.array(record["covariance"], dtype=np.float64)
-    return PoseMeasurement(_time(record), sensor, _pose(record["pose"]), covariance)
+    common = record.get("common_covariance")
+    return PoseMeasurement(_time(record), sensor, _pose(record["pose"]), covariance, common)
 
 
 def _ring_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Measurement | None:

@@ -52,7 +52,8 @@ class Camera:
     Raises:
         ValueError: a size is not positive, a number not finite, a focal length not
             positive, a number of coefficients that the lens model does not have (0, 4, 5, 8, 12 or
-            14; fisheye: 4), or a bit depth other than 8, 10, 12, 14 and 16.
+            14; fisheye: 4), a bit depth other than 8, 10, 12, 14 and 16, or a matrix that is no
+            covariance of these numbers.
     """
 
     width: int  # px
@@ -64,6 +65,11 @@ class Camera:
     distortion: tuple[float, ...] = ()  # k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [τx τy]]]]
     lens_model: LensModel = LensModel.OPENCV
     bit_depth: int | None = None  # of pictures with 16-bit levels; None: from the picture file
+    # (4 + D, 4 + D) of fx fy cx cy (px) and D coefficients, as calibration knows them; a
+    # coefficient beyond `distortion` is 0 with its σ. None: not known.
+    covariance: tuple[tuple[float, ...], ...] | None = field(
+        default=None, repr=False, compare=False
+    )
     # What a reader of its file questions, one sentence each: see `rendezview.io.plausible`.
     doubts: tuple[str, ...] = field(default=(), repr=False, compare=False)
 
@@ -97,6 +103,33 @@ class Camera:
         object.__setattr__(self, "doubts", tuple(self.doubts))
         if self.bit_depth is not None and self.bit_depth not in BIT_DEPTHS:
             raise ValueError(f"bit_depth must be one of {BIT_DEPTHS}, not {self.bit_depth}")
+        if self.covariance is not None:
+            object.__setattr__(self, "covariance", self._checked_covariance(self.covariance))
+
+    def _checked_covariance(self, given: npt.ArrayLike) -> tuple[tuple[float, ...], ...]:
+        matrix = np.asarray(given, dtype=np.float64)
+        least = 4 + len(self.distortion)
+        lengths = (0, 4) if self.lens_model is LensModel.FISHEYE else DISTORTION_LENGTHS
+        sizes = [4 + n for n in lengths if 4 + n >= least or n == 0]
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or len(matrix) not in sizes:
+            raise ValueError(
+                f"covariance must be of 4 numbers (fx fy cx cy) or {least} and more (with the "
+                f"distortion), not {matrix.shape}"
+            )
+        sigma = np.sqrt(np.abs(np.diag(matrix)))
+        scaled = matrix / np.outer(*[np.where(sigma > 0.0, sigma, 1.0)] * 2)
+        if (
+            not np.isfinite(matrix).all()
+            or np.abs(scaled - scaled.T).max() > 1e-6
+            or (np.linalg.eigvalsh(scaled)[0] < -1e-6)
+        ):
+            raise ValueError("covariance must be finite, symmetric and not negative")
+        return tuple(tuple(row) for row in matrix.tolist())
+
+    @property
+    def sigma(self) -> Array | None:
+        """(4 + D,) one σ of fx fy cx cy and the coefficients; None where it is not known."""
+        return None if self.covariance is None else np.sqrt(np.diag(np.array(self.covariance)))
 
     @classmethod
     def from_matrix(
@@ -139,7 +172,7 @@ class Camera:
     @property
     def pinhole(self) -> Camera:
         """The camera with the same matrix and size, without its lens."""
-        return replace(self, distortion=(), lens_model=LensModel.OPENCV)
+        return replace(self, distortion=(), lens_model=LensModel.OPENCV, covariance=None)
 
     def cropped(self, x_px: int, y_px: int, width: int, height: int) -> Camera:
         """The camera of a region of interest; (x_px, y_px) is its top-left pixel.
@@ -170,6 +203,11 @@ class Camera:
             )
         if across == down == 1:
             return self
+        covariance = self.covariance
+        if covariance is not None:
+            scale = np.ones(len(covariance))
+            scale[:4] = 1.0 / across, 1.0 / down, 1.0 / across, 1.0 / down
+            covariance = (np.array(covariance) * np.outer(scale, scale)).tolist()
         return replace(
             self,
             width=self.width // across,
@@ -178,6 +216,7 @@ class Camera:
             fy=self.fy / down,
             cx=(self.cx + 0.5) / across - 0.5,
             cy=(self.cy + 0.5) / down - 0.5,
+            covariance=covariance,
         )
 
     def rays(self, points_px: npt.ArrayLike) -> Array:

@@ -16,7 +16,8 @@ The content of a file decides its kind, not its name:
 
 In all kinds, ``roi`` and ``binning`` say which part of the calibrated picture the images are, as in
 ROS, and ``bit_depth`` how many bits of 16-bit levels are used. ``checked: true`` says that numbers
-that are questioned are meant: `plausible`.
+that are questioned are meant: `plausible`. ``intrinsics_covariance`` is of the calibrated picture:
+a matrix, or one σ each, of fx fy cx cy (px) and the coefficients.
 
 SPEED's principal point is (Nu/2, Nv/2), as in its own projection code and in
 SPEED+'s ``cameraMatrix``. Both are used unchanged: SPEED+'s matrix is for OpenCV, whose pixel (0,
@@ -55,6 +56,7 @@ _POLYNOMIALS = (
     "opencv",
 )  # fmt: skip
 _FISHEYES = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "opencv_fisheye")
+_COVARIANCE = "intrinsics_covariance"  # of fx fy cx cy and the coefficients; or their σ
 _LIMIT_BYTES = 4_000_000  # a video given by mistake is not read whole. Source: a chosen limit
 
 
@@ -121,6 +123,8 @@ def save_camera(camera: Camera, path: StrPath) -> None:
         text += "fisheye_model: 1\ndistortion_model: equidistant\n"
     if camera.bit_depth is not None:
         text += f"bit_depth: {camera.bit_depth}\n"
+    if camera.covariance is not None:
+        text += f"{_COVARIANCE}: {_opencv_matrix(np.array(camera.covariance))}"
     atomic_write_text(path, text)
 
 
@@ -216,7 +220,19 @@ def _calibrated(data: dict[Any, Any]) -> Camera:
     else:
         width, height = (_whole(data, key) for key in size_keys if key is not None)
     depth = None if data.get("bit_depth") is None else _whole(data, "bit_depth")
-    return Camera(width, height, fx, fy, cx, cy, *_lens(data), depth)
+    return Camera(width, height, fx, fy, cx, cy, *_lens(data), depth, _covariance(data))
+
+
+def _covariance(data: dict[Any, Any]) -> Any:
+    """The matrix, of that or of one σ each; None: not known."""
+    given = data.get(_COVARIANCE)
+    if given is None:
+        return None
+    numbers = np.array(_numbers(given, _COVARIANCE))
+    rows = given.get("rows") if isinstance(given, dict) else np.shape(given)[0]
+    if isinstance(rows, int) and rows > 1 and rows * rows == len(numbers):
+        return numbers.reshape(rows, rows).tolist()
+    return np.diag(numbers**2).tolist()
 
 
 def _imaged(data: dict[Any, Any], camera: Camera) -> Camera:

@@ -76,6 +76,7 @@ class Reflector:
     position_m: Array  # (3,)
     normal: Array  # (3,) unit, outward
     diameter_m: float
+    position_sigma_m: float | None = None  # σ of each coordinate of its place; None: not known
 
     def record(self) -> dict[str, Any]:
         """As JSON."""
@@ -85,6 +86,7 @@ class Reflector:
             "position_m": self.position_m.tolist(),
             "normal": self.normal.tolist(),
             "diameter_m": self.diameter_m,
+            "position_sigma_m": self.position_sigma_m,
         }
 
     @classmethod
@@ -92,8 +94,9 @@ class Reflector:
         """The inverse of `record`."""
         place, normal = _frozen(record["position_m"]), _frozen(record["normal"])
         return cls(
-            str(record["name"]), str(record["group"]), place, normal, float(record["diameter_m"])
-        )
+            str(record["name"]), str(record["group"]), place, normal, float(record["diameter_m"]),
+            record.get("position_sigma_m"),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,6 +106,7 @@ class Led:
     name: str
     position_m: Array  # (3,)
     normal: Array  # (3,) unit, along the beam
+    position_sigma_m: float | None = None  # σ of each coordinate of its place; None: not known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,6 +193,7 @@ _Name = Annotated[str, StringConstraints(min_length=1)]
 _Vector = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 _Direction = Annotated[_Vector, AfterValidator(_direction)]
 _Length = Annotated[FiniteFloat, Field(gt=0.0)]
+_Sigma = Annotated[FiniteFloat, Field(ge=0.0)]
 _Boxes = list[Annotated[list[_Vector], Field(min_length=2, max_length=2)]]
 
 
@@ -220,12 +225,14 @@ class _ReflectorTable(_Table):
     position_m: _Vector
     normal: _Direction
     diameter_m: _Length
+    position_sigma_m: _Sigma | None = None
 
 
 class _LedTable(_Table):
     name: _Name
     position_m: _Vector
     normal: _Direction
+    position_sigma_m: _Sigma | None = None
 
 
 class _HingeTable(_Table):
@@ -312,11 +319,19 @@ def _read_target(path: Path) -> Target:
         shape_error=0.0 if file.mesh is None else file.mesh.shape_error,
         docking_ring=None if ring is None else _ring(ring),
         reflectors=tuple(
-            Reflector(r.name, r.group, _frozen(r.position_m), _frozen(r.normal), r.diameter_m)
+            Reflector(
+                r.name,
+                r.group,
+                _frozen(r.position_m),
+                _frozen(r.normal),
+                r.diameter_m,
+                r.position_sigma_m,
+            )
             for r in file.reflectors
         ),
         leds=tuple(
-            Led(led.name, _frozen(led.position_m), _frozen(led.normal)) for led in file.leds
+            Led(led.name, _frozen(led.position_m), _frozen(led.normal), led.position_sigma_m)
+            for led in file.leds
         ),
         symmetries=_symmetries(path, file.symmetries),
         joints=tuple(_joint(path, joint) for joint in file.joints),

@@ -34,19 +34,28 @@ class PoseMeasurement:
     sensor: str
     pose: Pose  # camera_from_target
     covariance: Array  # (6, 6) rotation vector, translation; on the left, camera frame
+    # (6, 6) of it that all readings of a run have in common, as a calibration's; None: not known
+    common: Array | None = None
 
     size = bias_size = 6
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time_s", _checked_time(self.time_s, self.sensor))
         object.__setattr__(self, "covariance", checked_covariance(self.covariance, 6, self.sensor))
+        if self.common is not None:
+            common = np.array(self.common, dtype=np.float64)
+            if common.shape != (6, 6) or not np.isfinite(common).all():
+                raise ValueError(f"{self.sensor}: common must be (6, 6) and finite")
+            object.__setattr__(self, "common", 0.5 * (common + common.T))
 
     def in_camera(self, sensor_from_camera: Pose) -> PoseMeasurement:
         """The measurement in the camera frame, from that of its sensor."""
         camera_from_sensor = sensor_from_camera.inverse()
         turn = _twice(camera_from_sensor.rotation)
         pose = camera_from_sensor @ self.pose
-        return PoseMeasurement(self.time_s, self.sensor, pose, turn @ self.covariance @ turn.T)
+        common = None if self.common is None else turn @ self.common @ turn.T
+        covariance = turn @ self.covariance @ turn.T
+        return PoseMeasurement(self.time_s, self.sensor, pose, covariance, common)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

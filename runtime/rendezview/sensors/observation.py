@@ -59,6 +59,8 @@ class Observation:
     time_s: float | None = None  # when the light fell on the sensor; None: a single frame
     pose: Pose | None = None  # camera_from_target
     covariance: Array | None = None  # (6, 6) rotation vector rad, translation m; camera frame, left
+    # (6, 6) of the covariance that all readings of a run have in common; None: not known
+    common: Array | None = None
     confidence: float | None = None  # probability that the pose is right, 0 … 1, where it is known
     stage_ms: dict[str, float] = field(default_factory=dict)  # computing time by stage
 
@@ -79,7 +81,7 @@ class Observation:
             return None
         if self.time_s is None:
             raise ValueError(f"{sensor}: an observation without a time cannot be fused")
-        taken = PoseMeasurement(self.time_s, sensor, self.pose, self.covariance)
+        taken = PoseMeasurement(self.time_s, sensor, self.pose, self.covariance, self.common)
         return taken if mount is None else taken.in_camera(mount)
 
     @property

@@ -19,6 +19,8 @@ from experiments.reflectors.plain import (
     pictures,
     plain,
 )
+from rendezview.calibration.one_camera import camera_of_corners
+from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import LitDark, ReflectorPattern, ReflectorSensor, TrackingOptions
 from rendezview.sensors.beacons.detect.registration import register
@@ -28,8 +30,19 @@ TILT_RAD, WRONG_RAD = 0.5, np.deg2rad(5.0)
 KINDS = (
     "retro-reflected", "even light", "shade of 40 grey", "MJPEG", "texture",
     "texture, 0.3 px of motion", "texture, 0.3 px of motion, registered", "five reflectors",
-    "clutter", "saturated", "saturated, bloomed",
+    "clutter", "saturated", "saturated, bloomed", "focal length 0.1 %", "focal length 1 %",
+    "centre 3 px", "camera of 12 boards", "post 1 mm off", "places 0.3 mm off", "20 % covered",
+    "35 % covered", "five reflectors, 20 % covered", "five reflectors, 35 % covered",
 )  # fmt: skip
+# σ of fx fy cx cy, and m of each reflector's place, that the files state. The errors have them.
+STATED = {
+    "focal length 0.1 %": (np.full(2, 1e-3 * PINHOLE.focal_px), np.zeros(2)),
+    "focal length 1 %": (np.full(2, 1e-2 * PINHOLE.focal_px), np.zeros(2)),
+    "centre 3 px": (np.zeros(2), np.full(2, 3.0)),
+}
+# An edge so many radii from the middle of one disc hides so much of it.
+COVERS = {"20 %": 0.492, "35 %": 0.238}
+PLACES_M = {"post 1 mm off": (0.0, 1e-3, 0.0), "places 0.3 mm off": (3e-4,) * 3}
 
 
 def off(pose: Pose, truth: Pose) -> np.ndarray:
@@ -63,7 +76,13 @@ def frames_of(
             moved = cv2.warpAffine(wall, shift, size, flags=cv2.INTER_CUBIC, borderMode=way)
         background = wall, moved
     false = clutter(rng) if kind == "clutter" else None
-    frames = pictures(simulator, pattern, placed, look, rng, background=background, false=false)
+    covers = {
+        int(rng.integers(len(pattern))): (rng.uniform(0.0, 2.0 * np.pi), edge)
+        for share, edge in COVERS.items() if f"{share} covered" in kind
+    }  # fmt: skip
+    frames = pictures(
+        simulator, pattern, placed, look, rng, background=background, false=false, covers=covers
+    )
     if kind == "texture":
         return LitDark(frames.lit)
     if "bloomed" in kind:
@@ -71,6 +90,43 @@ def frames_of(
     if kind == "MJPEG":
         return LitDark(jpeg(frames.lit), jpeg(frames.dark))
     return register(frames) if "registered" in kind else frames
+
+
+def filed(
+    kind: str, pattern: ReflectorPattern, rng: np.random.Generator
+) -> tuple[Camera, ReflectorPattern]:
+    """What the camera file and the target file say, with their errors and their σ."""
+    if kind in PLACES_M:
+        sigmas = np.array(PLACES_M[kind])
+        off = rng.normal(0.0, 1.0, (len(pattern), 3)) * sigmas[:, None]
+        moved = pattern.positions_m + off
+        return CAMERA, replace(pattern, positions_m=moved, sigmas_m=sigmas, sigmas_known=True)
+    if kind == "camera of 12 boards":
+        return of_boards(rng), pattern
+    if kind not in STATED:
+        return CAMERA, pattern
+    focal, centre = STATED[kind]
+    off = np.concatenate([focal * rng.normal(), centre * rng.normal(0.0, 1.0, 2)])
+    covariance = np.diag(np.concatenate([focal, centre]) ** 2)
+    covariance[0, 1] = covariance[1, 0] = focal[0] * focal[1]  # one focal length
+    numbers = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy]) + off
+    names = dict(zip(("fx", "fy", "cx", "cy"), numbers.tolist(), strict=True))
+    return replace(CAMERA, **names, covariance=covariance.tolist()), pattern
+
+
+def of_boards(rng: np.random.Generator) -> Camera:
+    """The camera, calibrated from corners of 12 boards with noise of 0.1 px."""
+    grid = np.stack(np.meshgrid(np.arange(9), np.arange(6)), axis=-1).reshape(-1, 2)
+    board = np.column_stack([0.025 * (grid - grid.mean(axis=0)), np.zeros(len(grid))])
+    points, corners = [], []
+    while len(points) < 12:
+        turn = plain.turn(rng.normal(size=3), rng.uniform(0.2, 0.7))
+        place = np.array([*rng.uniform((-0.1, -0.07), (0.1, 0.07)), rng.uniform(0.4, 0.6)])
+        seen = PINHOLE.project(board @ turn.T + place)
+        if (seen > 5.0).all() and (seen < (PINHOLE.width - 6, PINHOLE.height - 6)).all():
+            points.append(board)
+            corners.append(seen + rng.normal(0.0, 0.1, seen.shape))
+    return camera_of_corners(points, corners, (PINHOLE.width, PINHOLE.height))[0]
 
 
 def bloomed(picture: np.ndarray) -> np.ndarray:
@@ -99,7 +155,9 @@ def run(
     Pictures of the paper's three reflectors, tilt to 30°, every roll, blur 0.7 px, noise 2 grey, of
     the tests' plain simulator or of the product's own. 'texture' is a single picture; MJPEG has
     quality 75. 'saturated' discs have twice the light of a full pixel; 'bloomed', a quarter of the
-    length of their columns runs over at one end.
+    length of their columns runs over at one end. Rows from 'focal length' to 'places' have
+    errors in the camera file or in the target file, drawn anew for each reading from the σ that the
+    file states. 'covered': an edge hides so much of one disc.
     """
     columns = ["condition", *(f"{r:g} m" for r in RANGES_M)]
     title = f"mean NEES of {readings} readings (poses found), seed {seed}, {simulator} simulator"
@@ -115,7 +173,8 @@ def run(
             for _ in range(readings):
                 placed = plain.look_at(rng, PINHOLE, range_m, TILT_RAD, margin_px)
                 truth = Pose(*placed)
-                sensor = ReflectorSensor(CAMERA, [pattern], tracking=TrackingOptions(confirm=False))
+                camera, known = filed(condition, pattern, rng)
+                sensor = ReflectorSensor(camera, [known], tracking=TrackingOptions(confirm=False))
                 frames = frames_of(condition, pattern, simulator, placed, rng)
                 reading = sensor.update(0.0, frames)
                 error = None if reading.pose is None else off(reading.pose, truth)

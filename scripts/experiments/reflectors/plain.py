@@ -41,11 +41,15 @@ def pictures(
     simulator: Simulator, pattern: ReflectorPattern, placed: tuple[np.ndarray, np.ndarray],
     look, rng: np.random.Generator, *, hidden: tuple[int, ...] = (),
     false: np.ndarray | None = None, background: tuple[np.ndarray, np.ndarray] | None = None,
+    covers: dict[int, tuple[float, float]] | None = None,
 ) -> LitDark:  # fmt: skip
-    """One reading by the plain simulator or by the product's own, which share no code."""
+    """One reading by the plain simulator or by the product's own, which share no code.
+
+    ``covers`` are of the plain one alone.
+    """
     if simulator == "plain":
         discs = (pattern.positions_m, pattern.normals, pattern.diameters_m)
-        light = plain.discs(PINHOLE, *placed, *discs, look, hidden)
+        light = plain.discs(PINHOLE, *placed, *discs, look, hidden, covers)
         return LitDark(*plain.pair(PINHOLE, light, look, rng, false=false, background=background))
     options = ReflectorFrameOptions(
         peak_grey=look.peak, blur_sigma_px=look.blur, noise_sigma_grey=look.noise, leak=look.leak,

@@ -83,10 +83,11 @@ def test_the_covariance_is_kept_while_the_pose_rests_and_made_again_when_it_move
     error = CalibrationError(rig, LEDS)
     assert error
     weight = np.full((2, len(LEDS), 2), 1e4)
-    first = error.covariance(POSE, weight)
-    assert error.covariance(POSE.perturbed([0.01, 0, 0, 0, 0, 0.01]), weight) is first
-    assert error.covariance(POSE.perturbed([0.0, 0, 0, 0, 0, 0.5]), weight) is not first
-    assert (np.linalg.eigvalsh(first) > 0.0).all()
+    first = error.shares(POSE, weight)
+    assert error.shares(POSE.perturbed([0.01, 0, 0, 0, 0, 0.01]), weight) is first
+    assert error.shares(POSE.perturbed([0.0, 0, 0, 0, 0, 0.5]), weight) is not first
+    assert (np.linalg.eigvalsh(first["calibration"]) > 0.0).all()
+    assert first["places"] is None
     assert not CalibrationError(replace(rig, covariance=None, covariance_names=()), LEDS)
 
 
@@ -111,10 +112,36 @@ def test_of_the_floor_only_the_share_of_the_lens_model_is_an_error_of_a_pose(rig
         )
         nees.append(off @ np.linalg.solve(reading.covariance, off))
     assert 5.0 < np.mean(nees) < 7.2
-    unknown = CalibrationError(replace(rig, covariance=rig.covariance), LEDS)
+    unknown = CalibrationError(rig, LEDS)  # whose share of the lens model is not known
     weight = np.full((2, len(LEDS), 2), 1e4)
-    unknown.covariance(POSE, weight)
-    assert unknown.noise(weight) is None
+    unknown.shares(POSE, weight)
+    exact = CalibrationError(replace(rig, cameras=tuple(
+        replace(c, floor=0.0, misfit=0.0) for c in rig.cameras)), LEDS)  # fmt: skip
+    exact.shares(POSE, weight)
+    np.testing.assert_allclose(unknown.noise(POSE, weight), exact.noise(POSE, weight))
+
+
+def test_poses_of_lights_mounted_aside_are_off_by_what_they_claim(rig):
+    """σ of a light's place, 2 mm of 600: ten times the noise of its spots."""
+    rng, nees, sigmas = np.random.default_rng(5), [], np.array([2e-3, 0.0, 2e-3, 1e-3, 1e-3, 2e-3])
+    exact, without = replace(rig, covariance=None, covariance_names=()), []
+    for _ in range(60):
+        given = LEDS + rng.normal(size=LEDS.shape) * sigmas[:, None]
+        for known, out in ((sigmas, nees), (None, without)):
+            reading = StereoTracker(exact, given, sigmas_m=known).update(0.0, spots(exact, rng))
+            if reading.pose is None:  # the lights contradict each other
+                continue
+            off = np.append(
+                between(reading.pose.rotation, POSE.rotation),
+                reading.pose.translation_m - POSE.translation_m,
+            )
+            out.append(off @ np.linalg.solve(reading.covariance, off))
+    assert len(nees) == 60
+    assert 4.5 < np.mean(nees) < 7.8
+    assert len(without) < 30 or np.mean(without) > 5.0 * np.mean(nees)
+    budget = StereoTracker(exact, LEDS, sigmas_m=sigmas).update(0.0, spots(exact, rng)).budget
+    assert budget["calibration"] is None
+    assert budget["places"].turn_rad > budget["spots"].turn_rad
 
 
 def test_the_misfit_is_what_neighbouring_corners_share():

@@ -16,6 +16,7 @@ from rendezview.sensors.beacons.constellation import Face
 from rendezview.sensors.beacons.detect.difference import Centroid
 from rendezview.sensors.beacons.detect.discs import (
     LAW,
+    camera_doubts,
     camera_numbers,
     disc_radius,
     expected_size,
@@ -139,12 +140,14 @@ def test_the_adjusted_pose_is_the_minimum_and_its_covariance_the_inverse_normal_
     sigma = rng.uniform(0.03, 0.08, 5)
     arms = five.positions_m - five.centre_m
     rotation, shift = np.array(truth.rotation), truth.apply(five.centre_m)
-    covariance, residuals = np.empty((6, 6)), np.empty((5, 2))
+    shares, residuals = np.empty((4, 6, 6)), np.empty((5, 2))
     used = adjust(
-        lens, arms, five.normals, five.diameters_m, spots, sigma, np.zeros((6, 6)), rotation,
-        shift, covariance, residuals,
+        lens, camera_doubts(paper_camera), arms, five.normals, five.discs, spots, sigma,
+        np.zeros((6, 6)), rotation, shift, shares, residuals,
     )  # fmt: skip
     assert 0 < used < 30
+    assert not shares[2:].any()
+    covariance = shares.sum(axis=0)
 
     def misfit(step):
         r = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation
@@ -177,11 +180,12 @@ def test_a_prior_holds_the_pose_by_the_rotation_vector_between_the_two(five, pap
     start = truth.perturbed([0.3, -0.2, 0.25, 0.0, 0.0, 0.0])
     prior = np.diag([1e8] * 3 + [1e-6] * 3)
     rotation, shift = np.array(start.rotation), start.apply(five.centre_m)
-    covariance, residuals = np.empty((6, 6)), np.empty((5, 2))
+    shares, residuals = np.empty((4, 6, 6)), np.empty((5, 2))
     assert adjust(
-        lens, five.positions_m - five.centre_m, five.normals, five.diameters_m, spots,
-        np.full(5, 10.0), prior, rotation, shift, covariance, residuals,
+        lens, camera_doubts(paper_camera), five.positions_m - five.centre_m, five.normals,
+        five.discs, spots, np.full(5, 10.0), prior, rotation, shift, shares, residuals,
     ) > 0  # fmt: skip
+    covariance = shares.sum(axis=0)
     held = Rotation.from_matrix(rotation @ start.rotation.T).magnitude()
     assert held < 1e-3
     assert np.sqrt(np.diag(covariance)[:3]) == pytest.approx(1e-4, rel=0.05)
@@ -197,9 +201,9 @@ def test_solve_spots_uses_the_named_rows_and_refuses_a_line(five, paper_camera):
         rotation, translation = np.array(start.rotation), np.empty(3)
         which = np.array(rows, dtype=np.int64)
         used = solve_spots(
-            lens, arms, five.normals, five.diameters_m, five.centre_m, table, which, 0.01,
-            rotation, start.translation_m, translation, np.empty((6, 6)),
-            np.empty((len(rows), 2)),
+            lens, camera_doubts(paper_camera), arms, five.normals, five.discs, five.centre_m,
+            table, which, 0.01, rotation, start.translation_m, translation,
+            np.empty((4, 6, 6)), np.empty((len(rows), 2)),
         )  # fmt: skip
         assert (used > 0) == good
         if good:

@@ -8,7 +8,8 @@ import pytest
 from tests import plain_pictures as plain
 
 from rendezview.sensors.beacons import LitDark, find_spots
-from rendezview.sensors.beacons.detect.difference import registered
+from rendezview.sensors.beacons.detect.background import Background
+from rendezview.sensors.beacons.detect.difference import ThresholdOptions, registered
 from rendezview.sensors.beacons.detect.hidden_noise import HiddenNoise, quantisation_step
 from rendezview.sensors.beacons.detect.registration import background_motion, register
 from rendezview.sensors.beacons.detect.spots import COLUMNS
@@ -62,6 +63,21 @@ def test_a_background_without_texture_is_left_alone():
     assert background_motion(frames) is None
     assert register(frames) is frames
     assert background_motion(LitDark(frames.lit)) is None
+
+
+@pytest.mark.parametrize("shift", [(0.3, 0.0), (1.0, -0.5)])
+def test_the_dark_picture_is_moved_where_that_leaves_less_and_only_there(shift):
+    background, frames = Background(), pair(shift, 60.0)
+    spots = background.spots(0.0, frames, ThresholdOptions())
+    assert background.moves
+    table = spots.table
+    left = HiddenNoise.of(frames, table).of_cells
+    assert background.hidden.of_cells.max() < 0.25 * left.max()
+    kept = background.followed(frames, table, 0.5)
+    np.testing.assert_array_equal(kept.dark, register(frames).dark)
+    still = pair((0.0, 0.0), 60.0)
+    assert background.followed(still, table, 1.5) is still  # measured again after a second
+    assert not background.moves
 
 
 def test_jpeg_is_known_by_its_steps_and_raw_pictures_have_none():

@@ -144,6 +144,7 @@ class BopSceneWriter:
                 "cy": camera.cy,
                 "distCoeffs": list(camera.distortion),
                 **({"fisheye_model": 1} if camera.lens_model is LensModel.FISHEYE else {}),
+                **({"intrinsics_covariance": camera.covariance} if camera.covariance else {}),
                 "depth_scale": 1.0,
                 "scene_id": self.scene_id,
             },

@@ -1,4 +1,4 @@
-"""How the errors of a rig's calibration move the poses that it measures.
+"""How the errors of a rig's calibration and of the lights' places move the poses.
 
 A calibration is the same wrong in every reading: no average of readings takes it away. To first
 order a pose moves by δx = −(JᵀWJ)⁻¹ JᵀW (∂u/∂c) δc, with u where the lights are on the detectors, J
@@ -17,6 +17,7 @@ from rendezview.sensors.beacons.rig import (
     POSE,
     Rig,
     RigCamera,
+    Sights,
     intrinsics_of,
     with_intrinsics,
 )
@@ -29,10 +30,16 @@ _STILL_RAD, _STILL_SHARE = 0.05, 0.03
 
 
 class CalibrationError:
-    """The covariance that a rig's calibration adds to a pose; for one target's lights."""
+    """The covariance that a rig's calibration, and the places of a target's lights, add to a pose.
 
-    def __init__(self, rig: Rig, leds: Array) -> None:
-        self.rig, self.leds = rig, leds
+    Args:
+        rig: with the covariance of its calibration.
+        leds: (L, 3) lights in the target frame, m.
+        sigmas_m: (L,) σ of each coordinate of a light's place; None: not known.
+    """
+
+    def __init__(self, rig: Rig, leds: Array, sigmas_m: Array | None = None) -> None:
+        self.rig, self.leds, self._sigmas_m = rig, leds, sigmas_m
         known = {
             f"{camera.name}.{name}": (k, name)
             for k, camera in enumerate(rig.cameras)
@@ -44,15 +51,33 @@ class CalibrationError:
         self._covariance = (
             np.zeros((0, 0)) if rig.covariance is None else rig.covariance[np.ix_(kept, kept)]
         )
-        # Pose, lights that it shows, covariance, and (M, 6) px of these lights by the pose.
-        self._last: tuple[Pose, bytes, Array, Array] | None = None
+        # Pose, lights that it shows, shares, and (M, 6) px of these lights by the pose.
+        self._last: tuple[Pose, bytes, dict[str, Array | None], Array] | None = None
 
     def __bool__(self) -> bool:
-        """Whether the rig has a covariance at all."""
-        return len(self._parameters) > 0
+        """Whether any of it is known."""
+        return len(self._parameters) > 0 or self._sigmas_m is not None
 
-    def covariance(self, rig_from_target: Pose, weight: Array) -> Array:
-        """(6, 6) in the rig frame, left perturbation.
+    @property
+    def last(self) -> dict[str, Array | None]:
+        """The shares of the last pose; not known where there was none."""
+        return {"calibration": None, "places": None} if self._last is None else self._last[2]
+
+    def loosened(self, sights: Sights, rig_from_target: Pose) -> Sights:
+        """The sights with the errors of the lights' places in their σ, at a pose."""
+        if self._sigmas_m is None or not self._sigmas_m.any():
+            return sights
+        weight = sights.weight.copy()
+        for k, camera in enumerate(self.rig.cameras):
+            depth = camera.camera_from_rig.apply(rig_from_target.apply(self.leds))[:, 2]
+            off = (self._sigmas_m / np.maximum(depth, 1e-9))[:, None]
+            weight[k] = weight[k] / np.hypot(1.0, weight[k] * off)
+        return Sights(sights.xy, weight)
+
+    def shares(self, rig_from_target: Pose, weight: Array) -> dict[str, Array | None]:
+        """(6, 6) by cause, ``calibration`` and ``places``, None where a cause is not known.
+
+        In the rig frame, left perturbation.
 
         Args:
             rig_from_target: the pose.
@@ -61,37 +86,54 @@ class CalibrationError:
         seen = np.asarray((weight > 0.0).all(axis=2))
         key = seen.tobytes()
         if self._last is not None:
-            pose, before, covariance, _ = self._last
+            pose, before, shares, _ = self._last
             away = np.linalg.norm(pose.translation_m - rig_from_target.translation_m)
             near = away < _STILL_SHARE * np.linalg.norm(rig_from_target.translation_m)
             if before == key and near and pose.angle_to(rig_from_target) < _STILL_RAD:
-                return covariance
+                return shares
         slopes, by_pose = self._pose_by_parameters(rig_from_target, weight, seen)
-        covariance = slopes @ self._covariance @ slopes.T
-        self._last = rig_from_target, key, covariance, by_pose
-        return covariance
+        calibration = slopes @ self._covariance @ slopes.T if self._parameters else None
+        places = self._by_places(by_pose, self._scale(weight, seen), seen)
+        shares = {"calibration": calibration, "places": places}
+        self._last = rig_from_target, key, shares, by_pose
+        return shares
 
-    def noise(self, weight: Array) -> Array | None:
-        """(6, 6) covariance of the last pose by the noise of its spots, without the corners' noise.
+    def _by_places(self, by_pose: Array, scale: Array, seen: npt.NDArray[np.bool_]) -> Array | None:
+        """(6, 6) by the lights' places: a light moves its own spots as the whole target does."""
+        if self._sigmas_m is None:
+            return None
+        whitened = scale[:, None] * by_pose
+        inverse = np.linalg.inv(whitened.T @ whitened)
+        light = np.concatenate([np.repeat(np.flatnonzero(row), 2) for row in seen])
+        pull = np.zeros((6, 6))
+        for k, sigma in enumerate(self._sigmas_m):
+            own = whitened[light == k]
+            moved = sigma * own.T @ own[:, 3:]
+            pull += moved @ moved.T
+        return np.asarray(inverse @ pull @ inverse)
 
-        The weights allow for the whole floor, so the estimate stays what it is; of the floor only
-        the lens model's share is an error of a spot. None where a camera does not know that share.
+    def noise(self, pose: Pose, weight: Array) -> Array:
+        """(6, 6) covariance of the last pose by the noise of its spots alone.
+
+        The weights allow for the whole floor and for the lights' places, so the estimate stays what
+        it is. Of the floor only the lens model's share, where it is known, is an error of a spot.
 
         Args:
-            weight: (C, L, 2) as `covariance` had it, of the same lights.
+            pose: rig_from_target, as `shares` had it.
+            weight: (C, L, 2) as `shares` had it, of the same lights.
         """
-        cameras = self.rig.cameras
-        by_pose = np.empty((0, 6)) if self._last is None else self._last[3]
-        if any(camera.misfit is None for camera in cameras) or not len(by_pose):
-            return None
+        assert self._last is not None
         seen = np.asarray((weight > 0.0).all(axis=2))
         scale = self._scale(weight, seen)
-        less = [
-            np.full(2 * int(row.sum()), camera.floor**2 - (camera.misfit or 0.0) ** 2)
-            for camera, row in zip(cameras, seen, strict=True)
-        ]
+        less = []
+        for camera, row in zip(self.rig.cameras, seen, strict=True):
+            floor = 0.0 if camera.misfit is None else camera.floor**2 - camera.misfit**2
+            depth = camera.camera_from_rig.apply(pose.apply(self.leds[row]))[:, 2:]
+            focal = np.array([camera.fx, camera.fy])
+            sigmas = np.zeros((1, 1)) if self._sigmas_m is None else self._sigmas_m[row, None]
+            less.append((floor + (sigmas * focal / depth) ** 2).ravel())
         share = np.clip(1.0 - np.concatenate(less) * scale**2, 0.0, 1.0)
-        slopes = scale[:, None] * by_pose
+        slopes = scale[:, None] * self._last[3]
         inverse = np.linalg.inv(slopes.T @ slopes)
         return np.asarray(inverse @ (slopes.T @ (share[:, None] * slopes)) @ inverse)
 

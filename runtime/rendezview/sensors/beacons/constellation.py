@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -19,6 +19,9 @@ _STEP_S = 1e-4  # s, of the six numbers' slopes. Source: by construction, 1e-5 r
 # area of a triangle over its longest side squared: thinner ones fix no attitude. Source: by
 # construction, a bound only
 _FLAT = 1e-3
+# m, and σ of the places: reflectors that a rotation brings so near each other look the same.
+# Source: by construction, rounding, and 4 σ of the difference of two
+_ALIKE_M, _ALIKE_SIGMAS = 1e-6, 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,8 +41,12 @@ class ReflectorPattern:
     positions_m: Array  # (N, 3) target frame
     normals: Array  # (N, 3) unit
     diameters_m: Array  # (N,)
+    sigmas_m: Array = field(default_factory=lambda: np.empty(0))  # (N,) σ of each coordinate; 0
+    sigmas_known: bool = False  # whether they are given for all
 
     def __post_init__(self) -> None:
+        if not len(self.sigmas_m):
+            object.__setattr__(self, "sigmas_m", np.zeros(len(self.names)))
         if len(self.names) < 3:
             raise RendezviewError(
                 f"reflectors of group {self.name!r}: {len(self.names)}, but a pose needs three: "
@@ -66,10 +73,17 @@ class ReflectorPattern:
             np.array([r.position_m for r in reflectors], dtype=np.float64).reshape(-1, 3),
             np.array([r.normal for r in reflectors], dtype=np.float64).reshape(-1, 3),
             np.array([r.diameter_m for r in reflectors], dtype=np.float64),
+            np.array([r.position_sigma_m or 0.0 for r in reflectors], dtype=np.float64),
+            all(r.position_sigma_m is not None for r in reflectors),
         )
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @property
+    def discs(self) -> Array:
+        """(N, 2) diameter, and σ of each coordinate of the place, m."""
+        return np.column_stack([self.diameters_m, self.sigmas_m])
 
     @property
     def facing(self) -> Array:
@@ -134,27 +148,42 @@ class ReflectorPattern:
         image = np.array([-1.0, 1.0, 1.0])
         return replace(self, positions_m=self.positions_m * image, normals=self.normals * image)
 
-    def symmetries(self, tolerance_m: float = 1e-6) -> list[tuple[int, ...]]:
+    def symmetries(self) -> list[tuple[int, ...]]:
         """The renumberings other than none that a rotation of the pattern makes.
 
-        Two mirror-equal outer reflectors about a post give one: a roll by 180° that no picture
-        of this pattern can show.
+        Places that differ by less than they are known to are alike. Two mirror-equal outer
+        reflectors about a post give one: a roll by 180° that no picture of this pattern can show.
         """
         centred = self.positions_m - self.centre_m
+        loose_m = _ALIKE_SIGMAS * float(self.sigmas_m.max())
+        # Which also leaves a turn open, and with it the normals.
+        loose_rad = loose_m / float(np.linalg.svd(centred, compute_uv=False)[1])
         found = []
         for order in itertools.permutations(range(len(self))):
             if order == tuple(range(len(self))):
                 continue
-            if np.abs(self.diameters_m - self.diameters_m[list(order)]).max() > tolerance_m:
+            if np.abs(self.diameters_m - self.diameters_m[list(order)]).max() > _ALIKE_M:
                 continue
             u, _, vt = np.linalg.svd(centred[list(order)].T @ centred)
             turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
             if (
-                np.abs(centred @ turn.T - centred[list(order)]).max() < tolerance_m
-                and np.abs(self.normals @ turn.T - self.normals[list(order)]).max() < 1e-6
+                np.abs(centred @ turn.T - centred[list(order)]).max() < _ALIKE_M + loose_m
+                and np.abs(self.normals @ turn.T - self.normals[list(order)]).max()
+                < 1e-6 + loose_rad
             ):
                 found.append(order)
         return found
+
+    def turns(self) -> list[Pose]:
+        """The turns of the target frame that bring the pattern onto itself."""
+        centre = self.centre_m
+        centred = self.positions_m - centre
+        turns = []
+        for order in self.symmetries():
+            u, _, vt = np.linalg.svd(centred[list(order)].T @ centred)
+            turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+            turns.append(Pose(turn, centre - turn @ centre))
+        return turns
 
 
 def patterns_of(target: Target, groups: tuple[str, ...] | None = None) -> list[ReflectorPattern]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import DockingRing
+from rendezview.sensors.beacons.budget import Budget
 from rendezview.sensors.beacons.constellation import SixNumbers
 from rendezview.sensors.beacons.detect.spots import COLUMNS, SpotTable
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition
@@ -29,6 +30,7 @@ class ReflectorObservation(Observation):
     roll_ambiguous: bool = False  # rotated by a symmetry of the reflectors it looks the same
     tracked: bool = False  # by windows, not by a search of the whole picture
     note: str | None = None  # what differs from the target file, such as the diameter of the dots
+    budget: Budget | None = None  # the covariance by cause
 
     @property
     def triplet(self) -> list[int] | None:
@@ -61,6 +63,8 @@ class ReflectorObservation(Observation):
             "six": self.six,
             "roll_ambiguous": self.roll_ambiguous if has_pose else None,
             "covariance": self.covariance,
+            "common_covariance": self.common,
+            "budget": self.budget,
             "rates": rates_record(self.rates),
             "tracked": self.tracked,
             "note": self.note,

@@ -53,7 +53,7 @@ class RateEstimator:
         if not self._readings or time_s - self._last_s > _LONGEST_S:
             return False
         pose, (turn, share) = refined.camera_from_target, options.jump_floor
-        place, covariance = pose.translation_m, refined.covariance.copy()
+        place, covariance = pose.translation_m, refined.scatter
         variances = covariance.reshape(-1)[::7]
         variances[:3] += turn**2
         variances[3:] += share**2 * float(place @ place)

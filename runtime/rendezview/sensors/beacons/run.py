@@ -23,7 +23,6 @@ from rendezview.sensors.beacons.closed_form import (
 )
 from rendezview.sensors.beacons.constellation import ReflectorPattern, SixNumbers, six_numbers
 from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptions, registered
-from rendezview.sensors.beacons.detect.registration import register
 from rendezview.sensors.beacons.detect.spots import find_spots
 from rendezview.sensors.beacons.exposure import suggest_exposure
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
@@ -58,7 +57,6 @@ class FramePair:
     dark: Frame | None
     lit_from_dark: Array | None = None  # (2, 3) of a second camera; see `registered`
     invert: bool = False  # dark dots on a bright ground
-    register: bool = False  # move the dark picture onto the lit one's background
 
     @property
     def name(self) -> str:
@@ -80,7 +78,6 @@ class FramePair:
         if dark is not None and self.lit_from_dark is not None:
             dark = registered(dark, self.lit_from_dark)
         frames = LitDark(self.lit.read(), dark)
-        frames = register(frames) if self.register else frames
         return frames.inverted() if self.invert else frames
 
 

@@ -10,6 +10,7 @@ from numba import njit
 
 from rendezview.estimation.linear_algebra import invert
 from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.beacons.budget import Budget
 from rendezview.sensors.beacons.detect.detectors import Spots
 from rendezview.sensors.beacons.euler import YawPitchRoll, yaw_pitch_roll
 from rendezview.sensors.beacons.match.agreement import LightsFit
@@ -34,6 +35,7 @@ class StereoObservation(Observation):
     restarted: bool = False  # the pose was found without the estimate before
     spots: tuple[Spots, ...] = ()  # with the lights' numbers
     names: Names = Names((), ())
+    budget: Budget | None = None  # the covariance by cause
 
     @classmethod
     def of_pose(
@@ -104,6 +106,8 @@ class StereoObservation(Observation):
         return line | {
             "rig_from_target": self.rig_from_target,
             "yaw_pitch_roll_rad": None if angles is None else list(angles),
+            "common_covariance": self.common,
+            "budget": self.budget,
             "rates": None if self.estimate is None else self.estimate.rates,
             "sum_of_squares": None if fit is None else fit.cost,
             "degrees_of_freedom": None if fit is None else fit.spare,

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.geometry.pose import Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import Target
 from rendezview.sensors.beacons import stereo_motion as motion
+from rendezview.sensors.beacons.budget import SPOTS, budget_of, common_of
 from rendezview.sensors.beacons.calibration_error import CalibrationError, turned
 from rendezview.sensors.beacons.detect.detectors import Spots
 from rendezview.sensors.beacons.match.agreement import (
@@ -43,7 +44,8 @@ class TrackerOptions:
     motion: MotionOptions | None = None  # the filter; None: each reading's pose as it is
     # after that the last estimate is no longer used. Source: a chosen limit
     longest_outage_s: float = 5.0
-    # Add the covariance of the rig's calibration to each pose's: 7 ms where the pose has moved.
+    # Add what the rig's calibration and the lights' places do to each pose's covariance: 7 ms where
+    # the pose has moved.
     calibration_error: bool = True
     # normalised; unnamed spots are looked for so far from the forecast. Source: by hand; see
     # stereo-accuracy (0.1) --part identity
@@ -59,6 +61,7 @@ class StereoTracker:
         normals: (L, 3) directions of their beams; left out, they shine everywhere.
         options: of following.
         led_names: of the lights, for logs; left out: led1, led2 ...
+        sigmas_m: (L,) σ of each coordinate of a light's place; left out: not known.
 
     Raises:
         RendezviewError: fewer than three lights, or all on one line.
@@ -71,6 +74,7 @@ class StereoTracker:
         normals: npt.ArrayLike | None = None,
         options: TrackerOptions | None = None,
         led_names: Sequence[str] | None = None,
+        sigmas_m: npt.ArrayLike | None = None,
     ) -> None:
         self.rig = rig
         self.leds = required_leds(list(np.asarray(leds, dtype=np.float64)), "the target")
@@ -85,7 +89,10 @@ class StereoTracker:
             tuple(led_names or (f"led{k + 1}" for k in range(len(self.leds)))),
         )
         self._first = rig.cameras[0].camera_from_rig
-        self._calibration = CalibrationError(rig, self.leds)
+        sigmas = None if sigmas_m is None else np.asarray(sigmas_m, dtype=np.float64)
+        if sigmas is not None and sigmas.shape != (len(self.leds),):
+            raise ValueError(f"sigmas_m must be ({len(self.leds)},), not {sigmas.shape}")
+        self._calibration = CalibrationError(rig, self.leds, sigmas)
         self._last: Motion | None = None
         self._last_time_s = -np.inf
         self._lock = threading.Lock()  # of the two above
@@ -102,7 +109,11 @@ class StereoTracker:
         required_leds([led.position_m for led in target.leds], f"target {target.name!r}")
         positions = np.array([led.position_m for led in target.leds])
         normals = np.array([led.normal for led in target.leds])
-        return cls(rig, positions, normals, options, [led.name for led in target.leds])
+        sigmas = np.array([led.position_sigma_m for led in target.leds], dtype=np.float64)
+        return cls(
+            rig, positions, normals, options, [led.name for led in target.leds],
+            None if np.isnan(sigmas).any() else sigmas,
+        )  # fmt: skip
 
     @property
     def estimate(self) -> Motion | None:
@@ -138,13 +149,16 @@ class StereoTracker:
         if fit is None and count_lights(sights.weight)[0] < FEWEST_LIGHTS:
             return self._partial(time_s, forecast, sights, named)
         if fit is None and forecast is not None:
+            sights = self._calibration.loosened(
+                sights, Pose(forecast.rotation, forecast.translation)
+            )
             fit = iterate(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
             if fit is None or not fit.agrees:
                 fit = agree(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
         known = all(found.identified for found in named)  # else there is nothing to locate
         if fit is None or (isinstance(fit, Disagreement) and not fit.ambiguous and known):
             restarted = True
-            fit = self.locate(sights, forecast)
+            fit = self.locate(self.rig.sights(named, len(self.leds)), forecast)
         if isinstance(fit, Disagreement):
             self._lose(time_s)
             status = Status.AMBIGUOUS if fit.ambiguous else Status.DISAGREE
@@ -165,7 +179,8 @@ class StereoTracker:
             if candidate.cost > found[0].cost + _ALIKE:
                 break
             pose = candidate.rig_from_target
-            fit = agree(self.rig, self.leds, sights, pose.rotation, pose.translation_m)
+            loose = self._calibration.loosened(sights, pose)
+            fit = agree(self.rig, self.leds, loose, pose.rotation, pose.translation_m)
             if isinstance(fit, LightsFit):
                 fits.append((candidate.cost, fit))
             elif not fits:
@@ -201,7 +216,7 @@ class StereoTracker:
             pose = Pose(forecast.rotation, forecast.translation)
             gate = self.options.window
             named = nearest_lights(self.rig, self.leds, self.normals, spots, pose, gate)
-            sights = self.rig.sights(named, len(self.leds))
+            sights = self._calibration.loosened(self.rig.sights(named, len(self.leds)), pose)
             fit = agree(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
             # A spot that is left over may be a light whose name another took.
             left = sum(int((found.led < 0).sum()) for found in named)
@@ -221,9 +236,11 @@ class StereoTracker:
             after = motion.update(forecast, self.rig, self.leds, sights.xy, sights.weight)
             if after is not None:
                 self._last = after
-                return StereoObservation.of_pose(
-                    Status.PARTIAL, reason, time_s, self._first, None, after, False, named,
-                    self.names,
+                return self._calibrated(
+                    StereoObservation.of_pose(
+                        Status.PARTIAL, reason, time_s, self._first, None, after, False, named,
+                        self.names,
+                    )
                 )  # fmt: skip
         self._lose(time_s)
         return self._none(time_s, Status.FEW_LIGHTS, reason, named)
@@ -263,18 +280,19 @@ class StereoTracker:
     def _calibrated(self, observation: StereoObservation) -> StereoObservation:
         """The observation with the calibration's share in its covariance."""
         pose, fit = observation.rig_from_target, observation.fit
-        wanted = self.options.calibration_error and self._calibration
-        if not wanted or pose is None or fit is None:
+        if not self.options.calibration_error or pose is None or observation.covariance is None:
             return observation
-        assert observation.covariance is not None
-        covariance = self._calibration.covariance(pose, fit.sights.weight)
-        noise = self._calibration.noise(fit.sights.weight)
-        if self.options.motion is None and noise is not None:
-            return replace(observation, covariance=turned(noise + covariance, self._first.rotation))
-        return replace(
-            observation,
-            covariance=observation.covariance + turned(covariance, self._first.rotation),
-        )
+        own, shares = observation.covariance, self._calibration.last
+        if self._calibration and fit is not None:
+            shares = self._calibration.shares(pose, fit.sights.weight)
+        if self._calibration and fit is not None and self.options.motion is None:
+            own = turned(self._calibration.noise(pose, fit.sights.weight), self._first.rotation)
+        whole: dict[str, Array | None] = {SPOTS: own} | {
+            cause: None if share is None else turned(share, self._first.rotation)
+            for cause, share in shares.items()
+        }
+        common = common_of(whole)
+        return replace(observation, covariance=own + common, common=common, budget=budget_of(whole))
 
     def _none(
         self, time_s: float, status: Status, reason: str, named: tuple[Spots, ...]

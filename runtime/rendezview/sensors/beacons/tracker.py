@@ -11,10 +11,11 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.beacons.budget import budget_of, common_of, unknown_of
 from rendezview.sensors.beacons.constellation import Face, ReflectorPattern
+from rendezview.sensors.beacons.detect.background import Background
 from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptions
-from rendezview.sensors.beacons.detect.hidden_noise import HiddenNoise
-from rendezview.sensors.beacons.detect.spots import MOST_CERTAIN, SpotTable, find_spots
+from rendezview.sensors.beacons.detect.spots import MOST_CERTAIN, SpotTable
 from rendezview.sensors.beacons.match.acquisition import Acquirer, merged
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.match.choice import FEW
@@ -25,6 +26,7 @@ from rendezview.sensors.beacons.observation import (
     undecided,
 )
 from rendezview.sensors.beacons.pose.refinement import Refined
+from rendezview.sensors.beacons.pose.shares import CAUSES
 from rendezview.sensors.beacons.rates import RateEstimator
 from rendezview.sensors.beacons.tolerance import DotSizes, fit_dots
 from rendezview.sensors.beacons.track import (
@@ -68,6 +70,7 @@ class ReflectorSensor:
         self.threshold = threshold or ThresholdOptions()
         self.tracking = tracking or TrackingOptions()
         self._given = patterns, acquisition or AcquisitionOptions()
+        self._background = Background()
         self._expect(*self._given)
         self._faces = {pattern.name: Face.of(pattern) for pattern in patterns}
         self._rates = RateEstimator(self.tracking.rates)
@@ -78,6 +81,9 @@ class ReflectorSensor:
         self._noted_m = np.inf  # range of that
         self._last_s = -np.inf
         self._lock = threading.Lock()
+        placed = all(pattern.sigmas_known for pattern in patterns)
+        # Causes of errors of which the files say nothing.
+        self._unknown = unknown_of(camera=camera.covariance is not None, places=placed)
         self._group_of = [pattern.name for pattern in patterns for _ in pattern.names]
         self._centre = self.constellation.centre_m
 
@@ -137,7 +143,7 @@ class ReflectorSensor:
             else:
                 self._track = None
         begin = time.perf_counter()
-        spots = self._spots(frames)
+        spots = self._background.spots(time_s, frames, self.threshold)
         middle = time.perf_counter()
         found = self.acquirer.acquire(spots, prior)
         if prior is not None and not self._continues(time_s, found):
@@ -146,7 +152,7 @@ class ReflectorSensor:
         missing = found.status in (Status.NO_SPOTS, Status.NOT_FOUND)
         if missing and frames.dark is not None and len(spots) <= MOST_CERTAIN:
             # Discs as faint as the threshold fall to pieces.
-            faint = self._spots(frames, faint=True)
+            faint = self._background.spots(time_s, frames, self.threshold, faint=True)
             again = self.acquirer.acquire(faint, prior)
             if again.refined is not None:
                 spots, found = faint, again
@@ -179,22 +185,12 @@ class ReflectorSensor:
             ambiguous = self._track.roll_ambiguous and not self._resolves(found.reflectors)
         return self._adopt(time_s, found, spots, ambiguous, stage_ms)
 
-    def _spots(self, frames: LitDark, faint: bool = False) -> SpotTable:
-        """The spots of the whole picture; the noise that pixels do not show is in their errors."""
-        spots = find_spots(frames, self.threshold, faint=faint)
-        if len(spots) >= 3 and not spots.overfull:
-            self._fit.hidden = HiddenNoise.of(frames, spots.table)
-            self._fit.hidden.widen(spots.table)
-        return spots
-
     def _with_other_dots(self, spots: SpotTable) -> Acquisition | None:
         """What is found with dots of another diameter or blur, which are then taken for right."""
         fitted = fit_dots(self.camera, self._given[0], self._given[1], spots)
         if fitted is None:
             return None
-        hidden = self._fit.hidden
         self._expect(fitted.patterns, fitted.options)
-        self._fit.hidden = hidden
         self._dots.fitted_note = fitted.note
         return fitted.found
 
@@ -202,7 +198,9 @@ class ReflectorSensor:
         self.patterns, self.constellation = patterns, merged(patterns)
         self.acquirer = Acquirer(self.camera, patterns, options)
         self._dots = DotSizes(self.camera, self.constellation, options)
-        self._fit = WindowFit(self.camera, self.constellation, options, self.tracking)
+        self._fit = WindowFit(
+            self.camera, self.constellation, options, self.tracking, self._background
+        )
 
     def _adopt(
         self, time_s: float, found: Acquisition, spots: SpotTable, ambiguous: bool,
@@ -230,7 +228,9 @@ class ReflectorSensor:
         track = self._track
         assert track is not None
         begin = time.perf_counter()
-        noise = self._fit.look(time_s, track, push, frames, self.threshold)
+        seen = self._fit.table[self._fit.outcome == VISIBLE]
+        used = self._background.followed(frames, seen, time_s)
+        noise = self._fit.look(time_s, track, push, used, self.threshold)
         middle = time.perf_counter()
         fit, table, outcome = self._fit, self._fit.table, self._fit.outcome
         seen = np.flatnonzero(outcome == VISIBLE)
@@ -290,7 +290,7 @@ class ReflectorSensor:
             self._unconfirmed = None
             return None
         begin = time.perf_counter()
-        spots = self._spots(frames)
+        spots = self._background.spots(time_s, frames, self.threshold)
         more = doubted or len(spots) > max(len(seen), 2)
         found = self.acquirer.acquire(spots) if more else None
         jerked = self.acquirer.acquire(spots, track.pose) if found and refined is None else None
@@ -384,12 +384,14 @@ class ReflectorSensor:
         )
         face = self._faces[whole.name]
         six = face.six_numbers(pose)
-        rates = self._rates.add(time_s, pose, refined.covariance, face)
+        rates = self._rates.add(time_s, pose, refined.scatter, face)
         self._dots.take(pose, spots, names)
+        shares = dict(zip(CAUSES, refined.shares, strict=True)) | self._unknown
         stage_ms["rates"] = 1e3 * (time.perf_counter() - begin)
         return ReflectorObservation(
             Status.OK, time_s=time_s, pose=pose, covariance=refined.covariance, six=six,
             rates=rates, spots=spots, reflectors=names, group=whole.name,
             roll_ambiguous=ambiguous, tracked=tracked, stage_ms=stage_ms,
             note="; ".join(filter(None, (self._dots.note, self._note))) or None,
+            common=common_of(shares), budget=budget_of(shares),
         )  # fmt: skip

@@ -10,16 +10,18 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
+from rendezview.sensors.beacons.detect.background import Background
+from rendezview.sensors.beacons.detect.cover import covered_px
 from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptions
-from rendezview.sensors.beacons.detect.discs import camera_numbers
-from rendezview.sensors.beacons.detect.hidden_noise import HiddenNoise
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, recentre
+from rendezview.sensors.beacons.detect.discs import camera_doubts, camera_numbers
+from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SIZE, recentre
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.match.judgement import least_facing
 from rendezview.sensors.beacons.match.matching import expect_spots
 from rendezview.sensors.beacons.match.mirrored_pose import mirror
-from rendezview.sensors.beacons.pose.refinement import Refined, adjust, solve_spots
+from rendezview.sensors.beacons.pose.refinement import Refined, adjust, loose_px, solve_spots
+from rendezview.sensors.beacons.pose.shares import CAUSES
 from rendezview.sensors.beacons.track import Branch, Track, TrackingOptions
 from rendezview.sensors.beacons.windows import (
     VISIBLE,
@@ -43,15 +45,17 @@ class WindowFit:
         constellation: ReflectorPattern,
         acquisition: AcquisitionOptions,
         tracking: TrackingOptions,
+        background: Background,
     ) -> None:
         self.camera, self.options, self.constellation = camera, tracking, constellation
         self._blur_px = acquisition.blur_px
         self._margin = acquisition.pose_margin
         self._least_cosine = math.cos(1.2 * acquisition.tilt_rad)
         self._lens = camera_numbers(camera, acquisition.blur_px)
+        self._doubts = camera_doubts(camera)
         self._centre = constellation.centre_m
-        self._arms = constellation.positions_m - self._centre
-        self.hidden = HiddenNoise.none()  # of the last whole picture
+        self._arms, self._discs = constellation.positions_m - self._centre, constellation.discs
+        self._background = background  # of the last whole picture
         n = len(constellation)  # of the last reading's windows:
         self.expected, self.table = np.empty((n, 3)), np.empty((n, COLUMNS))
         self.outcome = np.zeros(n, np.int64)
@@ -76,22 +80,25 @@ class WindowFit:
         seen = self.outcome == VISIBLE
         rows = self.table[seen]
         recentre(rows, noise, threshold.centroid)
-        self.hidden.widen(rows)
+        self._background.hidden.widen(rows)
+        if len(rows) >= 3:
+            cover = covered_px(rows[:, SIZE], self.expected[seen, 2], rows[:, SIGMA], self._blur_px)
+            rows[:, SIGMA] = np.hypot(rows[:, SIGMA], cover)
         self.table[seen] = rows
         return noise
 
     def solve(self, start: Pose, table: Array, seen: Ints) -> Refined | None:
         """Least squares on the rows ``seen`` of a spot table, from a pose."""
         rotation, translation = np.array(start.rotation), np.empty(3)
-        covariance, residuals = np.empty((6, 6)), np.empty((len(seen), 2))
+        shares, residuals = np.empty((len(CAUSES), 6, 6)), np.empty((len(seen), 2))
         iterations = solve_spots(
-            self._lens, self._arms, self.constellation.normals, self.constellation.diameters_m,
+            self._lens, self._doubts, self._arms, self.constellation.normals, self._discs,
             self._centre, table, seen, self.options.floor_px,
-            rotation, np.ascontiguousarray(start.translation_m), translation, covariance, residuals,
+            rotation, np.ascontiguousarray(start.translation_m), translation, shares, residuals,
         )  # fmt: skip
         if iterations < 0:
             return None
-        return Refined(Pose(rotation, translation), covariance, residuals, iterations, True)
+        return Refined(Pose(rotation, translation), shares, residuals, iterations, True)
 
     def without_strangers(
         self, start: Pose, refined: Refined, table: Array, seen: Ints
@@ -101,7 +108,7 @@ class WindowFit:
         No pose where four or fewer would be left: they may have their neighbours' names.
         """
         while True:
-            sigma = np.hypot(table[seen, SIGMA], self.options.floor_px)
+            sigma = self._sigma(refined, table, seen)
             off = np.abs(refined.residuals_px).max(axis=1) / sigma
             if off.max() < self.options.gate_sigma:
                 return refined, seen
@@ -141,8 +148,14 @@ class WindowFit:
         return Branch.OPEN
 
     def _cost(self, refined: Refined, table: Array, seen: Ints) -> float:
-        sigma = np.hypot(table[seen, SIGMA], self.options.floor_px)
+        sigma = self._sigma(refined, table, seen)
         return float(np.sum((refined.residuals_px / sigma[:, None]) ** 2))
+
+    def _sigma(self, refined: Refined, table: Array, seen: Ints) -> Array:
+        """(K,) σ of the spots' numbers at a pose, px."""
+        spots = np.hypot(table[seen, SIGMA], self.options.floor_px)
+        away = loose_px(self.constellation, refined, seen, self.camera.fx)
+        return np.asarray(np.hypot(spots, away))
 
     def _place(
         self, time_s: float, track: Track, push: Array | None, threshold: ThresholdOptions
@@ -195,11 +208,11 @@ class WindowFit:
         far = float(np.linalg.norm(shift))
         # The attitude may turn by 0.1 rad and the place move by 5 % meanwhile.
         prior = np.diag([1e2, 1e2, 1e2, *([400.0 / far**2] * 3)])
-        covariance, residuals = np.empty((6, 6)), np.empty((len(seen), 2))
+        shares, residuals = np.empty((len(CAUSES), 6, 6)), np.empty((len(seen), 2))
         iterations = adjust(
-            self._lens, self._arms[seen], self.constellation.normals[seen],
-            self.constellation.diameters_m[seen], np.ascontiguousarray(self.table[seen, :2]),
-            np.full(len(seen), 0.1), prior, rotation, shift, covariance, residuals,
+            self._lens, self._doubts, self._arms[seen], self.constellation.normals[seen],
+            self._discs[seen], np.ascontiguousarray(self.table[seen, :2]),
+            np.full(len(seen), 0.1), prior, rotation, shift, shares, residuals,
         )  # fmt: skip
         if iterations >= 0:
             track.pose = Pose(rotation, shift - rotation @ self._centre)

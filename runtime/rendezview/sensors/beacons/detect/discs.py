@@ -11,6 +11,7 @@ by 2 k² a² / r² of the in-plane part of c, with k² a² the second moment und
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numba import njit
@@ -20,6 +21,9 @@ from rendezview.geometry.lens import LENS_LENGTH, distorted, lens_vector
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 
+# σ of the law of light (1 retro-reflected, 0 even): even light is then 1.7 σ away, which leaves the
+# normalised error of either within 4 to 8. Source: experiment reflector-nees
+_LIGHT_SIGMA = 0.6
 BLUR, LAW = LENS_LENGTH, LENS_LENGTH + 1  # places of what `camera_numbers` appends
 
 
@@ -30,6 +34,44 @@ def camera_numbers(camera: Camera, blur_px: float = 0.75) -> Array:
     even light.
     """
     return np.append(lens_vector(camera), (blur_px, 1.0))
+
+
+def camera_doubts(camera: Camera) -> Array:
+    """(P, LENS_LENGTH + 2) by how much one σ of each error moves `camera_numbers`.
+
+    The first row is the law of light. The others, which are independent of each other, are the
+    errors of the camera's calibration; there are none where its covariance is not known.
+    """
+    light = np.zeros((1, LENS_LENGTH + 2))
+    light[0, LAW] = _LIGHT_SIGMA
+    if camera.covariance is None:
+        return light
+    matrix = np.array(camera.covariance)
+    values, vectors = np.linalg.eigh(matrix / (scale := _scale(matrix)))
+    roots = np.sqrt(np.diag(scale)) * (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    terms = np.zeros(len(matrix) - 4)
+    terms[: len(camera.distortion)] = camera.distortion[: len(terms)]
+    given = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *terms])
+    rows = [
+        0.5 * (_numbers_of(camera, given + root) - _numbers_of(camera, given - root))
+        for root in roots
+    ]
+    return np.vstack([light, *rows])
+
+
+def _scale(matrix: Array) -> Array:
+    """Products of σ, 1 where a number is exact: a covariance over these is a correlation."""
+    sigma = np.sqrt(np.diag(matrix))
+    sigma[sigma == 0.0] = 1.0
+    return np.outer(sigma, sigma)
+
+
+def _numbers_of(camera: Camera, values: Array) -> Array:
+    """`camera_numbers` of fx fy cx cy and a distortion."""
+    fx, fy, cx, cy, *terms = values.tolist()
+    terms = terms or camera.distortion
+    moved = replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(terms), covariance=None)
+    return camera_numbers(moved, 0.0)
 
 
 def predict_spots(

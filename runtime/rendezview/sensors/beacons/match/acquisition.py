@@ -317,4 +317,5 @@ def merged(patterns: list[ReflectorPattern]) -> ReflectorPattern:
         positions_m=np.concatenate([pattern.positions_m for pattern in patterns]),
         normals=np.concatenate([pattern.normals for pattern in patterns]),
         diameters_m=np.concatenate([pattern.diameters_m for pattern in patterns]),
+        sigmas_m=np.concatenate([pattern.sigmas_m for pattern in patterns]),
     )

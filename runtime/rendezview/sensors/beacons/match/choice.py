@@ -17,13 +17,14 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import hat
 from rendezview.sensors.beacons.constellation import ReflectorPattern
+from rendezview.sensors.beacons.detect.cover import covered_px
 from rendezview.sensors.beacons.detect.discs import camera_numbers
 from rendezview.sensors.beacons.detect.spots import SpotTable
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.match.judgement import least_facing
 from rendezview.sensors.beacons.match.matching import expect_spots, match_all, size_score
 from rendezview.sensors.beacons.match.mirrored_pose import mirror
-from rendezview.sensors.beacons.pose.refinement import Refined, refine
+from rendezview.sensors.beacons.pose.refinement import Refined, loose_px, refine
 from rendezview.sensors.observation import Status
 
 Ints = npt.NDArray[np.int64]
@@ -63,7 +64,7 @@ class _Hypothesis:
     where: Ints  # (N,) their spots
     score: float  # χ² of the triplet
     total: float  # χ² of all its spots: sizes, and places where there are more than three
-    dropped: int = 0  # spots near where it has a reflector, that do not fit
+    dropped: tuple[tuple[int, int], ...] = ()  # reflectors and the spots near them that do not fit
 
     @property
     def pose(self) -> Pose:
@@ -87,7 +88,7 @@ class Chooser:
         self.camera, self.options, self.constellation = camera, options, constellation
         self._names = [p.name for p in patterns]
         # Turned by one of these a group looks the same.
-        self._turns = [[Pose.identity(), *_turns(p)] for p in patterns]
+        self._turns = [[Pose.identity(), *p.turns()] for p in patterns]
         self._bases = [p.positions_m[p.base[1]] - p.positions_m[p.base[0]] for p in patterns]
         self._group_of = np.repeat(np.arange(len(patterns)), [len(p) for p in patterns])
         # A triangle's own group first: of two reflectors in one place it has the better claim.
@@ -158,8 +159,9 @@ class Chooser:
             # Neighbours that are named wrongly fit too, if another spot gives way.
             return self._ambiguous(
                 best,
-                f"{most} spots fit, {chosen.dropped} beside them do not: names or spots may be "
-                "wrong; uncover more reflectors, or look again",
+                f"{most} spots fit, {self._aside(chosen, spots)} does not: its place in the target "
+                "file, names or spots may be wrong; measure it, give its position_sigma_m, or show "
+                "more reflectors",
             )
         groups = set(self._group_of[chosen.which].tolist())
         ambiguous = prior is None and len(groups) == 1 and len(self._turns[chosen.group]) > 1
@@ -167,6 +169,16 @@ class Chooser:
             Status.OK, None, chosen.refined, self._names[chosen.group], chosen.which,
             chosen.where, chosen.score, ambiguous,
         )  # fmt: skip
+
+    def _aside(self, hypothesis: _Hypothesis, spots: SpotTable) -> str:
+        """The reflectors whose spots do not fit, and how far off, across the view, in words."""
+        words, pose = [], hypothesis.pose
+        for k, spot in hypothesis.dropped:
+            place = pose.apply(self.constellation.positions_m[k])
+            off = self.camera.rays(spots.table[[spot], :2])[0] * place[2] - place
+            name, off_mm = self.constellation.names[k], 1e3 * float(np.linalg.norm(off))
+            words.append(f"that of {name!r}, {off_mm:.1f} mm aside,")
+        return " ".join(words)
 
     def _ambiguous(self, best: _Hypothesis, reason: str) -> Acquisition:
         """No pose, but the spots and the group of the best one: see `Acquirer.acquire`."""
@@ -180,11 +192,7 @@ class Chooser:
         which, pattern, pose = hypothesis.which, self.constellation, hypothesis.pose
         if len(which) == len(pattern):
             return hypothesis
-        expected, blur = np.empty((len(pattern), 3)), self.options.blur_px
-        expect_spots(
-            self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
-            pose.rotation.copy(), pose.translation_m.copy(), self.camera.fx, blur, expected,
-        )  # fmt: skip
+        expected, blur = self._expected(pose), self.options.blur_px
         sizes = expected[:, 2]
         margin = 3.0 * sizes[:, None]
         edge = np.array([self.camera.width - 1, self.camera.height - 1]) - margin
@@ -201,6 +209,16 @@ class Chooser:
         counts = np.bincount(self._group_of[shown], minlength=len(self._names))
         cost = _ABSENT * float(np.minimum(counts, _MOST_ABSENT).sum())
         return replace(hypothesis, total=hypothesis.total + cost)
+
+    def _expected(self, pose: Pose) -> Array:
+        """(N, 3) place and size of every reflector at a pose."""
+        pattern, expected = self.constellation, np.empty((len(self.constellation), 3))
+        expect_spots(
+            self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
+            pose.rotation.copy(), pose.translation_m.copy(), self.camera.fx, self.options.blur_px,
+            expected,
+        )  # fmt: skip
+        return expected
 
     def _strangers(self, spots: SpotTable, usable: Ints, best: _Hypothesis) -> int:
         """How many spots as large as those of a hypothesis it leaves over."""
@@ -328,9 +346,13 @@ class Chooser:
         self, spots: SpotTable, which: Ints, where: Ints, pose: Pose, group: int, score: float
     ) -> _Hypothesis | None:
         """Least squares on the spots of a hypothesis; a spot out of the gate is dropped."""
-        options, pattern, matched = self.options, self.constellation, len(which)
+        options, pattern = self.options, self.constellation
+        dropped: list[tuple[int, int]] = []
         while True:
             sigma = np.maximum(spots.sigma_px[where], 1e-3)
+            sizes = self._expected(pose)[which, 2]
+            cover = covered_px(spots.size_px[where], sizes, sigma, options.blur_px)
+            sigma = np.hypot(sigma, cover)
             refined = refine(
                 self.camera, pattern, spots.table[where, :2], which, pose, sigma, options.blur_px,
                 saturated=bool((spots.saturated_px[where] > 1).all()),
@@ -338,13 +360,15 @@ class Chooser:
             if refined is None or not refined.converged:
                 return None
             if len(which) == 3:
-                return _Hypothesis(refined, group, which, where, score, score, matched - 3)
+                return _Hypothesis(refined, group, which, where, score, score, tuple(dropped))
             whole = np.hypot(sigma, options.gate_px + options.gate_size * spots.size_px[where])
+            whole = np.hypot(whole, loose_px(pattern, refined, which, self.camera.fx))
             off = np.abs(refined.residuals_px).max(axis=1) / whole
             if off.max() < options.gate_sigma:
                 break
-            keep = np.arange(len(which)) != int(np.argmax(off))
-            which, where = which[keep], where[keep]
+            worst = self._worst(spots, which, where, refined.camera_from_target, whole)
+            dropped.append((int(which[worst]), int(where[worst])))
+            which, where = np.delete(which, worst), np.delete(where, worst)
         found = refined.camera_from_target
         sizes = size_score(
             pattern.positions_m[which], pattern.normals[which], pattern.diameters_m[which],
@@ -353,17 +377,19 @@ class Chooser:
             (options.size_sigma, options.diameter_sigma, options.blur_sigma),
         )  # fmt: skip
         places = float(np.sum((refined.residuals_px / whole[:, None]) ** 2))
-        dropped = matched - len(which)
-        return _Hypothesis(refined, group, which, where, score, sizes + places, dropped)
+        return _Hypothesis(refined, group, which, where, score, sizes + places, tuple(dropped))
 
-
-def _turns(pattern: ReflectorPattern) -> list[Pose]:
-    """The turns of the target frame that bring a pattern onto itself."""
-    centre = pattern.centre_m
-    centred = pattern.positions_m - centre
-    turns = []
-    for order in pattern.symmetries():
-        u, _, vt = np.linalg.svd(centred[list(order)].T @ centred)
-        turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-        turns.append(Pose(turn, centre - turn @ centre))
-    return turns
+    def _worst(self, spots: SpotTable, which: Ints, where: Ints, pose: Pose, sigma: Array) -> int:
+        """The spot without which the others agree best: a fit leans towards one that is aside."""
+        costs = []
+        for k in range(len(which)):
+            rest, own = np.delete(which, k), np.delete(where, k)
+            trial = refine(
+                self.camera, self.constellation, spots.table[own, :2], rest, pose,
+                np.delete(sigma, k), self.options.blur_px,
+            )  # fmt: skip
+            whitened = (
+                np.inf if trial is None else trial.residuals_px / np.delete(sigma, k)[:, None]
+            )
+            costs.append(float(np.sum(np.square(whitened))))
+        return int(np.argmin(costs))

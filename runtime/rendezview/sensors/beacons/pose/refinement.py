@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +20,21 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import between, hat, orthonormalise, perturb_into
 from rendezview.sensors.beacons.constellation import ReflectorPattern
-from rendezview.sensors.beacons.detect.discs import LAW, camera_numbers, project_disc, turned
+from rendezview.sensors.beacons.detect.discs import (
+    LAW,
+    camera_doubts,
+    camera_numbers,
+    project_disc,
+    turned,
+)
 from rendezview.sensors.beacons.detect.spots import SATURATED
+from rendezview.sensors.beacons.pose.shares import (
+    CAUSES,
+    RIM_LAW,
+    share_out,
+    spot_slopes,
+    whole_sigma,
+)
 
 Ints = npt.NDArray[np.int64]
 
@@ -33,12 +46,6 @@ _STEP = 1e-12  # rad and share of the range: the end. Source: by construction, r
 # Source: by construction, root of rounding
 _ROUNDING = 1e-9
 _GAIN = 1e-13  # of the cost: the end. Source: by construction, rounding
-# σ of the law of light (1 retro-reflected, 0 even): even light is then 1.7 σ away, which leaves the
-# normalised error of either within 4 to 8. Source: experiment reflector-nees
-_LIGHT_SIGMA = 0.6
-# The law of rims of saturated discs, and its σ: 0 in even light, 0.13 of a retro-reflector near by.
-# Source: experiment reflector-nees, at 0.8 m
-_RIM_LAW, _RIM_SIGMA = 0.07, 0.07
 _EXACT = 1e-18  # χ²: the spots are fitted. Source: by construction, rounding
 
 
@@ -47,10 +54,20 @@ class Refined:
     """A pose adjusted to its spots."""
 
     camera_from_target: Pose
-    covariance: Array  # (6, 6) camera frame, (rotation vector, translation), left perturbation
+    # (4, 6, 6) camera frame, (rotation vector, translation), left perturbation; one of each cause
+    shares: Array
     residuals_px: Array  # (K, 2) observed minus predicted
     iterations: int
     converged: bool
+    covariance: Array = field(init=False)  # (6, 6) of all causes
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", self.shares.sum(axis=0))
+
+    @property
+    def scatter(self) -> Array:
+        """(6, 6) of what may differ between readings: spots and light, not camera and places."""
+        return np.asarray(self.shares[:2].sum(axis=0))
 
 
 def refine(
@@ -93,21 +110,21 @@ def refine(
     centre = pattern.centre_m
     rotation = np.array(start.rotation)
     shift = start.apply(centre)
-    covariance, residuals = np.empty((6, 6)), np.empty((len(spots), 2))
+    shares, residuals = np.empty((len(CAUSES), 6, 6)), np.empty((len(spots), 2))
     lens = camera_numbers(camera, blur_px)
     if saturated:
-        lens[LAW] = _RIM_LAW
+        lens[LAW] = RIM_LAW
     iterations = adjust(
-        lens,
+        lens, camera_doubts(camera),
         (pattern.positions_m - centre)[which], pattern.normals[which],
-        pattern.diameters_m[which], spots, sigma, np.zeros((6, 6)),
-        rotation, shift, covariance, residuals,
+        pattern.discs[which], spots, sigma, np.zeros((6, 6)),
+        rotation, shift, shares, residuals,
     )  # fmt: skip
     if iterations < 0:
         return None
     return Refined(
         Pose(rotation, shift - rotation @ centre),
-        covariance_at_origin(covariance, rotation @ centre),
+        covariance_at_origin(shares, rotation @ centre),
         residuals,
         iterations,
         iterations < _ITERATIONS,
@@ -115,7 +132,7 @@ def refine(
 
 
 def covariance_at_origin(covariance: Array, centre_camera_m: Array) -> Array:
-    """A covariance of (rotation, position of a centre) as one of (rotation, target origin).
+    """Covariances (…, 6, 6) of (rotation, a centre's position) as of (rotation, target origin).
 
     ``t = shift − R centre``: a left rotation w moves the origin by ``−w × (R centre)``.
     """
@@ -124,16 +141,25 @@ def covariance_at_origin(covariance: Array, centre_camera_m: Array) -> Array:
     return np.asarray(turn @ covariance @ turn.T)
 
 
+def loose_px(pattern: ReflectorPattern, refined: Refined, which: Ints, focal_px: float) -> Array:
+    """(K,) σ of spots by the places of their reflectors, px."""
+    depth = refined.camera_from_target.apply(pattern.positions_m[which])[:, 2]
+    return np.asarray(focal_px * pattern.sigmas_m[which] / depth)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def adjust(
-    lens: Array, arms: Array, normals: Array, diameters: Array, spots: Array, sigma: Array,
-    prior: Array, rotation: Array, shift: Array, covariance: Array, residuals: Array,
+    lens: Array, doubts: Array, arms: Array, normals: Array, discs: Array, spots: Array,
+    noise: Array, prior: Array, rotation: Array, shift: Array, shares: Array, residuals: Array,
 ) -> int:  # fmt: skip
     """Levenberg–Marquardt on the spots; changes ``rotation`` and ``shift`` (of the arms' origin).
 
-    ``prior`` is the information (6, 6) of the start, zero for none. Returns the number of
-    iterations, −1 where the pose is not determined or leaves the front of the camera.
+    ``noise`` is the σ (K,) of the spots, px, beside that of their reflectors' places. ``prior`` is
+    the information (6, 6) of the start, zero for none. Returns the number of iterations, −1 where
+    the pose is not determined or leaves the front of the camera.
     """
+    diameters = discs[:, 0].copy()
+    sigma = whole_sigma(lens, discs, arms, noise, rotation, shift)
     start_r, start_t = rotation.copy(), shift.copy()
     normal, lower, right, step = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
     trial_r, trial_t, offset = np.empty((3, 3)), np.empty(3), np.zeros(6)
@@ -178,41 +204,11 @@ def adjust(
                     break
             damping = max(DAMPING_GROWTH * damping, FIRST_DAMPING)
         done = done or not accepted
-    if not invert(normal, lower, covariance):
+    if not invert(normal, lower, shares[0]):
         return -1
-    _doubt_light(lens, arms, normals, diameters, sigma, rotation, shift, covariance)
+    share_out(lens, doubts, arms, normals, discs, noise, sigma, prior, rotation, shift, shares)
     orthonormalise(rotation)
     return used if done else _ITERATIONS
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _doubt_light(
-    lens: Array, arms: Array, normals: Array, diameters: Array, sigma: Array, rotation: Array,
-    shift: Array, covariance: Array,
-) -> None:  # fmt: skip
-    """Add what the law of light, which may be even, moves the pose by: one number for all spots."""
-    doubt = _RIM_SIGMA if lens[LAW] < 1.0 else _LIGHT_SIGMA
-    law, jacobian, pull, ends = lens.copy(), np.empty((2, 6)), np.zeros(6), np.empty((2, 2))
-    for i in range(arms.shape[0]):
-        x, y, z = turned(rotation, arms, i)
-        x, y, z = x + shift[0], y + shift[1], z + shift[2]
-        nx, ny, nz = turned(rotation, normals, i)
-        for k in range(2):
-            law[LAW] = float(k)
-            u, v = project_disc(law, x, y, z, nx, ny, nz, 0.5 * diameters[i])
-            ends[k, 0], ends[k, 1] = u, v
-        _jacobian(lens, arms, normals, diameters, rotation, shift, i, jacobian)
-        weight = doubt / (sigma[i] * sigma[i])
-        for a in range(6):
-            for k in range(2):
-                pull[a] += weight * jacobian[k, a] * (ends[1, k] - ends[0, k])
-    moved = np.zeros(6)
-    for a in range(6):
-        for b in range(6):
-            moved[a] += covariance[a, b] * pull[b]
-    for a in range(6):
-        for b in range(6):
-            covariance[a, b] += moved[a] * moved[b]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -228,7 +224,7 @@ def _equations(
             normal[a, b] = prior[a, b]
             right[a] -= prior[a, b] * offset[b]
     for i in range(arms.shape[0]):
-        _jacobian(lens, arms, normals, diameters, rotation, shift, i, jacobian)
+        spot_slopes(lens, arms, normals, diameters, rotation, shift, i, jacobian)
         weight = 1.0 / (sigma[i] * sigma[i])
         for a in range(6):
             right[a] += weight * (
@@ -256,23 +252,23 @@ def _difference(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_spots(
-    lens: Array, arms: Array, normals: Array, diameters: Array, centre: Array, table: Array,
-    seen: Ints, floor_px: float, rotation: Array, translation_before: Array, translation: Array,
-    covariance: Array, residuals: Array,
+    lens: Array, doubts: Array, arms: Array, normals: Array, discs: Array, centre: Array,
+    table: Array, seen: Ints, floor_px: float, rotation: Array, translation_before: Array,
+    translation: Array, shares: Array, residuals: Array,
 ) -> int:  # fmt: skip
-    """`adjust` on the rows ``seen`` of a spot table; pose and covariance at the target's origin.
+    """`adjust` on the rows ``seen`` of a spot table; pose and covariances at the target's origin.
 
     ``rotation`` is that of the start and becomes the result's. Returns the iterations, or −1
     where the visible reflectors are on a line or the pose is not determined.
     """
     count = seen.shape[0]
     some_arms, some_normals = np.empty((count, 3)), np.empty((count, 3))
-    some_diameters, spots, sigma = np.empty(count), np.empty((count, 2)), np.empty(count)
+    some_discs, spots, sigma = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
     lens, clipped = lens.copy(), True
     for i in range(count):
         k = seen[i]
         clipped = clipped and table[k, SATURATED] > 1.0
-        some_diameters[i] = diameters[k]
+        some_discs[i, 0], some_discs[i, 1] = discs[k, 0], discs[k, 1]
         for a in range(3):
             some_arms[i, a], some_normals[i, a] = arms[k, a], normals[k, a]
         spots[i, 0], spots[i, 1] = table[k, 0], table[k, 1]
@@ -280,29 +276,30 @@ def solve_spots(
     if not _spans(some_arms):
         return -1
     if clipped:  # their middles are those of their rims
-        lens[LAW] = _RIM_LAW
+        lens[LAW] = RIM_LAW
     x, y, z = turned(rotation, centre.reshape(1, 3), 0)
     shift = np.empty(3)
     shift[0], shift[1] = translation_before[0] + x, translation_before[1] + y
     shift[2] = translation_before[2] + z
     used = adjust(
-        lens, some_arms, some_normals, some_diameters, spots, sigma, np.zeros((6, 6)),
-        rotation, shift, covariance, residuals,
+        lens, doubts, some_arms, some_normals, some_discs, spots, sigma, np.zeros((6, 6)),
+        rotation, shift, shares, residuals,
     )  # fmt: skip
     if used < 0 or used >= _ITERATIONS:
         return -1
     x, y, z = turned(rotation, centre.reshape(1, 3), 0)
     translation[0], translation[1], translation[2] = shift[0] - x, shift[1] - y, shift[2] - z
-    for j in range(6):  # rows, then columns, as in `covariance_at_origin`
-        a, b, c = covariance[0, j], covariance[1, j], covariance[2, j]
-        covariance[3, j] += y * c - z * b
-        covariance[4, j] += z * a - x * c
-        covariance[5, j] += x * b - y * a
-    for j in range(6):
-        a, b, c = covariance[j, 0], covariance[j, 1], covariance[j, 2]
-        covariance[j, 3] += y * c - z * b
-        covariance[j, 4] += z * a - x * c
-        covariance[j, 5] += x * b - y * a
+    for covariance in shares:
+        for j in range(6):  # rows, then columns, as in `covariance_at_origin`
+            a, b, c = covariance[0, j], covariance[1, j], covariance[2, j]
+            covariance[3, j] += y * c - z * b
+            covariance[4, j] += z * a - x * c
+            covariance[5, j] += x * b - y * a
+        for j in range(6):
+            a, b, c = covariance[j, 0], covariance[j, 1], covariance[j, 2]
+            covariance[j, 3] += y * c - z * b
+            covariance[j, 4] += z * a - x * c
+            covariance[j, 5] += x * b - y * a
     return used
 
 
@@ -344,41 +341,3 @@ def _cost(
         residuals[i, 0], residuals[i, 1] = spots[i, 0] - u, spots[i, 1] - v
         total += (residuals[i, 0] ** 2 + residuals[i, 1] ** 2) / (sigma[i] * sigma[i])
     return total if math.isfinite(total) else np.inf
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _jacobian(
-    lens: Array, arms: Array, normals: Array, diameters: Array, rotation: Array, shift: Array,
-    i: int, out: Array,
-) -> None:  # fmt: skip
-    """(2, 6) of spot i by central differences: a turn moves arm and normal, a shift the centre."""
-    arm = turned(rotation, arms, i)
-    n = turned(rotation, normals, i)
-    z = arm[2] + shift[2]
-    for k in range(6):  # one call of the projection: each is compiled in its place
-        out[0, k] = out[1, k] = 0.0
-        for end in range(2):
-            h = (1e-5 if k < 3 else 1e-5 * z) * (2 * end - 1)
-            tx, ty, tz, mx, my, mz = _displaced(k, arm, n)
-            u, v = project_disc(
-                lens, arm[0] + shift[0] + h * tx, arm[1] + shift[1] + h * ty, z + h * tz,
-                n[0] + h * mx, n[1] + h * my, n[2] + h * mz, 0.5 * diameters[i],
-            )  # fmt: skip
-            out[0, k] += u / (2.0 * h)
-            out[1, k] += v / (2.0 * h)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _displaced(
-    k: int, v: tuple[float, float, float], n: tuple[float, float, float]
-) -> tuple[float, float, float, float, float, float]:
-    """How number k of a pose moves an arm and turns a normal."""
-    if k == 0:
-        return 0.0, -v[2], v[1], 0.0, -n[2], n[1]
-    if k == 1:
-        return v[2], 0.0, -v[0], n[2], 0.0, -n[0]
-    if k == 2:
-        return -v[1], v[0], 0.0, -n[1], n[0], 0.0
-    if k == 3:
-        return 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    return 0.0, 1.0 if k == 4 else 0.0, 1.0 if k == 5 else 0.0, 0.0, 0.0, 0.0

@@ -1,0 +1,77 @@
+"""A reflector that is partly hidden: its spot is smaller than its neighbours' and moved."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from tests import plain_pictures as plain
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.geometry.so3 import between
+from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, predict_spots
+from rendezview.sensors.beacons.detect.cover import covered_px
+
+PINHOLE = plain.Pinhole()
+CAMERA = Camera(512, 384, 650.0, 650.0, 255.5, 191.5)
+EDGE = {0.1: 0.687, 0.2: 0.492, 0.35: 0.238}  # radii from the middle that hide this share
+
+
+def reading(five, rng, covers):
+    """One reading of the plain simulator at 3 m, the truth, and the pictures."""
+    placed = plain.look_at(rng, PINHOLE, 3.0, 0.5, 80.0)
+    discs = (five.positions_m, five.normals, five.diameters_m)
+    light = plain.discs(PINHOLE, *placed, *discs, plain.Look(), covers=covers)
+    frames = LitDark(*plain.pair(PINHOLE, light, plain.Look(), rng))
+    sensor = ReflectorSensor(CAMERA, [five], tracking=TrackingOptions(confirm=False))
+    return sensor.update(0.0, frames), Pose(*placed)
+
+
+@pytest.mark.parametrize(("share", "edge"), EDGE.items())
+def test_edges_hide_the_share_that_is_said(share, edge):
+    hidden = (math.acos(edge) - edge * math.sqrt(1.0 - edge * edge)) / math.pi
+    assert hidden == pytest.approx(share, abs=0.002)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.35])
+def test_a_covered_spot_counts_by_how_far_it_has_moved(five, share):
+    rng, moved, claimed = np.random.default_rng(1), [], []
+    for _ in range(8):
+        found, truth = reading(five, rng, {1: (rng.uniform(0.0, 6.3), EDGE[share])})
+        places = predict_spots(CAMERA, five, truth)
+        away = np.linalg.norm(places[:, None] - found.spots.centroids_px, axis=2)
+        nearest = away.argmin(axis=1)
+        sizes, sigma = found.spots.size_px[nearest], found.spots.sigma_px[nearest]
+        cover = covered_px(sizes, np.full(5, np.median(sizes)), sigma, 0.75)
+        assert not cover[[0, 2, 3, 4]].any()
+        moved.append(away[1].min())
+        claimed.append(cover[1])
+    assert np.mean(moved) > 30.0 * 0.012  # of the noise
+    assert 0.8 < np.mean(moved) / (math.sqrt(2.0) * np.mean(claimed)) < 1.25
+
+
+def test_a_pose_of_a_covered_reflector_is_off_by_what_it_claims(three):
+    """Of three, whose pose fits any three spots: nothing but the size tells."""
+    rng, nees = np.random.default_rng(2), []
+    half_turn = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    for _ in range(16):
+        covers = {int(rng.integers(3)): (rng.uniform(0.0, 6.3), EDGE[0.2])}
+        found, truth = reading(three, rng, covers)
+        if found.pose is None:
+            continue
+        if found.pose.angle_to(truth) > found.pose.angle_to(truth @ half_turn):
+            truth = truth @ half_turn
+        turn = between(found.pose.rotation.copy(), truth.rotation.copy())
+        off = np.append(turn, found.pose.translation_m - truth.translation_m)
+        nees.append(off @ np.linalg.solve(found.covariance, off))
+    assert len(nees) >= 12
+    assert np.mean(nees) < 10.0  # 138 without
+
+
+def test_clean_spots_are_covered_by_nothing():
+    rng = np.random.default_rng(3)
+    expected = np.array([1.6, 1.7, 1.65, 1.6])
+    sizes = 0.95 * expected * np.exp(rng.normal(0.0, 0.005, 4))  # all smaller: the blur is another
+    assert not covered_px(sizes, expected, np.full(4, 0.012), 0.75).any()
