@@ -1,21 +1,15 @@
 """One measurement through the filter: prediction, update, and the choice among hypotheses.
 
-Beside the main hypothesis a few rivals run, each a whole filter with its own trust in the sensors:
-
-- a slow or a fast target, at the first pose;
-- a manoeuvre: a reading was turned away, and would fit a jump of the velocity;
-- a new start: the pose that was turned away is right, and the sensors before it were not.
-
-A rival's score is the sum of its sensors' log-likelihood ratios to the main hypothesis, each
-bounded, from a prior. At `_WIN` it takes over. Everything is a value: `step` makes the next
-`Snapshot` from the last, so a late measurement is inserted at its time.
+Beside the main hypothesis a few rivals run (`rivals`). A rival's score is the sum of its sensors'
+log-likelihood ratios to the main hypothesis, each bounded, from a prior. At `_WIN` it takes over.
+Everything is a value: `step` makes the next `Snapshot` from the last, so a late measurement is
+inserted at its time.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from enum import StrEnum
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -23,6 +17,19 @@ import numpy as np
 
 from rendezview.fusion.hypothesis import Found, Hypothesis, judged, look, mixture, moved
 from rendezview.fusion.options import FusionOptions
+from rendezview.fusion.rivals import (
+    CONTRADICTS,
+    FITTING,
+    LOSES,
+    PATIENCE_S,
+    PRIOR,
+    Kind,
+    Rival,
+    begun,
+    doubted,
+    new_rivals,
+    with_doubt,
+)
 from rendezview.fusion.state import (
     FilterState,
     begin,
@@ -32,7 +39,6 @@ from rendezview.fusion.state import (
     turned,
 )
 from rendezview.fusion.trust import Trust, Verdict, after_reading, outlier_log
-from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import (
     Measurement,
@@ -41,65 +47,17 @@ from rendezview.sensors.measurement import (
     ThrustMeasurement,
 )
 
-# Logarithms of likelihood ratios: the most that one sensor may say, what it takes to win, to go.
+# Logarithms of likelihood ratios: the most that one sensor may say, what it takes to win.
 # Source: by construction: one sensor alone cannot overturn a confirmed state, two can
-_CAP, _WIN, _LOSE = 12.0, 6.0, -40.0
+_CAP, _WIN = 12.0, 6.0
 _FORGETS = 0.9  # of a sensor's earlier ratio at each reading. Source: by construction
-# Readings that confirm a hypothesis; against it a new start has a lower prior, unless two sensors
-# speak for it, or so many s have passed without one that agrees. Source: fusion-faults
-_CONFIRMED, _CONTEST_S = 10, 20.0
+# s without a reading that agrees, after which a new start has no lower prior. Source: fusion-faults
+_CONTEST_S = 20.0
 # s; a sensor that spoke so lately must be heard, twice, before a new start wins. Source: as
 # coasting_after_s
 _RECENT_S = 5.0
-_CONTRADICTS = 2  # readings of one sensor turned away in a row. Source: one may be an outlier
-# s ago that velocity or rate have jumped: since the sensor's reading before, within limits. Source:
-# fusion-faults, a thrust
-_JUMP_S, _MOST_JUMP_S = 0.7, 10.0
-# σ of the rates that a new start takes over. Source: those of a slow target, `MotionOptions`
-_NEW_RATE, _NEW_VELOCITY = 0.03, 0.5
-# Probability that a new start gives to a fault of the others. Source: by construction
-_PRESUMED = 0.9
+_HEARD_LEAST = 3  # readings before it goes. Source: by construction, as FITTING
 _WIDER = 4.0  # of the variance of rates that another filter has left. Source: twice the σ
-_UNIT = np.eye(3)  # Source: by construction
-
-
-class Kind(StrEnum):
-    """What a rival holds to be true."""
-
-    FAST = "a fast target"
-    MANOEUVRE = "a manoeuvre"
-    TURN = "a sudden turn"
-    START = "a new start"
-
-
-# Of each: prior, least number of readings that fit, s after which a rival without a lead goes.
-# Source: fusion-faults; with two fitting poses a wrong first one looks like a fast target
-_PRIOR = {Kind.FAST: -2.0, Kind.MANOEUVRE: -3.0, Kind.TURN: -4.0, Kind.START: -4.0}
-# σ of the jump, m/s, rad/s. Source: a thruster's burn; an object that a hand turns
-_JUMPS = {Kind.MANOEUVRE: (0.1, 0.0), Kind.TURN: (0.5, 0.2)}
-_CONFIRMED_PRIOR = -8.0  # of a new start. Source: below _WIN − _CAP
-# Source: as the priors
-_FITTING = {Kind.FAST: 3, Kind.MANOEUVRE: 2, Kind.TURN: 3, Kind.START: 3}
-# Source: fusion-faults, uncritical
-_PATIENCE_S = {Kind.FAST: 5.0, Kind.MANOEUVRE: 5.0, Kind.TURN: 5.0, Kind.START: 30.0}
-_HEARD_LEAST = 3  # readings before it goes. Source: by construction, as _FITTING
-
-
-class Rival(NamedTuple):
-    """A hypothesis beside the main one."""
-
-    kind: Kind
-    hypothesis: Hypothesis
-    prior: float
-    born_s: float
-    ratios: Mapping[str, float] = MappingProxyType({})  # by sensor
-    heard: Mapping[str, int] = MappingProxyType({})
-    fitting: int = 1  # readings that fit it, the one that it was made of included
-
-    @property
-    def score(self) -> float:
-        """Logarithm of its odds against the main hypothesis."""
-        return self.prior + sum(self.ratios.values())
 
 
 class Snapshot(NamedTuple):
@@ -196,18 +154,21 @@ def step(
         score = rival.score + _relief(rival, main, time_s)
         if score > _WIN and _may_win(rival, before, time_s):
             return _won(before, rival, measurement, seen, fits)
-        patient = time_s - rival.born_s <= _PATIENCE_S[rival.kind]
-        few = sum(rival.heard.values()) < _HEARD_LEAST
-        if score > _LOSE and (score >= 0.0 or patient or few):
+        moot = rival.doubts == name and not believed  # the main hypothesis doubts it, too
+        if not moot and _stays(rival, score, time_s):
             kept.append(rival)
     reason: str | None = None
+    doubt = main.trusts[name].doubt
+    if believed and doubt >= outliers:  # likelier wrong than readings are
+        fresh = doubted(forecast, main.trusts[name], measurement, found.innovation)
+        kept = with_doubt(kept, fresh)
     if not believed:
         reason = f"{math.sqrt(max(found.nis, 0.0)):.1f} σ away"
-        if main.trusts[name].rejected >= _CONTRADICTS:
+        if main.trusts[name].rejected >= CONTRADICTS:
             before = before._replace(contested_s=time_s)
         if main.trusts[name].locked:
             reason += f", {main.trusts[name].rejected} times in a row: locked out"
-        kept += _new_rivals(before, forecast, kept, measurement, options)
+        kept += new_rivals(before.heard_s, forecast, kept, measurement, options)
     alone = mixture(outliers, found.log_likelihood, outlier_log(found.peak, size))
     after = before._replace(main=main, rivals=tuple(kept), log_likelihood=alone)
     if believed and found.forecast.other_edge:
@@ -244,20 +205,14 @@ def _start(
         name: trust._replace(fault=0.0, offset=None, rejected=0)
         for name, trust in before.trusts.items()
     }
-    slow = _begun(begin(pose, options), pose, trusts)
+    slow = begun(begin(pose, options), pose, trusts)
     quick = begin(pose, options, None, (motion.fast_rate, motion.fast_velocity))
-    fast = Rival(Kind.FAST, _begun(quick, pose, trusts), _PRIOR[Kind.FAST], pose.time_s)
+    fast = Rival(Kind.FAST, begun(quick, pose, trusts), PRIOR[Kind.FAST], pose.time_s)
     after = Snapshot(
         slow, (fast,), before.heard_s, before.starts + 1, 0.0,
         reason if before.starts else None,
     )  # fmt: skip
     return after, Verdict(pose.sensor, pose.time_s, True, reason, None, 6, began=True)
-
-
-def _begun(state: FilterState, pose: PoseMeasurement, trusts: Mapping[str, Trust]) -> Hypothesis:
-    trust = trusts.get(pose.sensor) or Trust(pose.sensor)
-    own = after_reading(trust, pose.time_s, True, 1.0, 6)
-    return Hypothesis(state, {**trusts, pose.sensor: own}, 1, pose.time_s, pose.time_s)
 
 
 def resumed(
@@ -289,6 +244,8 @@ def _scored(
 ) -> tuple[Rival, bool]:
     name = measurement.sensor
     hypothesis, fits = judged(rival.hypothesis, measurement, seen, options)
+    if name == rival.doubts and not fits:
+        ratio = 0.0  # wrong again in the same way says nothing new
     total = _FORGETS * rival.ratios.get(name, 0.0) + ratio
     ratios = {**rival.ratios, name: max(-_CAP, min(_CAP, total))}
     heard = {**rival.heard, name: rival.heard.get(name, 0) + 1}
@@ -302,13 +259,22 @@ def _relief(rival: Rival, main: Hypothesis, time_s: float) -> float:
         return 0.0
     supporters = sum(ratio > 0.5 * _CAP for ratio in rival.ratios.values())
     if time_s - main.seen_s > _CONTEST_S or supporters > 1:
-        return max(_PRIOR[Kind.START] - rival.prior, 0.0)
+        return max(PRIOR[Kind.START] - rival.prior, 0.0)
     return 0.0
+
+
+def _stays(rival: Rival, score: float, time_s: float) -> bool:
+    """Whether a rival is still of use: a doubt, while it has something else to go by."""
+    doubt = rival.kind is Kind.DOUBT
+    since_s = rival.hypothesis.seen_s if doubt else rival.born_s
+    patient = time_s - since_s <= PATIENCE_S[rival.kind] or (score >= 0.0 and not doubt)
+    few = sum(rival.heard.values()) < _HEARD_LEAST
+    return score > LOSES[rival.kind] and (patient or few)
 
 
 def _may_win(rival: Rival, before: Snapshot, time_s: float) -> bool:
     """Whether it has been tried enough: a new start, by every sensor that speaks."""
-    if rival.fitting < _FITTING[rival.kind]:
+    if rival.fitting < FITTING[rival.kind]:
         return False
     return rival.kind is not Kind.START or all(
         time_s - heard_s >= _RECENT_S or rival.heard.get(name, 0) >= 2
@@ -333,66 +299,3 @@ def _won(
         measurement.sensor, measurement.time_s, fits, reason, seen.nis, seen.size, restarted
     )
     return after, verdict
-
-
-def _new_rivals(
-    before: Snapshot, main: Hypothesis, rivals: list[Rival], measurement: Measurement,
-    options: FusionOptions,
-) -> list[Rival]:  # fmt: skip
-    """Rivals that would explain a reading that the main hypothesis turns away."""
-    kinds, found = {rival.kind for rival in rivals}, []
-    time_s, name = measurement.time_s, measurement.sensor
-    known = main.trusts.get(name) or Trust(name)
-    ago_s = min(max(time_s - known.last_s, _JUMP_S), _MOST_JUMP_S)
-    for kind, sigmas in _JUMPS.items():
-        # What has been turned away for longer has not jumped just now.
-        if kind in kinds or known.rejected >= _CONTRADICTS:
-            continue
-        trust = known._replace(fault=0.0, offset=None)
-        opened = main._replace(
-            state=_with_jump(main.state, ago_s, *sigmas), trusts={**main.trusts, name: trust}
-        )
-        seen = look(opened.state, measurement, options)
-        if isinstance(seen, str):
-            continue
-        after, fits = judged(opened, measurement, seen, options)
-        if fits:
-            found.append(Rival(kind, after, _PRIOR[kind], time_s))
-    if Kind.START not in kinds and isinstance(measurement, PoseMeasurement):
-        moving = main.state.confirmed
-        state = begin(
-            measurement, options,
-            (main.state.rate.copy(), main.state.velocity.copy()) if moving else None,
-            (_NEW_RATE, _NEW_VELOCITY) if moving
-            else (options.motion.fast_rate, options.motion.fast_velocity),
-        )  # fmt: skip
-        trusts = {
-            other: trust._replace(
-                fault=_PRESUMED, offset=_off(main.state, measurement), rejected=0
-            )
-            if trust.sensor in before.heard_s and other != name and trust.fault < 0.5
-            and trust.poses
-            else trust._replace(fault=0.0, offset=None, rejected=0)
-            for other, trust in main.trusts.items()
-        }  # fmt: skip
-        confirmed = main.accepted >= _CONFIRMED
-        prior = _CONFIRMED_PRIOR if confirmed else _PRIOR[Kind.START]
-        begun = _begun(state, measurement, trusts)
-        found.append(Rival(Kind.START, begun, prior, time_s))
-    return found
-
-
-def _with_jump(state: FilterState, ago_s: float, velocity: float, rate: float) -> FilterState:
-    """The state if velocity (σ, m/s) and rate (σ, rad/s) have jumped so long ago."""
-    moves = np.zeros((state.deviations.shape[1], 6))
-    moves[3:6, :3], moves[9:12, :3] = ago_s * velocity * _UNIT, velocity * _UNIT
-    moves[:3, 3:], moves[6:9, 3:] = ago_s * rate * state.rotation, rate * _UNIT
-    moves[3:6, 3:] = ago_s * rate * so3.hat(state.place_m)
-    return state._replace(covariances=state.covariances + moves @ moves.T)
-
-
-def _off(state: FilterState, pose: PoseMeasurement) -> Array:
-    """(6,) innovation that a sensor at the state has beside a new start at a pose."""
-    turn = so3.between(state.rotation, np.array(pose.pose.rotation))
-    away = -state.rotation @ state.place_m - pose.pose.translation_m
-    return np.concatenate([turn, away])

@@ -11,8 +11,9 @@ from typing import overload
 import numpy as np
 from scipy.special import chdtri, expit
 
-from rendezview.fusion.choice import Rival, Snapshot, resumed, step, useless_covariance
+from rendezview.fusion.choice import Snapshot, resumed, step, useless_covariance
 from rendezview.fusion.options import FusionOptions
+from rendezview.fusion.rivals import Kind, Rival
 from rendezview.fusion.state import RING_GEOMETRY, FilterState, estimate_of, predict
 from rendezview.fusion.trust import Trust, Verdict
 from rendezview.geometry import so3
@@ -296,7 +297,8 @@ def _protection(
     possible = [(np.zeros(6), covariance[:6, :6])]  # how far off, and how uncertain
     for rival in snapshot.rivals:
         likely = float(expit(rival.score))
-        wrong = max(wrong, likely)
+        if rival.kind is not Kind.DOUBT:  # of a doubt the level says it all
+            wrong = max(wrong, likely)
         if likely >= options.risk:
             other, spread = _at(rival, time_s, options)
             turn = so3.between(np.array(pose.rotation), np.array(other.rotation))

@@ -15,7 +15,7 @@ import numpy as np
 from rendezview.fusion.models import Forecast, forecasts
 from rendezview.fusion.options import FusionOptions, MotionOptions
 from rendezview.fusion.state import FilterState, predict, sensor_options, with_slot
-from rendezview.fusion.trust import Trust, after_reading, judge
+from rendezview.fusion.trust import Trust, after_reading, judge, lasting
 from rendezview.fusion.update_kernels import (
     compared,
     corrected,
@@ -120,13 +120,15 @@ def judged(
     name, time_s = measurement.sensor, measurement.time_s
     trust = before.trusts.get(name) or Trust(name)
     root = found.forecast.root
-    believed, fault, offset = judge(
-        trust, sensor_options(measurement, options).outliers, found.log_likelihood, found.peak,
-        found.innovation, root,
-    )  # fmt: skip
+    outliers = sensor_options(measurement, options).outliers
+    lowers = found.comparison[2]
+    spread = np.einsum("m,mij,mkj->ik", before.state.weights, lowers, lowers)
+    believed, wrong, hidden, offset = judge(
+        trust, outliers, found.log_likelihood, found.peak, found.nis, found.innovation, root, spread
+    )
     level = found.nis / found.size
     trust = after_reading(trust, time_s, believed, level, found.size)._replace(
-        fault=fault, offset=offset
+        fault=lasting(wrong, outliers), doubt=hidden, offset=offset
     )
     trusts = {**before.trusts, name: trust}
     if not believed:

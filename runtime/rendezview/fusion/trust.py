@@ -16,6 +16,7 @@ from rendezview.geometry.pose import Array
 
 _STAYS = 0.95  # probability that a fault lasts to the next reading. Source: by construction
 _BLOW = 10.0  # σ of an outlier over that of the innovation. Source: by construction
+_HIDDEN = 5.0  # the same of an outlier that is hard to see. Source: glare in `rendezview fly`
 _OFFSET_SCATTER = 4.0  # variance of a fault's offset over the sensor's own. Source: by construction
 _SAME = 0.9  # probability that a faulty sensor's offset is as it was. Source: by construction
 LOCK_AFTER = 3  # turned away in a row: locked out. Source: by construction
@@ -26,6 +27,7 @@ class Trust(NamedTuple):
 
     sensor: str
     fault: float = 0.0  # probability that it is faulty; 0: as often as an outlier
+    doubt: float = 0.0  # probability that its last reading was wrong
     offset: Array | None = None  # (k,) its innovation when it was turned away
     received: int = 0  # measurements in all
     accepted: int = 0
@@ -65,38 +67,54 @@ def outlier_log(peak: float, size: int) -> float:
 
 
 def judge(
-    trust: Trust, outliers: float, log_likelihood: float, peak: float, innovation: Array,
-    root: Array,
-) -> tuple[bool, float, Array | None]:  # fmt: skip
-    """Whether a reading is believed; probability of a fault; the fault's offset.
+    trust: Trust, outliers: float, log_likelihood: float, peak: float, nis: float,
+    innovation: Array, root: Array, spread: Array,
+) -> tuple[bool, float, float, Array | None]:  # fmt: skip
+    """Whether a reading is believed; probabilities that it is wrong by far, or by little; offset.
 
     Args:
         outliers: how often a healthy sensor gives one.
-        log_likelihood, peak: of the reading at the state, and at its forecast.
+        log_likelihood, peak, nis: of the reading at the state, at its forecast, and in σ².
         innovation: (k,) mean over all models.
         root: (k, k) of the covariance that the sensor reports, lower.
+        spread: (k, k) covariance of the innovation: an offset is known no better than the state.
     """
     size = len(innovation)
     before, offset = max(trust.fault, outliers), trust.offset
-    faulty = outlier_log(peak, size)
+    same = -math.inf
     if offset is not None and len(offset) == size:
-        away = innovation - offset
-        lower = math.sqrt(_OFFSET_SCATTER) * root
-        scaled = np.linalg.solve(lower, away)
+        around = _OFFSET_SCATTER * (root @ root.T)
+        if trust.locked:  # the offset is the sensor's; since then the state has moved
+            around = around + spread
+        lower = np.linalg.cholesky(around)
+        scaled = np.linalg.solve(lower, innovation - offset)
         same = -0.5 * float(scaled @ scaled) - float(np.log(lower.diagonal()).sum())
-        same -= 0.5 * size * math.log(2.0 * math.pi)
-        faulty = float(np.logaddexp(math.log1p(-_SAME) + faulty, math.log(_SAME) + same))
+        same += math.log(_SAME) - 0.5 * size * math.log(2.0 * math.pi)
     healthy = math.log1p(-before) + log_likelihood
-    ill = math.log(before) + faulty
-    after = 1.0 / (1.0 + math.exp(min(50.0, max(-50.0, healthy - ill))))
-    believed = healthy > ill
+
+    def wrong(chance: float) -> float:
+        """Probability that it is, where an outlier has a log-likelihood."""
+        if offset is not None:
+            chance += math.log1p(-_SAME)
+        ill = math.log(before) + float(np.logaddexp(chance, same))
+        return 1.0 / (1.0 + math.exp(min(50.0, max(-50.0, healthy - ill))))
+
+    after = wrong(outlier_log(peak, size))
+    hidden = wrong(peak - size * math.log(_HIDDEN) - 0.5 * nis / _HIDDEN**2)
+    believed = after < 0.5
     if believed:
         offset = None
     elif offset is None or len(offset) != size:
         offset = innovation
     else:
-        offset = 0.5 * (offset + innovation)
-    return believed, after * _STAYS + (1.0 - after) * outliers, offset
+        own = np.minimum((root * root).sum(axis=1) / spread.diagonal(), 1.0).mean()
+        offset = offset + 0.5 * (float(own) if trust.locked else 1.0) * (innovation - offset)
+    return believed, after, hidden, offset
+
+
+def lasting(wrong: float, outliers: float) -> float:
+    """Probability that a sensor is faulty at its next reading, by that of this one."""
+    return wrong * _STAYS + (1.0 - wrong) * outliers
 
 
 def after_reading(trust: Trust, time_s: float, believed: bool, level: float, size: int) -> Trust:
