@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.ground.fly.conftest import short_plan
 
-from rendezview_ground.fly.campaign import campaign, fly_once, record
+from rendezview_ground.fly.campaign import agreement, campaign, fly_once, record
 from rendezview_ground.fly.dynamics import OrbitDynamics
 from rendezview_ground.fly.faults import Fault, fault_of_run
 from rendezview_ground.fly.loop import FusedEstimator, Loop
@@ -81,6 +81,29 @@ def test_a_campaign_goes_on_after_a_kill_with_the_same_bytes(setup, tmp_path):
     assert record(again, 3, Fault.drawn("ring", 3)) == lines[3]
     page = write_campaign_page(tmp_path, "client", setup, lines).read_text()
     assert "--seed 3 --faults ring" in page
+
+
+def test_contacts_of_one_distribution_agree_and_of_another_do_not(setup, tmp_path):
+    rng = np.random.default_rng(3)
+
+    def contacts(closing_m_s):
+        keys = ("lateral_m", "tilt_rad", "roll_rad", "lateral_m_s", "across_rad_s", "about_rad_s")
+        return [
+            {"contact": {k: 0.01 * rng.random() for k in keys}
+             | {"closing_m_s": closing_m_s + 0.002 * rng.standard_normal()},
+             "fault": None, "end": "contact", "touch_m": [0.0, 0.0], "beyond": 0, "steps": 480,
+             "time_s": 240.0, "seed": seed}
+            for seed in range(30)
+        ]  # fmt: skip
+
+    one, same, other = contacts(0.075), contacts(0.075), contacts(0.08)
+    assert all(p > 0.05 for *_, p in agreement(one, same))
+    assert {key for key, *_, p in agreement(one, other) if p < 0.05} == {"closing_m_s"}
+    lost = [{"contact": None, "fault": None}]
+    assert agreement(one, lost) == []
+    page = write_campaign_page(tmp_path, "client", setup, one, other).read_text()
+    assert "Kolmogorov" in page
+    assert "Kolmogorov" not in write_campaign_page(tmp_path, "client", setup, one).read_text()
 
 
 def test_one_run_in_ten_has_a_fault_each_kind_in_turn():

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import ks_2samp
 
 from rendezview.fusion import BeamMesh
 from rendezview.io.files import atomic_write_text, check_place
@@ -150,3 +151,24 @@ def worst(lines: list[dict[str, Any]], setup: Setup) -> list[tuple[float, dict[s
         )  # fmt: skip
         found.append((used, line))
     return sorted(found, key=lambda pair: -pair[0])
+
+
+def agreement(
+    lines: list[dict[str, Any]], others: list[dict[str, Any]]
+) -> list[tuple[str, int, int, float]]:
+    """Whether contacts of faultless flights may be of one distribution, by contact condition.
+
+    Returns:
+        Condition, both numbers of flights, and p of the two-sample Kolmogorov–Smirnov test.
+    """
+    one, two = (
+        [line["contact"] for line in some if line["contact"] and line["fault"] is None]
+        for some in (lines, others)
+    )
+    if not one or not two:
+        return []
+    return [
+        (key, len(one), len(two),
+         float(ks_2samp([c[key] for c in one], [c[key] for c in two]).pvalue))
+        for key in one[0]
+    ]  # fmt: skip

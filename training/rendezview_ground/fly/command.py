@@ -15,6 +15,7 @@ from rendezview.cli.compiling import tell_of_compiling
 from rendezview.cli.progress import ProgressBar
 from rendezview.io.bundled import find_target
 from rendezview.io.files import make_folder
+from rendezview.io.results import read_json_lines
 from rendezview.io.video_file import VideoWriter
 from rendezview.sensors.appearance import ViewModel
 from rendezview_ground.fly.campaign import Setup, campaign, fly_once, record
@@ -53,6 +54,9 @@ def fly(
     every: Annotated[
         int, typer.Option(min=1, help="Of several flights, one in so many has a fault.")
     ] = 10,
+    beside: Annotated[
+        Path | None, typer.Option(help="runs.jsonl of others, whose contacts are compared.")
+    ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the results.")] = Path(
         "rendezview-fly"
     ),
@@ -72,6 +76,7 @@ def fly(
     kinds = FAULTS if faults == "all" else tuple(filter(None, faults.split(",")))
     drawn = [Fault.drawn(kind, seed) for kind in kinds]  # an unknown one is an error now
     Setup.of(found, mesh, options)  # and so is a target without a port
+    others = None if beside is None else read_json_lines(beside)
     make_folder(output)
     views = None
     tell_of_compiling()
@@ -94,7 +99,7 @@ def fly(
                 lines = campaign(
                     setup, output / "runs.jsonl", runs, seed, kinds, every, executor, progress
                 )
-            page = write_campaign_page(output, found.name, setup, lines)
+            page = write_campaign_page(output, found.name, setup, lines, others)
             Console(highlight=False).print(_table(lines))
     console.print(f"{page}, in {time.perf_counter() - start:.0f} s")
 

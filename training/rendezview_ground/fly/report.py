@@ -12,7 +12,7 @@ import numpy as np
 from rendezview.io.files import atomic_write_text
 from rendezview_ground.evaluate.page import WEBM, Card, document, figure, table_of, tiles_of
 from rendezview_ground.evaluate.pictures.palette import png
-from rendezview_ground.fly.campaign import Setup, worst
+from rendezview_ground.fly.campaign import Setup, agreement, worst
 from rendezview_ground.fly.faults import Fault
 from rendezview_ground.fly.loop import Flight
 from rendezview_ground.fly.options import EnvelopeOptions
@@ -69,8 +69,21 @@ def write_flight_page(
     return path
 
 
-def write_campaign_page(folder: Path, name: str, setup: Setup, lines: list[dict[str, Any]]) -> Path:
-    """Many flights; the path of their page."""
+def write_campaign_page(
+    folder: Path, name: str, setup: Setup, lines: list[dict[str, Any]],
+    beside: list[dict[str, Any]] | None = None,
+) -> Path:  # fmt: skip
+    """Many flights; the path of their page.
+
+    Args:
+        beside: other flights whose contacts are compared, such as rendered with modelled ones.
+    """
+    rows = [(key.rsplit("_", 1)[0].replace("_", " "), str(m), str(n), f"{p:.2g}")
+            for key, m, n, p in agreement(lines, beside or [])]  # fmt: skip
+    compared = "" if not rows else (
+        "<h2>Beside other flights</h2><p class=\"quiet\">Kolmogorov–Smirnov test of the faultless "
+        "contacts; below 0.05 they differ.</p>" + table_of(("", "flights", "others", "p"), rows)
+    )  # fmt: skip
     ends = [line["end"] for line in lines]
     plain = [line["end"] for line in lines if line["fault"] is None]
     beyond, steps = (sum(line[key] for line in lines) for key in ("beyond", "steps"))
@@ -95,6 +108,7 @@ def write_campaign_page(folder: Path, name: str, setup: Setup, lines: list[dict[
 <div class="wide">{"".join(map(figure, cards))}</div>
 <h2>Median and largest contact conditions</h2>
 {table_of(("", "median", "largest", "limit"), _statistics(setup.plan.envelope, lines))}
+{compared}
 <h2>Worst flights</h2>
 <p class="quiet">A flight again, with its page: add <code>--seed</code>, and
 <code>--faults</code> where it had one.</p>
