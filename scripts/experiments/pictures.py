@@ -11,6 +11,7 @@ import cv2
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
+from PIL import Image
 
 from experiments.frame import CLIENT, PICTURES, mesh_of
 from experiments.fusion.trials import fly, load_run
@@ -32,6 +33,11 @@ from rendezview.sensors.beacons import (
 from rendezview.sensors.beacons.overlay import draw_reading as draw_spots
 from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview.sensors.ring.overlay import draw_reading
+from rendezview_ground.evaluate.pictures.palette import png
+from rendezview_ground.fly.campaign import Setup, fly_once
+from rendezview_ground.fly.options import FlyPlan
+from rendezview_ground.fly.pictures import corridor_picture
+from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.simulate import (
     SceneOptions,
     SensorOptions,
@@ -181,12 +187,23 @@ def sketch(model: Path) -> None:
     cv2.imwrite(str(PICTURES / "sketch.png"), np.vstack(rows))
 
 
+def flight(_: Path) -> None:
+    """`rendezview fly client`, seed 0: the corridor in three views."""
+    target = Target.load(CLIENT)
+    setup = Setup.of(target, load_mesh(target.mesh_path, target.unit), FlyPlan())
+    path = PICTURES / "flight.png"
+    path.write_bytes(png(corridor_picture(fly_once(setup, 0), setup)))
+    few = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+    small = Image.fromarray(few).quantize(32)  # colours
+    small.save(path, optimize=True)
+
+
 DRAWN = {"readme": readme, "simulation": simulation, "ring": ring, "reflectors": reflectors,
-         "sketch": sketch}  # fmt: skip
+         "sketch": sketch, "flight": flight}  # fmt: skip
 
 
 def run(
-    name: Literal["readme", "simulation", "ring", "reflectors", "fusion", "sketch"],
+    name: Literal["readme", "simulation", "ring", "reflectors", "fusion", "sketch", "flight"],
     source: Path | None = None, *,
     model: Path | None = None,
 ) -> None:  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,7 @@ import typer
 from rich.console import Console
 
 from rendezview.cli.compiling import compile_ahead, compile_beside, tell_of_compiling
+from rendezview.cli.main import GROUP
 from rendezview.cli.progress import ProgressBar
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Pose
@@ -168,6 +170,9 @@ def demo(
         f"{contact.range_m[-1]:.1f} m from the ring, its centre is known to "
         f"{1e3 * contact.last_error_m:.1f} mm; {time.perf_counter() - start:.0f} s in all"
     )
+    console.print("5. Flying to the ring in a closed loop, with modelled readings …")
+    (fly,) = metadata.entry_points(group=GROUP, name="fly")
+    fly.load()(_TARGET, output=output / "flight")
     console.print(f"Report with videos: {report}")
     console.print(
         "The same run on the service's page, at http://127.0.0.1:8360/:\n"
