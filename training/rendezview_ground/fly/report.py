@@ -78,7 +78,8 @@ def write_campaign_page(
     Args:
         beside: other flights whose contacts are compared, such as rendered with modelled ones.
     """
-    rows = [(key.rsplit("_", 1)[0].replace("_", " "), str(m), str(n), f"{p:.2g}")
+    names = {key: words.split(",")[0] for words, key, *_ in _limits(setup.plan.envelope)}
+    rows = [(names[key], str(m), str(n), f"{p:.2g}")
             for key, m, n, p in agreement(lines, beside or [])]  # fmt: skip
     compared = "" if not rows else (
         "<h2>Beside other flights</h2><p class=\"quiet\">Kolmogorov–Smirnov test of the faultless "
