@@ -46,6 +46,7 @@ from rendezview.sensors.beacons.run import (
     record,
     wrong_mode,
 )
+from rendezview.sensors.beacons.track import TrackingOptions
 from rendezview.sensors.beacons.triangulation import Iteration
 from rendezview.sensors.observation import Status
 from rendezview.sensors.run import Line, run
@@ -122,6 +123,9 @@ def reflectors(
     registered: Annotated[
         bool, typer.Option("--register", hidden=True, help="No effect: the pictures tell.")
     ] = False,
+    readout_ms: Annotated[
+        float, typer.Option(min=0.0, max=500.0, help="First to last row of a rolling shutter.")
+    ] = 0.0,
     independent: Annotated[
         bool, typer.Option("--independent", help="Each reading on its own, no memory.")
     ] = False,
@@ -200,6 +204,7 @@ def reflectors(
     read = follow(
         itertools.islice(pairs, total), patterns, threshold=options, acquisition=acquisition,
         accelerations=pushes, independent=independent,
+        tracking=TrackingOptions(readout_s=1e-3 * readout_ms),
     )  # fmt: skip
     steps = (_Step(*step, {}) for step in read)
     _run(steps, patterns, forms, overlay, output, total, options, BudgetReport(budget))

@@ -93,10 +93,8 @@ class Reflector:
     def of_record(cls, record: dict[str, Any]) -> Reflector:
         """The inverse of `record`."""
         place, normal = _frozen(record["position_m"]), _frozen(record["normal"])
-        return cls(
-            str(record["name"]), str(record["group"]), place, normal, float(record["diameter_m"]),
-            record.get("position_sigma_m"),
-        )  # fmt: skip
+        name, group, wide = str(record["name"]), str(record["group"]), float(record["diameter_m"])
+        return cls(name, group, place, normal, wide, record.get("position_sigma_m"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

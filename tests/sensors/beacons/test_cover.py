@@ -13,6 +13,8 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, predict_spots
 from rendezview.sensors.beacons.detect.cover import covered_px
+from rendezview.sensors.beacons.detect.discs import camera_numbers
+from rendezview.sensors.beacons.match.matching import expect_spots
 
 PINHOLE = plain.Pinhole()
 CAMERA = Camera(512, 384, 650.0, 650.0, 255.5, 191.5)
@@ -44,7 +46,12 @@ def test_a_covered_spot_counts_by_how_far_it_has_moved(five, share):
         away = np.linalg.norm(places[:, None] - found.spots.centroids_px, axis=2)
         nearest = away.argmin(axis=1)
         sizes, sigma = found.spots.size_px[nearest], found.spots.sigma_px[nearest]
-        cover = covered_px(sizes, np.full(5, np.median(sizes)), sigma, 0.75)
+        expected = np.empty((5, 3))
+        expect_spots(
+            camera_numbers(CAMERA), five.positions_m, five.normals, five.diameters_m,
+            truth.rotation.copy(), truth.translation_m.copy(), 650.0, 0.75, expected,
+        )  # fmt: skip
+        cover = covered_px(sizes, expected[:, 2].copy(), sigma, 0.75)
         assert not cover[[0, 2, 3, 4]].any()
         moved.append(away[1].min())
         claimed.append(cover[1])

@@ -42,6 +42,7 @@ from rendezview.sensors.beacons.detect.spots import (
 )
 from rendezview.sensors.beacons.match.matching import expect_spots, match_spots
 from rendezview.sensors.beacons.pose.refinement import adjust, solve_spots
+from rendezview.sensors.beacons.pose.shares import share_out, spot_slopes, whole_sigma
 from rendezview.sensors.beacons.rates import RateEstimator
 from rendezview.sensors.beacons.windows import (
     VISIBLE,
@@ -172,6 +173,44 @@ def test_the_adjusted_pose_is_the_minimum_and_its_covariance_the_inverse_normal_
     np.testing.assert_allclose(covariance / scale, wanted / scale, atol=1e-4)
     np.testing.assert_allclose(residuals / sigma[:, None], misfit(np.zeros(6)).reshape(5, 2),
                                atol=1e-6)  # fmt: skip
+
+
+def test_shares_are_those_of_the_slopes_of_the_spots(five, paper_camera):
+    truth, lens = pose_of(SIX, five), camera_numbers(paper_camera, 0.75)
+    arms, rotation = five.positions_m - five.centre_m, np.array(truth.rotation)
+    shift, sigmas_m = truth.apply(five.centre_m), np.array([0.0, 1e-3, 0.0, 2e-3, 0.0])
+    discs, noise = np.column_stack([five.diameters_m, sigmas_m]), np.full(5, 0.02)
+    sigma = whole_sigma(lens, discs, arms, noise, rotation, shift)
+    away = paper_camera.fx * sigmas_m / (arms @ rotation.T + shift)[:, 2]
+    np.testing.assert_allclose(sigma, np.hypot(noise, away))
+
+    def spots(step):
+        r = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation
+        pose = Pose(r, shift + step[3:] - r @ five.centre_m)
+        return predict_spots(paper_camera, five, pose)
+
+    slopes, own = np.empty((5, 2, 6)), np.empty((2, 6))
+    for k, e in enumerate(np.eye(6)):
+        slopes[:, :, k] = (spots(1e-6 * e) - spots(-1e-6 * e)) / 2e-6
+    for i in range(5):
+        spot_slopes(lens, arms, five.normals, five.diameters_m, rotation, shift, i, own)
+        np.testing.assert_allclose(own, slopes[i], rtol=1e-3, atol=0.1)
+    weighted = slopes / sigma[:, None, None] ** 2
+    inverse = np.linalg.inv(np.einsum("nai,naj->ij", weighted, slopes))
+    shares = np.empty((4, 6, 6))
+    shares[0] = inverse
+    share_out(
+        lens, camera_doubts(paper_camera), arms, five.normals, discs, noise, sigma,
+        np.zeros((6, 6)), rotation, shift, shares,
+    )  # fmt: skip
+    by_noise = np.einsum("nai,n,naj->ij", weighted, noise**2, weighted)
+    pulls = np.einsum("nai,nac,n->nic", weighted, slopes[:, :, 3:], sigmas_m)
+    by_place = np.einsum("nic,njc->ij", pulls, pulls)
+    for share, pull in ((shares[0], by_noise), (shares[3], by_place)):
+        wanted = inverse @ pull @ inverse
+        scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
+        np.testing.assert_allclose(share / scale, wanted / scale, atol=2e-3)
+    assert not shares[2].any()
 
 
 def test_a_prior_holds_the_pose_by_the_rotation_vector_between_the_two(five, paper_camera):

@@ -5,11 +5,17 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from tests import plain_pictures as plain
 
 from rendezview.errors import RendezviewError
-from rendezview.sensors.beacons import Lens
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.beacons import Lens, LitDark, ReflectorSensor
 from rendezview.sensors.beacons.detect.brown_lens import ideal_with_sigma, shift, unshift
+from rendezview.sensors.beacons.detect.lens_scale import LensScale
+from rendezview.sensors.beacons.detect.spots import COLUMNS, SIZE, SpotTable
 from rendezview.sensors.beacons.rig import ideal_spot
+from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
 
 WHOLE = Lens((0.2, -0.1, 0.05), (0.004, -0.003, 2.0), (0.01, -0.02), corrects=True)
 FIELD = np.random.default_rng(5).uniform(-0.3, 0.3, (200, 2))
@@ -147,3 +153,45 @@ def test_the_shift_of_the_compiled_loops_has_the_derivatives_of_equation_6():
         by_x, by_y = (moved[1] - moved[2]) / (2 * h), (moved[3] - moved[4]) / (2 * h)
         expected = [*moved[0], by_x[0], by_y[0], by_x[1], by_y[1]]
         assert shift(x, y, row) == pytest.approx(expected, abs=1e-9)
+
+
+WIDE = Camera(640, 480, 330.0, 330.0, 319.5, 239.5, (-0.28, 0.07, 0.001, -0.001, 0.0))
+
+
+def test_small_discs_are_scaled_by_the_slope_of_the_lens():
+    scale = LensScale(WIDE, 0.75)
+    places = np.array([[319.5, 239.5], [60.0, 50.0], [600.0, 240.0], [400.0, 430.0]])
+    rays = WIDE.rays(places)
+    for place, ray, found in zip(places, rays, scale.at(places), strict=True):
+        angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+        ring = ray + 1e-4 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(400)])
+        off = WIDE.project(ring) - place
+        assert found == pytest.approx(np.sqrt((off**2).sum(axis=1).mean()) / 0.033, rel=4e-3)
+    assert scale.at(places)[1] < 0.8  # a corner of a wide lens
+    assert np.isnan(scale.at(np.array([[np.nan, 3.0]]))).all()
+    assert (LensScale(WIDE.pinhole, 0.75).at(places) == 1.0).all()
+    spots = SpotTable(np.zeros((1, COLUMNS)))
+    spots.table[0, :2], spots.table[0, SIZE] = (60.0, 50.0), 3.0
+    straight = scale.straightened(spots).table
+    expected = np.array([[60.0, 50.0, straight[0, SIZE]]])
+    scale.distort(expected)
+    assert straight[0, SIZE] > 3.5
+    assert expected[0, 2] == pytest.approx(3.0)
+
+
+def test_dots_22_degrees_off_the_boresight_of_a_wide_lens_are_found_and_of_the_right_size(three):
+    found = []
+    for k in range(4):
+        rng = np.random.default_rng(k)
+        corner = np.array([210.0, 170.0]) + rng.uniform(-15, 15, 2)
+        sight = WIDE.rays(corner[None])[0]
+        sight /= np.linalg.norm(sight)
+        aim = plain.turn(np.cross([0, 0, 1.0], sight), np.arccos(sight[2]))
+        lean = Pose.identity().perturbed([*rng.normal(0.0, 0.15, 3), 0, 0, 0]).rotation
+        pose = Pose(aim @ lean @ np.diag([1.0, -1.0, -1.0]), sight)
+        frames = LitDark(*render_pair(WIDE, three, pose, ReflectorFrameOptions(), rng))
+        sensor = ReflectorSensor(WIDE, [three])
+        reading = [sensor.update(0.1 * t, frames) for t in range(4)][-1]
+        assert reading.note is None
+        found.append(reading.pose is not None and reading.pose.angle_to(pose) < 0.02)
+    assert sum(found) == 4  # one without the scale of the lens

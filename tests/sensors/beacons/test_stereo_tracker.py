@@ -275,8 +275,8 @@ def test_an_observation_is_a_measurement_and_a_line_of_the_log(tracker, laborato
     line = observation.record()
     assert list(line) == [
         "time_s", "status", "reason", "pose", "covariance", "rig_from_target",
-        "yaw_pitch_roll_rad", "rates", "sum_of_squares", "degrees_of_freedom", "left_out",
-        "exchanged", "leds", "found_anew", "stage_ms",
+        "yaw_pitch_roll_rad", "common_covariance", "budget", "rates", "sum_of_squares",
+        "degrees_of_freedom", "left_out", "exchanged", "leds", "found_anew", "stage_ms",
     ]  # fmt: skip
     assert line["leds"][0] == list(tracker.names.leds)
     assert list(line["stage_ms"]) == ["track"]

@@ -197,7 +197,7 @@ def follow(
         RendezviewError: times do not rise.
     """
     if independent:
-        tracking = TrackingOptions(confirm=False)
+        tracking = replace(tracking or TrackingOptions(), confirm=False)
     sensors: dict[Camera, ReflectorSensor] = {}
 
     def look(pair: FramePair, time_s: float, frames: LitDark) -> ReflectorObservation:

@@ -287,10 +287,9 @@ class StereoTracker:
             shares = self._calibration.shares(pose, fit.sights.weight)
         if self._calibration and fit is not None and self.options.motion is None:
             own = turned(self._calibration.noise(pose, fit.sights.weight), self._first.rotation)
-        whole: dict[str, Array | None] = {SPOTS: own} | {
-            cause: None if share is None else turned(share, self._first.rotation)
-            for cause, share in shares.items()
-        }
+        whole: dict[str, Array | None] = {SPOTS: own}
+        for cause, share in shares.items():
+            whole[cause] = None if share is None else turned(share, self._first.rotation)
         common = common_of(whole)
         return replace(observation, covariance=own + common, common=common, budget=budget_of(whole))
 

@@ -19,6 +19,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview.sensors.beacons.detect.discs import camera_numbers
+from rendezview.sensors.beacons.detect.lens_scale import LensScale
 from rendezview.sensors.beacons.detect.spots import MOST_CERTAIN, SpotTable
 from rendezview.sensors.beacons.match.acquisition import Acquirer, merged
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
@@ -117,12 +118,13 @@ def _size_error(
     sizes_px: Array,
 ) -> tuple[float, float]:
     """Mean ln of size over expected size, and mean share of the blur in the size."""
-    expected = np.empty((len(pattern), 3))
+    expected, scale = np.empty((len(pattern), 3)), LensScale(camera, blur_px)
     expect_spots(
         camera_numbers(camera, blur_px), pattern.positions_m, pattern.normals, pattern.diameters_m,
         pose.rotation.copy(), pose.translation_m.copy(), camera.fx,
         blur_px, expected,
     )  # fmt: skip
+    scale.distort(expected)
     sizes = expected[which, 2]
     errors = np.log(sizes_px / sizes)
     return float(errors.mean()), float(np.minimum(blur_px / sizes, 1.0).mean())

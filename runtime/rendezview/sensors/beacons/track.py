@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.errors import RendezviewError
 from rendezview.estimation.rates import RateOptions
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.pose.refinement import Refined
@@ -55,7 +56,13 @@ class TrackingOptions:
     # error of a centroid beside the noise: pixels, lens, reflector edge. Source: by hand; doubled,
     # NEES falls from 0.53 to 0.29
     floor_px: float = 0.01
+    # s, from the first row to the last of a rolling shutter; times are those of the middle row
+    readout_s: float = 0.0  # Source: a global shutter
     rates: RateOptions = field(default_factory=RateOptions)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.readout_s < 1.0:
+            raise RendezviewError(f"readout_s must be from 0 to below 1 s, not {self.readout_s}")
 
 
 class Branch(StrEnum):

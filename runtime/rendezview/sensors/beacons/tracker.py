@@ -208,15 +208,18 @@ class ReflectorSensor:
     ) -> ReflectorObservation:  # fmt: skip
         """Track what was found from here on."""
         assert found.refined is not None
-        table = found.table(spots, len(self.constellation))
-        self._remember(time_s, table, found.refined, 2.0, ambiguous, Branch.SURE)
+        table, refined = found.table(spots, len(self.constellation)), found.refined
+        if self._unconfirmed is not None:
+            first_s, _, before = self._unconfirmed
+            refined = self._fit.at_one_time(refined, table, before, time_s - first_s) or refined
+        self._remember(time_s, table, refined, 2.0, ambiguous, Branch.SURE)
         if self._unconfirmed is not None and self._track is not None:
             self._track.before_s, _, first = self._unconfirmed
             self._track.before = first[:, :2].copy()
         self._unconfirmed = None
         names = found.names(self.constellation, len(spots))
         return self._reading(
-            time_s, found.refined, spots, names, found.group, stage_ms, ambiguous, tracked=False
+            time_s, refined, spots, names, found.group, stage_ms, ambiguous, tracked=False
         )
 
     def _agrees(self, found: Acquisition) -> bool:

@@ -14,6 +14,8 @@ from rendezview.sensors.beacons.detect.background import Background
 from rendezview.sensors.beacons.detect.cover import covered_px
 from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptions
 from rendezview.sensors.beacons.detect.discs import camera_doubts, camera_numbers
+from rendezview.sensors.beacons.detect.lens_scale import LensScale
+from rendezview.sensors.beacons.detect.rolling_shutter import at_middle_row
 from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SIZE, recentre
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.beacons.match.choice import FEW
@@ -53,6 +55,7 @@ class WindowFit:
         self._least_cosine = math.cos(1.2 * acquisition.tilt_rad)
         self._lens = camera_numbers(camera, acquisition.blur_px)
         self._doubts = camera_doubts(camera)
+        self._lens_scale = LensScale(camera, acquisition.blur_px)
         self._centre = constellation.centre_m
         self._arms, self._discs = constellation.positions_m - self._centre, constellation.discs
         self._background = background  # of the last whole picture
@@ -84,8 +87,22 @@ class WindowFit:
         if len(rows) >= 3:
             cover = covered_px(rows[:, SIZE], self.expected[seen, 2], rows[:, SIGMA], self._blur_px)
             rows[:, SIGMA] = np.hypot(rows[:, SIGMA], cover)
+        if self.options.readout_s:
+            step_s, height = time_s - track.time_s, self.camera.height
+            at_middle_row(rows, track.places[seen], step_s, self.options.readout_s, height)
         self.table[seen] = rows
         return noise
+
+    def at_one_time(
+        self, refined: Refined, table: Array, before: Array, step_s: float
+    ) -> Refined | None:
+        """The pose of a table (N, 20) of a first find, whose reading before is (N, 20), too."""
+        if not self.options.readout_s:
+            return refined
+        readout_s, height = self.options.readout_s, self.camera.height
+        at_middle_row(table, before[:, :2], step_s, readout_s, height, before_is_raw=True)
+        seen = np.flatnonzero(np.isfinite(table[:, 0]))
+        return self.solve(refined.camera_from_target, table, seen)
 
     def solve(self, start: Pose, table: Array, seen: Ints) -> Refined | None:
         """Least squares on the rows ``seen`` of a spot table, from a pose."""
@@ -185,6 +202,7 @@ class WindowFit:
             self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
             pose.rotation.copy(), pose.translation_m.copy(), self.camera.fx, self._blur_px, out,
         )  # fmt: skip
+        self._lens_scale.distort(out)
 
     def missing(self, names: tuple[str, ...]) -> list[str]:
         """Reflectors that were expected in the picture, other than ``names``."""

@@ -15,10 +15,10 @@ from rendezview.geometry.pose import Array
 _SHIFT = 2.2
 # σ of ln(size) beside the neighbours', but for the noise: discs are not cut alike. Simulated ones
 # scatter by 0.002. Source: a chosen limit
-_SIZE_SIGMA = 0.008
+_SIZE_SIGMA = 0.006
 # σ of ln(size) over that of the place, in sizes: simulated 0.7 to 0.8
 _NOISE = 0.75  # Source: experiment reflector-nees --kind retro
-_SURE = 3.0  # σ. Source: by construction, normal tail
+_SURE = 2.5  # σ; 3.5 of the simulated scatter. Source: by construction, normal tail
 
 
 def covered_px(sizes: Array, expected: Array, sigma: Array, blur_px: float) -> Array:
@@ -34,5 +34,6 @@ def covered_px(sizes: Array, expected: Array, sigma: Array, blur_px: float) -> A
     # Of a spot that is mostly blur, little of the size is the disc's.
     extent = np.sqrt(np.maximum(expected**2 - blur_px**2, (0.1 * expected) ** 2))
     disc = missing * (expected / extent) ** 2
-    doubt = np.hypot(_SIZE_SIGMA, _NOISE * sigma / sizes) * (expected / extent) ** 2
+    noise = np.median(sigma) / sizes  # a strange spot's own may be larger already
+    doubt = np.hypot(_SIZE_SIGMA, _NOISE * noise) * (expected / extent) ** 2
     return np.where(disc > _SURE * doubt, _SHIFT * extent * disc, 0.0)

@@ -15,6 +15,7 @@ from rendezview.estimation.p3p import MAX_ROOTS
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
+from rendezview.sensors.beacons.detect.lens_scale import LensScale
 from rendezview.sensors.beacons.detect.spots import (
     AMPLITUDE,
     BOTTOM,
@@ -78,6 +79,7 @@ class Acquirer:
         self.patterns = patterns
         self.options = options or AcquisitionOptions()
         self.constellation = merged(patterns)
+        self._lens_scale = LensScale(camera, self.options.blur_px)
         self._triangles = self._ready()
         self._chooser = Chooser(camera, patterns, self.constellation, self.options)
         without = replace(
@@ -102,7 +104,7 @@ class Acquirer:
             prior: the last pose: the range must agree with it (re-acquisition), and of several
                 poses that look the same the one with its roll is taken.
         """
-        found = self._acquire(spots, prior)
+        found = self._acquire(self._lens_scale.straightened(spots), prior)
         if found.status not in (Status.OK, Status.NOT_FOUND):
             return found
         return self._against_left_out(found, spots)

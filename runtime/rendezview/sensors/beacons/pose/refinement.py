@@ -158,8 +158,7 @@ def adjust(
     the information (6, 6) of the start, zero for none. Returns the number of iterations, −1 where
     the pose is not determined or leaves the front of the camera.
     """
-    diameters = discs[:, 0].copy()
-    sigma = whole_sigma(lens, discs, arms, noise, rotation, shift)
+    diameters, sigma = discs[:, 0].copy(), whole_sigma(lens, discs, arms, noise, rotation, shift)
     start_r, start_t = rotation.copy(), shift.copy()
     normal, lower, right, step = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
     trial_r, trial_t, offset = np.empty((3, 3)), np.empty(3), np.zeros(6)
