@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
@@ -28,7 +27,7 @@ from rendezview.sensors.appearance.observation import (
 )
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
-from rendezview.sensors.appearance.region import Region, target_box
+from rendezview.sensors.appearance.region import NOWHERE, Region, target_box
 from rendezview.sensors.appearance.search.close import CloseSearch
 from rendezview.sensors.appearance.search.levels import LevelSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
@@ -190,7 +189,7 @@ class PoseFinder:
         if self.sketch is None:
             return seen
         clock = StageClock()
-        looks, looked_at = [], np.zeros(4)
+        looks, looked_at = [], NOWHERE
         if seen.found is not None:
             looked_at = target_box(self.model, self.camera, seen.found.best.pose)
         may_be = None if self.region is None else self.region.holds

@@ -33,6 +33,7 @@ from rendezview.sensors.appearance.model.sketches import (
     centroid,
     on_grid,
 )
+from rendezview.sensors.appearance.region import target_box
 from rendezview.sensors.appearance.search.by_sketch import PartialViews
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch, _last, _lines
 from rendezview.sensors.appearance.sky import Sky
@@ -165,7 +166,7 @@ def test_light_on_the_surface_tells_a_pose_from_others(bumpy_mesh, refining_mode
         frame = lit_frame(bumpy_mesh, pose, camera)
         sky, at = Sky.of(frame), pose.apply(refining_model.centre_m)
         for fineness in (1, 2):
-            sketch = search.sketcher.near(frame, search._box(pose), fineness)
+            sketch = search.sketcher.near(frame, target_box(refining_model, camera, pose), fineness)
             turned = replace(sketch, grey=np.ascontiguousarray(sketch.grey[::-1, ::-1]))
             lit, unlit = (
                 search.aligned(search.read(seen, sky), pose.rotation[None].copy(), at[None].copy())
@@ -195,7 +196,7 @@ def test_lines_are_explained_alike_in_a_finer_sketch(bumpy_mesh, refining_model,
     sky, at = Sky.of(frame), pose.apply(refining_model.centre_m)
     shares = []
     for fineness in (1, 2):
-        sketch = search.sketcher.near(frame, search._box(pose), fineness)
+        sketch = search.sketcher.near(frame, target_box(refining_model, camera, pose), fineness)
         lines, place = _lines(sketch)
         assert lines.sum() == pytest.approx(1.0, abs=1e-4)
         assert place[0] == pytest.approx(sketch.scale / fineness)

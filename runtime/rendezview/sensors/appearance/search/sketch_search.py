@@ -23,9 +23,8 @@ from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import hat, log
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
-from rendezview.sensors.appearance.edges.network import Box, Sketch, Sketcher
+from rendezview.sensors.appearance.edges.network import Sketch, Sketcher
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
 from rendezview.sensors.appearance.edges.sketch import (
     CUT_SPREADS,
@@ -44,10 +43,10 @@ from rendezview.sensors.appearance.judge.sketch_choice import (
     chosen,
     distinct,
 )
-from rendezview.sensors.appearance.model.contours import NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.model.sketches import COVER, CREASE, EDGE, Float32s
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
+from rendezview.sensors.appearance.region import target_box
 from rendezview.sensors.appearance.search.by_sketch import SketchRetrieval
 from rendezview.sensors.appearance.search.starts import rotated_about, within
 from rendezview.sensors.appearance.search.windows import Body, bodies_in_windows
@@ -146,7 +145,7 @@ class SketchSearch:
 
     def near(self, frame: Picture, sky: Sky, prior: Pose, error_rad: float) -> SketchChoice | None:
         """The best pose within some angle of a prior; None where there is none."""
-        sketch = self.sketcher.near(frame, self._box(prior))
+        sketch = self.sketcher.near(frame, target_box(self.model, self.camera, prior))
         if sketch is None:
             return None
         around, stay = rotated_about(prior, self.model.centre_m, error_rad)
@@ -175,7 +174,8 @@ class SketchSearch:
 
     def closer_sketch(self, frame: Picture, pose: Pose, *, turned: bool = False) -> Sketch | None:
         """The finer sketch of the target at a pose; None where it lies outside the frame."""
-        return self.sketcher.near(frame, self._box(pose), _FINER, turned=turned)
+        box = target_box(self.model, self.camera, pose)
+        return self.sketcher.near(frame, box, _FINER, turned=turned)
 
     def measured(self, sketch: Sketch, start: Pose) -> MeasuredEdges | None:
         """The edges of a sketch at the pose next to ``start`` that fits them, sketch px."""
@@ -321,21 +321,6 @@ class SketchSearch:
         vector[:4] *= scale
         vector[2:4] += left, top
         return vector, self._lens[1]
-
-    def _box(self, pose: Pose) -> Box:
-        """The box of the target at a pose, frame px: of the contour points of its nearest view."""
-        views, nearest = self._views, np.zeros(1, dtype=np.int64)
-        centre = pose.apply(self.model.centre_m)
-        rotation = pose.rotation.copy()  # numba compiles a copy for read-only arrays
-        shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
-        exists = views.kind[shell, nearest[0]] != NO_POINT
-        points = views.point[shell, nearest[0]][exists] * (POINT_UNIT * views.radius_m)
-        in_camera = points @ pose.rotation.T + centre
-        px = np.asarray(self.camera.project(in_camera[in_camera[:, 2] > 0.0]))
-        if not len(px) or not np.isfinite(px).all():
-            return -1.0, -1.0, -1.0, -1.0  # nothing of it is ahead: outside the frame
-        left, top, right, bottom = (float(v) for v in (*px.min(0), *px.max(0)))
-        return left, top, right, bottom
 
 
 def _last(sketch: Sketch) -> Array:
