@@ -192,16 +192,6 @@ def test_a_failed_fsync_is_a_failed_record(writer_of, logs, disk, monkeypatch, s
     assert _frames(logs) == list(range(6))  # none lost, none doubled
 
 
-@pytest.mark.usefixtures("no_sync")
-def test_a_disk_that_confirms_nothing_at_the_end_leaves_what_is_written(writer_of, logs, disk):
-    writer = writer_of()
-    assert [_write(writer, k) for k in range(5)] == [RECORDED] * 5
-    disk.failing["fsync"] = 10
-    writer.close()
-    assert "Input/output error" in writer.status.fault
-    assert _frames(logs) == [*range(5)]
-
-
 def test_a_disk_that_confirms_nothing_keeps_states_pending(writer_of, logs, disk, monkeypatch):
     monkeypatch.setattr(recording, "_RETRY_S", 0.3)
     writer = writer_of(sync="always")
