@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import itertools
 import json
 import os
@@ -20,7 +21,7 @@ from pydantic_core import to_json
 from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
-from rendezview_service.logs import log_folder
+from rendezview_service.logs import log_folder, recording
 from rendezview_service.logs.log_folder import mend_folder, part_path, remove_old
 from rendezview_service.logs.log_lock import folder_lock
 from rendezview_service.logs.log_repair import LogPart, join, mend
@@ -316,3 +317,17 @@ def test_the_log_of_a_session_that_a_fault_broke_is_sent_whole(service, client, 
     got.write_bytes(session.log())
     assert _by_other_reader(got) == [*range(first["frame"], state["frame"] + 1)]
     session.close()
+
+
+def test_a_log_whose_last_fsync_fails_stays_as_it_is_written(camera, tmp_path, monkeypatch):
+    monkeypatch.setattr(recording, "_SYNC_EVERY_S", MOST_S)  # none comes before
+
+    def fails(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    writer = LogWriter(tmp_path / "run.mcap", camera, {}, None, PATIENT)
+    _write(writer, 0, 5)
+    monkeypatch.setattr(os, "fsync", fails)
+    writer.close()
+    assert "Input/output error" in (writer.status.fault or "")
+    assert _frames(tmp_path / "run.mcap") == [*range(5)]

@@ -49,7 +49,7 @@ from rendezview_service.tracker.tracking import camera_message
 log = logging.getLogger("rendezview_service")
 
 _CLOSE_S, _STOP_S = 30.0, 4.0  # s, for a log to be completed; when all end. Source: chosen
-_MOST_ENDED_PROCESSES = 3  # by frames of one session within `ENDED_S`. Source: a chosen limit
+_MOST_ENDED_PROCESSES = 3  # by frames of one session, as `Bar` has them. Source: a chosen limit
 _REMEMBERED = 256  # openings and trainings, for requests that are repeated. Source: a chosen limit
 # s; enough to read compiled loops from the cache; between checks for idle sessions. Source: chosen
 _START_WAIT_S, _IDLE_CHECK_S = 20.0, 5.0

@@ -79,7 +79,7 @@ class LogWriter:
         """
         self.options = options or RecordingOptions()
         self._base = path
-        self._camera = camera
+        self._camera, self._never_syncs = camera, self.options.sync == "never"
         self._metadata = {"log": secrets.token_hex(8)} | dict(metadata)
         self._model = model if self.options.images else None
         self._calibrated_at = -1e300
@@ -88,8 +88,8 @@ class LogWriter:
         self._kept = Kept(self.options.memory_bytes)
         self._part: OpenPart | None = None
         self._paths: list[Path] = []
-        self._ending = False
-        self._late = False  # the disk has kept an answer waiting; no other waits until it is done
+        # The disk has kept an answer waiting: no other waits until it is done.
+        self._late = self._ending = False
         self._reason: str | None = None  # why there is no part
         self._fault: str | None = None  # what last happened to a part
         self._fault_s = -math.inf
@@ -119,7 +119,7 @@ class LogWriter:
             return Recording(
                 state=RecordingState.ON if reason is None else RecordingState.FAILED,
                 reason=reason,
-                name=(self._paths[-1] if self._paths else self._base).name,
+                name=self.path.name,
                 messages=self._messages,
                 size_bytes=size,
                 parts=0 if part is None else part.number,
@@ -181,11 +181,7 @@ class LogWriter:
         return not self._thread.is_alive()
 
     def close(self, timeout_s: float | None = None) -> None:
-        """Complete the log and force it to the disk. Closing again does nothing.
-
-        Args:
-            timeout_s: then what still waits is lost; None: as long as the disk needs.
-        """
+        """Complete the log on the disk; what waits for longer (None: never) is lost."""
         self.end()
         self._thread.join(timeout_s)
 
@@ -264,8 +260,7 @@ class LogWriter:
         with self._change:
             self._kept.written(len(entries))
             self._messages += sum(sum(entry.counts.values()) for entry in entries)
-            never = self.options.sync == "never"
-            self._kept.confirmed(part.scan.end if never else part.safe_end)
+            self._kept.confirmed(part.scan.end if self._never_syncs else part.safe_end)
             self._late = self._late and self._kept.oldest is not None
             self._reason = None
             self._change.notify_all()
@@ -344,13 +339,12 @@ class LogWriter:
             self._syncing.join()  # only one fsync of a file is given its error
         if part.sync_error is not None:
             raise part.sync_error
-        if self.options.sync != "never":
+        if not self._never_syncs:
             self._sync(part, part.sync())
         self._leave(part)
+        self._unfinished += [] if whole else [part]
         if whole:
             part.close()
-        else:
-            self._unfinished.append(part)
 
     def _leave(self, part: OpenPart) -> None:
         with self._change:
@@ -381,6 +375,10 @@ class LogWriter:
                 return why
             except OSError as of_sync:
                 why = str(write_error(part.path, of_sync))
+        if self._ending and there and part.sync_error is not None:  # nobody writes it again
+            self._leave(part)
+            part.close()
+            return f"{why}; what is written stays as it is"
         with self._change:
             rescued = self._kept.put_back()
             lost = part.states - (part.safe_states if there else 0) - rescued

@@ -32,9 +32,7 @@ _TAKES: dict[str, Callable[[Path], object]] = {
     "file removed": lambda path: path.unlink(),
     "folder removed": lambda path: shutil.rmtree(path.parent),
     "file truncated": lambda path: os.truncate(path, 0),
-    "file replaced": lambda path: (
-        path.with_name("new").touch() or path.with_name("new").replace(path)
-    ),
+    "file replaced": lambda path: Path(shutil.copy(os.devnull, path.with_name("x"))).replace(path),
     "file moved away": lambda path: path.rename(path.parent.parent / "away"),
 }
 KINDS = (
@@ -106,7 +104,8 @@ def _kept(folder: Path) -> Counter[int]:
         if path.stat().st_size:
             mend(path)
     for path in sorted(folder.glob("*.mcap")):
-        if path.stat().st_size:
+        repaired = path.with_name(f"{path.stem}.recovered.mcap")  # beside the damaged one
+        if path.stat().st_size and not repaired.exists():
             log = read_log(path)
             log.parts[1:] = []
             found.update(frame.state["frame"] for frame in log.frames() if frame.state)
