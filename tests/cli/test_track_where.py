@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.sequences import BopSceneWriter
-from rendezview.sensors.appearance.region import target_box
+from rendezview.sensors.appearance.edges.contour_at import target_box
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def two_bodies(refining_model, bumpy_mesh, camera, draw, tmp_path_factory) -> tu
 def test_each_option_says_which_body_is_meant(run, refining_model, camera, two_bodies, tmp_path):
     folder, pose = two_bodies
     refining_model.save(tmp_path / "m.rvm")
-    box = target_box(refining_model, camera, pose)
+    box = np.array(target_box(refining_model, camera, pose))
     xywh = [*box[:2].tolist(), *(box[2:] - box[:2]).tolist()]
     lines = [{"scene_id": 1, "image_id": k, "bbox": xywh, "score": 0.9} for k in range(2)]
     (tmp_path / "boxes.json").write_text(json.dumps(lines))

@@ -11,7 +11,8 @@ from rendezview import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer
-from rendezview.sensors.appearance.region import Region, target_box
+from rendezview.sensors.appearance.edges.contour_at import target_box
+from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search.windows import overlap
 from rendezview_ground.simulate.scene import SceneOptions, render_frame
 

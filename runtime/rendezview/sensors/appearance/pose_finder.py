@@ -15,6 +15,7 @@ from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
+from rendezview.sensors.appearance.edges.contour_at import NOWHERE, target_box
 from rendezview.sensors.appearance.judge.confidence import Found
 from rendezview.sensors.appearance.judge.rivals import Rivals
 from rendezview.sensors.appearance.judge.sketch_found import NEAR_RAD, SketchFound
@@ -27,7 +28,7 @@ from rendezview.sensors.appearance.observation import (
 )
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
-from rendezview.sensors.appearance.region import NOWHERE, Region, target_box
+from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search.close import CloseSearch
 from rendezview.sensors.appearance.search.levels import LevelSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch

@@ -11,9 +11,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.alignment import nearest_views
-from rendezview.sensors.appearance.edges.network import Box
-from rendezview.sensors.appearance.model.contours import NO_POINT, POINT_UNIT
+from rendezview.sensors.appearance.edges.contour_at import target_box
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.reading import LateReading, OutlineReading
@@ -29,7 +27,6 @@ _LEAST_OVERLAP = 0.3
 # The same of a mask, whose sides are wrong by a tenth at most. Source: by construction
 _LEAST_OF_MASK = 0.6
 _BESIDE = 0.2  # of the box of a pose: a place may lie so far beside it. Source: by construction
-NOWHERE: Box = (-1.0, -1.0, -1.0, -1.0)  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,24 +142,3 @@ class Region:
         x, y = self.place_px
         inside = box[0] - beside <= x <= box[2] + beside
         return bool(inside and box[1] - beside <= y <= box[3] + beside)
-
-
-def target_box(model: ViewModel, camera: Camera, pose: Pose) -> Box:
-    """Left, top, right, bottom, px, of the target at a pose: of the contour of its nearest view.
-
-    All −1, outside the picture, where nothing of it is ahead of the camera.
-    """
-    contours, nearest = model.contours, np.zeros(1, dtype=np.int64)
-    if contours is None:
-        return NOWHERE
-    centre = pose.apply(model.centre_m)
-    rotation = pose.rotation.copy()  # numba compiles a copy for read-only arrays
-    shell = nearest_views(model.lattice.nodes, contours.shells_m, rotation, centre, nearest)
-    exists = contours.kind[shell, nearest[0]] != NO_POINT
-    points = contours.point[shell, nearest[0]][exists] * (POINT_UNIT * model.target_radius_m)
-    in_camera = points @ pose.rotation.T + centre
-    px = np.asarray(camera.project(in_camera[in_camera[:, 2] > 0.0]))
-    if not len(px) or not np.isfinite(px).all():
-        return NOWHERE
-    left, top, right, bottom = (float(v) for v in (*px.min(0), *px.max(0)))
-    return left, top, right, bottom

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.edges.contour_at import target_box
 from rendezview.sensors.appearance.judge import sketch_choice as choice_module
 from rendezview.sensors.appearance.judge.sketch_choice import (
     CHOICE_FEATURES,
@@ -33,7 +34,6 @@ from rendezview.sensors.appearance.model.sketches import (
     centroid,
     on_grid,
 )
-from rendezview.sensors.appearance.region import target_box
 from rendezview.sensors.appearance.search.by_sketch import PartialViews
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch, _last, _lines
 from rendezview.sensors.appearance.sky import Sky

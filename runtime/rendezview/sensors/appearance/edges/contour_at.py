@@ -11,11 +11,14 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.joint import apart, hinges_of
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.edges.alignment import nearest_views
+from rendezview.sensors.appearance.edges.network import Box
 from rendezview.sensors.appearance.model.contours import DIRECTION_UNIT, NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.model.view_model import ViewModel
 
 _FARTHEST_PX = 1e5  # from the picture, of a point that is kept. Source: a chosen limit
 _STEP_RADII = 0.01  # of the target's radius, along an edge, for its direction. Source: chosen
+
+NOWHERE: Box = (-1.0, -1.0, -1.0, -1.0)  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,3 +67,24 @@ def contour_pixels(
     length = np.linalg.norm(along, axis=1, keepdims=True)
     directions = np.divide(along, length, out=np.zeros_like(along), where=length > 0.0)
     return ContourPixels(points_px[inside], directions[inside], kinds[used][inside])
+
+
+def target_box(model: ViewModel, camera: Camera, pose: Pose) -> Box:
+    """Left, top, right, bottom, px, of the target at a pose: of the contour of its nearest view.
+
+    All −1, outside the picture, where nothing of it is ahead of the camera.
+    """
+    contours, nearest = model.contours, np.zeros(1, dtype=np.int64)
+    if contours is None:
+        return NOWHERE
+    centre = pose.apply(model.centre_m)
+    rotation = pose.rotation.copy()  # numba compiles a copy for read-only arrays
+    shell = nearest_views(model.lattice.nodes, contours.shells_m, rotation, centre, nearest)
+    exists = contours.kind[shell, nearest[0]] != NO_POINT
+    points = contours.point[shell, nearest[0]][exists] * (POINT_UNIT * model.target_radius_m)
+    in_camera = points @ pose.rotation.T + centre
+    px = np.asarray(camera.project(in_camera[in_camera[:, 2] > 0.0]))
+    if not len(px) or not np.isfinite(px).all():
+        return NOWHERE
+    left, top, right, bottom = (float(v) for v in (*px.min(0), *px.max(0)))
+    return left, top, right, bottom

@@ -23,6 +23,7 @@ from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import hat, log
 from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.edges.contour_at import target_box
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.network import Sketch, Sketcher
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
@@ -46,7 +47,6 @@ from rendezview.sensors.appearance.judge.sketch_choice import (
 from rendezview.sensors.appearance.model.sketches import COVER, CREASE, EDGE, Float32s
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
-from rendezview.sensors.appearance.region import target_box
 from rendezview.sensors.appearance.search.by_sketch import SketchRetrieval
 from rendezview.sensors.appearance.search.starts import rotated_about, within
 from rendezview.sensors.appearance.search.windows import Body, bodies_in_windows
