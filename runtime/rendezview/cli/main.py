@@ -79,7 +79,9 @@ class _Command(TyperCommand):
         """Write the options, and how many others there are."""
         main = _MAIN_OPTIONS.get(str(self.name))
         options = [p for p in self.params if p.param_type_name == "option"]
-        others: list[Any] = [] if main is None else [p for p in options if p.name not in main]
+        others: list[Any] = (
+            [] if main is None else [p for p in options if p.name not in main and not p.hidden]
+        )
         for option in others:
             option.hidden = True
         super().format_options(ctx, formatter)

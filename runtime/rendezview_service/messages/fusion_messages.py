@@ -61,6 +61,9 @@ class ReflectorMessage(Message):
     position_m: Three
     normal: Direction = Field(description="outwards, of any length but zero")
     diameter_m: FiniteFloat = Field(gt=0.0, le=1e4)
+    position_sigma_m: FiniteFloat | None = Field(
+        default=None, ge=0.0, le=1e4, description="one σ of its place; null: not known"
+    )
 
 
 class SurfaceMessage(Message):

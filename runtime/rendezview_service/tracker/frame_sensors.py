@@ -146,7 +146,8 @@ def _target(known: FusionRequest) -> Target:
         normal = np.array(one.normal)
         place = np.array(one.position_m)
         normal /= np.linalg.norm(normal)
-        reflectors.append(Reflector(one.name, one.group, place, normal, one.diameter_m))
+        sigma_m = one.position_sigma_m
+        reflectors.append(Reflector(one.name, one.group, place, normal, one.diameter_m, sigma_m))
     return Target("session", "", None, None, reflectors=tuple(reflectors))
 
 

@@ -25,6 +25,7 @@ from rendezview.sensors.beacons import (
     predict_spots,
 )
 from rendezview.sensors.beacons.constellation import left_out_of
+from rendezview.sensors.beacons.detect.background import Background
 from rendezview.sensors.beacons.detect.discs import expected_size
 from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SIZE
 from rendezview.sensors.beacons.match.acquisition import merged
@@ -64,7 +65,8 @@ def test_neighbours_names_make_a_reading_ambiguous_and_not_a_wrong_pose(paper_ca
     pose = pose_of(SixNumbers(6.0, 0.0, 0.1, 0.0, 0.0, 0.0), patterns[0])
     table = np.full((len(target), COLUMNS), np.nan)
     table[:, :2], table[:, SIGMA] = predict_spots(paper_camera, target, pose)[:, :2], 0.02
-    fit = WindowFit(paper_camera, target, AcquisitionOptions(), TrackingOptions())
+    options = AcquisitionOptions()
+    fit = WindowFit(paper_camera, target, options, TrackingOptions(), Background())
     everything = np.arange(len(target))
     found, kept = fit.without_strangers(pose, fit.solve(pose, table, everything), table, everything)
     assert found is not None

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from rendezview.estimation.rates import RateBank, RateOptions
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import Face
@@ -38,6 +40,7 @@ class RateEstimator:
         self._bank = RateBank(options)
         self._first_s = self._last_s = math.nan
         self._readings = 0
+        self._scatter = np.full((6, 6), np.inf)  # of the last pose
 
     def clear(self) -> None:
         """Forget the readings: the target was lost."""
@@ -53,7 +56,9 @@ class RateEstimator:
         if not self._readings or time_s - self._last_s > _LONGEST_S:
             return False
         pose, (turn, share) = refined.camera_from_target, options.jump_floor
-        place, covariance = pose.translation_m, refined.scatter
+        # A pose that is less certain than the last one, as where a spot looks partly hidden, may
+        # rest on a glint: it must agree as well as that one.
+        place, covariance = pose.translation_m, _smaller(refined.scatter, self._scatter).copy()
         variances = covariance.reshape(-1)[::7]
         variances[:3] += turn**2
         variances[3:] += share**2 * float(place @ place)
@@ -65,7 +70,7 @@ class RateEstimator:
         """Take a reading in; None while there is only one. ``face``: of the six numbers."""
         if self._readings and time_s - self._last_s > _LONGEST_S:
             self.clear()
-        found = self._bank.add(time_s, pose, covariance)
+        found, self._scatter = self._bank.add(time_s, pose, covariance), covariance
         self._first_s = self._first_s if self._readings else time_s
         self._last_s = time_s
         self._readings += 1
@@ -75,3 +80,8 @@ class RateEstimator:
             found.rates[3:], found.rates[:3], face.six_rates(pose, found.rates), found.covariance,
             time_s - self._first_s, self._readings,
         )  # fmt: skip
+
+
+def _smaller(one: Array, other: Array) -> Array:
+    """The covariance (6, 6) with the smaller variance of the attitude."""
+    return one if np.trace(one[:3, :3]) <= np.trace(other[:3, :3]) else other
