@@ -106,7 +106,7 @@ def fly(
 
 def _words(line: dict[str, Any]) -> str:
     """One flight in words."""
-    told = f"{line['end']} after {line['time_s']:.0f} s, {line['spent_m_s']:.2f} m/s"
+    told = f"{line['end']} after {line['time_s']:.0f} s, {line['spent_m_s']:.2f} m/s of thrust"
     if line["outside"]:
         told += f", outside: {line['outside']}"
     touch = line["contact"]
