@@ -78,7 +78,7 @@ class _Command(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options, and how many others there are."""
         main = _MAIN_OPTIONS.get(str(self.name))
-        options = [p for p in self.params if p.param_type_name == "option"]
+        options: list[Any] = [p for p in self.params if p.param_type_name == "option"]
         others: list[Any] = (
             [] if main is None else [p for p in options if p.name not in main and not p.hidden]
         )
