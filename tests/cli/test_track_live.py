@@ -54,8 +54,11 @@ def stream(
 def test_poses_of_a_camera_are_lines_on_the_screen(run, refining_model, stream, tmp_path):
     address, camera_file, pose = stream
     refining_model.save(tmp_path / "m.rvm")
-    ran = run("track", tmp_path / "m.rvm", address, "--camera", camera_file, "--show")
+    film = tmp_path / "film.webm"
+    asked = ("track", tmp_path / "m.rvm", address, "--camera", camera_file)
+    ran = run(*asked, "--show", "--video", film)
     assert ran.code == 0
+    assert cv2.VideoCapture(str(film)).get(cv2.CAP_PROP_FRAME_COUNT) == FRAMES
     said = ran.err.splitlines()
     assert said[0].startswith("Watch at http://127.0.0.1:")
     assert f"{FRAMES} poses in {FRAMES} frames" in said[-1]
@@ -93,9 +96,9 @@ def test_a_camera_wants_its_calibration_and_recorded_frames_a_file(
     assert "-o" in ran.err
 
 
-def test_a_browser_gets_the_newest_picture_and_the_end(refining_model):
+def test_a_browser_gets_the_newest_picture_and_the_end():
     pictures = [np.full((40, 60, 3), level, np.uint8) for level in (40, 200)]
-    with LiveView(refining_model) as view:
+    with LiveView() as view:
         host = view.address.removeprefix("http://").rstrip("/")
         page = http.client.HTTPConnection(host, timeout=MOST_S)
         page.request("GET", "/")
@@ -103,14 +106,14 @@ def test_a_browser_gets_the_newest_picture_and_the_end(refining_model):
         page.request("GET", "/other")
         assert page.getresponse().status == 404
         viewer = http.client.HTTPConnection(host, timeout=MOST_S)
-        view.show(pictures[0])
+        view.add(pictures[0])
         viewer.request("GET", "/pictures")
         answer = viewer.getresponse()
         assert "multipart/x-mixed-replace" in str(answer.getheader("Content-Type"))
         levels = []
         for k in range(2):
             if k:
-                view.show(pictures[1])
+                view.add(pictures[1])
             assert answer.readline() == b"--picture\r\n"
             assert answer.readline() == b"Content-Type: image/jpeg\r\n"
             length = int(answer.readline().split()[1])
@@ -123,7 +126,7 @@ def test_a_browser_gets_the_newest_picture_and_the_end(refining_model):
         gone.request("GET", "/pictures")
         gone.getresponse().close()
         gone.close()
-        view.show(pictures[0])  # a viewer that has gone holds nothing up
+        view.add(pictures[0])  # a viewer that has gone holds nothing up
     assert answer.read().startswith(b"--picture")  # and then the end
     page.close()
     viewer.close()

@@ -20,6 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -359,11 +360,9 @@ def _alone(folder: Path) -> Iterator[None]:
         yield
 
 
-def _print(seconds: float) -> None:
-    print(seconds, flush=True)
-
-
 if __name__ == "__main__":
     if "--beside" in sys.argv and hasattr(os, "nice"):
         os.nice(10)  # a tenth of a core that another process wants
-    _compile(json.loads(sys.argv[-1]), _print if "--count" in sys.argv else None)
+    _compile(
+        json.loads(sys.argv[-1]), partial(print, flush=True) if "--count" in sys.argv else None
+    )

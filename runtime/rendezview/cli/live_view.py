@@ -11,12 +11,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.io.sequences import Frame
-from rendezview.io.sequences.frame import GreyImage
-from rendezview.sensors.appearance.model.view_model import ViewModel
-from rendezview.sensors.appearance.observation import AppearanceObservation
-from rendezview.sensors.appearance.overlay import draw_observation
-
 _PAGE = (
     b"<!doctype html><title>rendezview</title><body style='margin:0;background:#000'>"
     b"<img src='/pictures' alt='the run, as it is drawn' "
@@ -30,8 +24,7 @@ _QUALITY = 85  # of JPEG. Source: by construction, edges are clean
 class LiveView:
     """The newest picture of a run, to all browsers that look. Viewers never hold up the run."""
 
-    def __init__(self, model: ViewModel) -> None:
-        self._model = model
+    def __init__(self) -> None:
         self._changed = threading.Condition()
         self._picture, self._number, self._ended = b"", 0, False
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
@@ -53,16 +46,7 @@ class LiveView:
         self._server.shutdown()
         self._server.server_close()
 
-    def watch(
-        self, frame: Frame, image: GreyImage | None, observation: AppearanceObservation
-    ) -> None:
-        """Draw one frame with its result, if there is somebody who looks."""
-        title = f"frame {frame.im_id}"
-        if frame.time_s is not None:
-            title += f"   {frame.time_s:.1f} s"
-        self.show(draw_observation(image, observation, frame.camera, self._model, title=title))
-
-    def show(self, picture: npt.NDArray[np.uint8]) -> None:
+    def add(self, picture: npt.NDArray[np.uint8]) -> None:
         """The next picture, (H, W, 3) blue, green, red."""
         packed = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
         with self._changed:

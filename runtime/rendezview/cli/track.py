@@ -30,11 +30,17 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.files import check_place, read_json
 from rendezview.io.pose_log import poses_by_frame
 from rendezview.io.sequences import Frame, Sequence
+from rendezview.io.sequences.frame import GreyImage
 from rendezview.io.sequences.live import is_live, live_frames
-from rendezview.sensors.appearance import SilhouetteOptions, Threshold, ViewModel
+from rendezview.sensors.appearance import (
+    AppearanceObservation,
+    SilhouetteOptions,
+    Threshold,
+    ViewModel,
+)
 from rendezview.sensors.appearance.following import follow, record, result_row
 from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
-from rendezview.sensors.appearance.video import video_of
+from rendezview.sensors.appearance.video import drawn, video_of
 from rendezview.sensors.protection import Levels
 from rendezview.sensors.run import Line, run
 
@@ -151,9 +157,15 @@ def track(
     compile_ahead("track")
     tell_of_compiling()
     guide = _guide(loaded, plan, shape, chaser, oem, aem, refine)
-    drawn = video_of(video, sequence, loaded) if video else None
-    view = LiveView(loaded) if show else None
-    watching = [each.watch for each in (drawn, view) if each is not None]
+    film = video_of(video, sequence, loaded) if video else None
+    view = LiveView() if show else None
+
+    def watch(frame: Frame, image: GreyImage | None, observation: AppearanceObservation) -> None:
+        picture = drawn(frame, image, observation, loaded)
+        for each in (film, view):
+            if each is not None:
+                each.add(picture)
+
     if view is not None:
         say(f"Watch at {view.address}")
     frames = follow(
@@ -169,7 +181,7 @@ def track(
         expected=expected,
         where=where,
         first_where=first_where,
-        watch=watching,
+        watch=watch if film or view else None,
     )
 
     def lines() -> Iterator[Line]:
@@ -184,7 +196,7 @@ def track(
             row = result_row(sequence.scene_id, frame, observation)
             yield Line(noted, observation.status, row, sum(observation.stage_ms.values()))
 
-    with drawn or nullcontext(), view or nullcontext(), ProgressBar() as bar:
+    with film or nullcontext(), view or nullcontext(), ProgressBar() as bar:
         progress = bar.stage("frames", len(sequence)) if taken is None else None
         summary = run(
             lines(), log=log, results=output, to_stdout=taken is not None, progress=progress

@@ -245,7 +245,7 @@ def _track(
 
     def lines() -> Iterator[Line]:
         with video_of(output / "approach.webm", sequence, model) as video:
-            for frame, observation in follow(model, sequence, watch=[video.watch]):
+            for frame, observation in follow(model, sequence, watch=video.watch):
                 observations.append(observation)
                 row = result_row(sequence.scene_id, frame, observation)
                 yield Line(record(frame, observation), observation.status, row)

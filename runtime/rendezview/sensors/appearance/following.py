@@ -37,7 +37,7 @@ def follow(
     expected: Callable[[Frame], tuple[Pose, Array] | None] | None = None,
     where: Callable[[Frame], npt.ArrayLike | None] | None = None,
     first_where: npt.ArrayLike | None = None,
-    watch: Iterable[Callable[[Frame, GreyImage | None, AppearanceObservation], None]] = (),
+    watch: Callable[[Frame, GreyImage | None, AppearanceObservation], None] | None = None,
 ) -> Iterator[tuple[Frame, AppearanceObservation]]:
     """One observation for each frame, in order.
 
@@ -58,8 +58,7 @@ def follow(
         where: the target is in each frame, as for `Recognizer.recognize`'s ``roi``.
         first_where: the same in the first frames, until there is a pose; in all if
             ``independent``.
-        watch: each is called with every frame, its picture (None: unreadable) and its
-            observation.
+        watch: called with every frame, its picture (None: unreadable) and its observation.
 
     A frame that cannot be read gives the status ``UNREADABLE``; the run goes on.
 
@@ -97,8 +96,8 @@ def follow(
     for frame, image, observation in observe(
         sequence, seen_in, AppearanceObservation, ordered=not independent
     ):
-        for each in watch:
-            each(frame, image, observation)
+        if watch is not None:
+            watch(frame, image, observation)
         yield frame, observation
 
 

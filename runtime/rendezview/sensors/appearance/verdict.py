@@ -67,18 +67,16 @@ def beside_look_alikes(
     pose = seen.pose
     if pose is None or not weighed:
         return seen
-    shares = (w.probability for w in weighed if angle_between(w.pose, pose, symmetries) < NEAR_RAD)
-    own = float(sum(shares))
+    apart = [(angle_between(one.pose, pose, symmetries), one) for one in weighed]
+    own = float(sum(one.probability for angle, one in apart if angle < NEAR_RAD))
     if own >= 0.5:
         return replace(seen, confidence=own)
-    others = (w for w in weighed if angle_between(w.pose, pose, symmetries) >= NEAR_RAD)
-    rival = next(others)
-    apart = np.rad2deg(angle_between(rival.pose, pose, symmetries))
+    angle, rival = next(each for each in apart if each[0] >= NEAR_RAD)
     return replace(
         seen,
         status=Status.AMBIGUOUS,
         reason=f"the trees' pose has a probability of {own:.2f} beside its look-alikes, one "
-        f"{apart:.0f}° away {rival.probability:.2f}: refine poses, or give a prior",
+        f"{np.rad2deg(angle):.0f}° away {rival.probability:.2f}: refine poses, or give a prior",
         pose=None,
         covariance=None,
         confidence=own,

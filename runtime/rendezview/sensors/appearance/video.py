@@ -9,7 +9,17 @@ from rendezview.io.sequences.frame import GreyImage
 from rendezview.io.video_file import VideoWriter, playing_rate_hz
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
-from rendezview.sensors.appearance.overlay import draw_observation
+from rendezview.sensors.appearance.overlay import Picture, draw_observation
+
+
+def drawn(
+    frame: Frame, image: GreyImage | None, observation: AppearanceObservation, model: ViewModel
+) -> Picture:
+    """One frame with its result, (H, W, 3) blue, green, red; an image of None was unreadable."""
+    title = f"frame {frame.im_id}"
+    if frame.time_s is not None:
+        title += f"   {frame.time_s:.1f} s"
+    return draw_observation(image, observation, frame.camera, model, title=title)
 
 
 class TrackVideo(VideoWriter):
@@ -23,10 +33,7 @@ class TrackVideo(VideoWriter):
         self, frame: Frame, image: GreyImage | None, observation: AppearanceObservation
     ) -> None:
         """Draw one frame with its result."""
-        title = f"frame {frame.im_id}"
-        if frame.time_s is not None:
-            title += f"   {frame.time_s:.1f} s"
-        self.add(draw_observation(image, observation, frame.camera, self._model, title=title))
+        self.add(drawn(frame, image, observation, self._model))
 
 
 def video_of(path: Path, sequence: Sequence, model: ViewModel) -> TrackVideo:
