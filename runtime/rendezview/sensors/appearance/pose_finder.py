@@ -128,15 +128,16 @@ class PoseFinder:
         """What is observed in one frame."""
         frame, prior, prior_error_rad, sun_camera, enough_inliers, thorough = request
         clock, search = StageClock(), self.search
-        sky = Sky.of(frame, sun_camera)
         if search is None:
             traced = self.outline.trace(frame, prior, clock, bright_sky=False)
             seen = self.outline.recognize(traced, prior, prior_error_rad, clock, alone=True)
             if prior is None and seen.pose is not None and self._rivals is not None:
+                sky = Sky.of(frame, sun_camera)
                 weighed = self._rivals.weigh_coarse(frame, sky, seen.pose)
                 seen = beside_look_alikes(seen, weighed, self.model.symmetries)
                 clock.lap("look-alikes")
             return seen
+        sky = Sky.of(frame, sun_camera)
         if prior is None:
             seen = self._anywhere(search, frame, sky, clock)
             cluttered = not sky.dark or self.region is not None  # several things, anyway
