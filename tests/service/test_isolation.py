@@ -18,7 +18,7 @@ from types import SimpleNamespace
 import httpx
 import pytest
 from tests.service.hostile_pictures import hostile
-from tests.waiting import MOST_S, wait_until
+from tests.waiting import MOST_S, ends_in_time, wait_until
 
 from rendezview_service.client import ServiceError
 from rendezview_service.hub.clock import SessionClock, Timer
@@ -233,7 +233,7 @@ def test_a_decoder_that_takes_long_ends_its_process_and_bars_its_session_but_no_
         assert states[3]["status"] == "ok"
         # The spare process goes on with it: nobody waited for a new one to start.
         assert _writers(served, session, tmp_path / "logs") == {spare}
-        trouble.join()
+        trouble.join(MOST_S)
 
         refusals = []
         for send in (lambda: attacker.track(tour[4][2]), lambda: attacker.measure("laser", {})):
@@ -302,7 +302,7 @@ def _running(program: str) -> Iterator[subprocess.Popen[bytes]]:
         yield process
     finally:
         process.kill()
-        process.communicate()
+        process.communicate(timeout=MOST_S)
 
 
 def test_the_processor_time_of_a_worker_is_its_own() -> None:
@@ -315,7 +315,8 @@ def test_the_processor_time_of_a_worker_is_its_own() -> None:
         assert spent_s > time.process_time() - ours_s  # this process has only waited
     asleep = "import time; print(flush=True); time.sleep(600)"
     with _running(asleep) as handle._process:
-        handle._process.stdout.readline()
+        with ends_in_time(handle._process):
+            handle._process.stdout.readline()
         wait_until(lambda: not handle._wants_processor)
         before_s = handle._processor_s()
         time.sleep(0.2)
@@ -366,7 +367,7 @@ def test_an_answer_that_came_in_a_pause_of_the_service_is_read_before_its_worker
             os.kill(worker, signal.SIGCONT)
             time.sleep(4.0)
             os.kill(served.process.pid, signal.SIGCONT)
-            sending.join()
+            sending.join(MOST_S)
             assert answers[-1]["frame"] == k
         assert b"worker_restarts_total 0.0" in client.fetch("GET", "/metrics")
     served.stop()
