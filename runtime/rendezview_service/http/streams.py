@@ -76,12 +76,14 @@ async def stream(socket: WebSocket, name: str) -> None:
                 else:
                     text = Fault(error=result.error, status=result.status).model_dump_json()
                     await socket.send({"type": "websocket.send", "text": text})
-                    if result.status == 410:
-                        await socket.close(_GONE, result.error[:100])
-                        return
+                if result.ends:
+                    final = _GONE if result.status == 410 else _SOON
+                    await socket.close(final, result.error[:100])
+                    return
             room.set()
 
     sender = asyncio.create_task(send())
+    sender.add_done_callback(lambda _: room.set())  # who waits for room sees that it has ended
     try:
         while not sender.done():
             message = await socket.receive()

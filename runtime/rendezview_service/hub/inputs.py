@@ -6,7 +6,7 @@ import math
 import mmap
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from rendezview_service.messages.frames import Bytes
@@ -62,6 +62,7 @@ class Answer:
     status: int  # HTTP status; 0: the frame was dropped
     body: bytes  # a `State` or a `Measured`, JSON
     error: str = ""
+    ends: bool = False  # no other follows: the session has ended here
 
 
 @dataclass(slots=True, eq=False)
@@ -104,21 +105,23 @@ class InputQueue:
     _inputs: deque[SessionInput] = field(default_factory=deque)
     _newest: SessionInput | None = None  # frame of a stream or a source
     shows_last: SessionInput | None = None  # is taken when nothing else waits
+    _closed: Answer | None = None  # to all that comes
 
     def __bool__(self) -> bool:
         return bool(self._inputs) or self._newest is not None or self.shows_last is not None
 
-    def __iter__(self) -> Iterator[SessionInput]:
-        yield from self._inputs
-        if self._newest is not None:
-            yield self._newest
-
     def append(self, waiting: SessionInput) -> None:
         """An input that waits for those before it."""
-        self._inputs.append(waiting)
+        if self._closed is None:
+            self._inputs.append(waiting)
+        else:
+            waiting.answer(self._closed)
 
     def replace(self, frame: SessionInput) -> SessionInput | None:
         """A frame of a stream; returns the frame that it drops."""
+        if self._closed is not None:
+            frame.answer(self._closed)
+            return None
         dropped, self._newest = self._newest, frame
         return dropped
 
@@ -139,7 +142,10 @@ class InputQueue:
         """Number of appended frames, or of messages with sensor lines."""
         return sum((waiting.sensor is None) is frames for waiting in self._inputs)
 
-    def clear(self) -> None:
-        """Remove all inputs."""
+    def close(self, answer: Answer) -> None:
+        """Answer all inputs, and those that come later: their bodies were still arriving."""
+        waiting = [*self._inputs, *([] if self._newest is None else [self._newest])]
         self._inputs.clear()
-        self._newest = self.shows_last = None
+        self._newest, self.shows_last, self._closed = None, None, answer
+        for one in waiting:
+            one.answer(answer)

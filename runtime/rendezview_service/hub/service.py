@@ -381,7 +381,7 @@ class Service:
                 left.append(session)
             except WorkerGone:
                 pass  # its sessions, this one too, come here again
-            except RendezviewError as error:
+            except (RendezviewError, OSError) as error:
                 await self.close(session, f"its tracker cannot be restarted: {error}")
         return left
 

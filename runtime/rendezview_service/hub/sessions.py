@@ -367,10 +367,8 @@ class Session:
         self.events.add("source", Level.WARNING if reason else Level.INFO, said)
 
     def end(self, reason: str, status: int = 410) -> None:
-        """Answer everything that waits; nothing follows here."""
-        for waiting in self._queue:
-            waiting.answer(Answer(status, b"", reason))
-        self._queue.clear()
+        """Answer everything that waits, or comes later; nothing follows here."""
+        self._queue.close(Answer(status, b"", reason, ends=True))
         self._histories.leave(self.past)
         self.watchers.end(reason)
         self._metrics.remove()

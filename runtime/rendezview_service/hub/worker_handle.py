@@ -35,6 +35,8 @@ _END_S = 1.0  # s, from the end of a process's connection to its own. Source: ch
 _KEPT = 4_000_000  # bytes of shared memory that stay for the next input. Source: chosen
 _GIVE_BACK: int | None = getattr(mmap, "MADV_REMOVE", None)  # absent on macOS
 _START_S = 120.0  # s; the first start on a machine compiles. Source: a chosen limit
+# s without an answer, in which a process must have worked for so long. Source: chosen limits
+_IDLE_S, _LEAST_WORK_S = 60.0, 0.5
 
 
 class WorkerGone(Exception):
@@ -124,20 +126,33 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         ours.setblocking(False)
         transport, _ = await loop.create_connection(lambda: self, sock=ours)
         self._transport = transport
-        await asyncio.wait_for(self._started, _START_S)
+        try:
+            await asyncio.wait_for(self._started, _START_S)
+        except TimeoutError:
+            self._kill()
+            raise
 
     async def ask(self, header: Header) -> Header:
         """A request other than an input, and its answer.
 
         Raises:
-            WorkerGone: the process ended first.
+            WorkerGone: the process ended first, or hangs and is killed.
         """
         if self._transport is None:
             raise WorkerGone
         future: asyncio.Future[Header] = asyncio.get_running_loop().create_future()
         self._answers.append((header, future))
         self._transport.write(pack(header))
-        return await future
+        while True:
+            before_s = self._processor_s()
+            try:
+                return await asyncio.wait_for(asyncio.shield(future), _IDLE_S)
+            except TimeoutError:  # compiling takes minutes, but works
+                if sys.platform == "linux" and self._processor_s() - before_s < _LEAST_WORK_S:
+                    self._kill()
+            except asyncio.CancelledError:
+                future.cancel()
+                raise
 
     def wake(self, session: ClientT) -> None:
         """A session has an input waiting."""
@@ -176,7 +191,15 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         try:
             await asyncio.wait_for(asyncio.to_thread(process.wait), timeout_s)
         except TimeoutError:
-            process.kill()
+            self._kill()
+
+    def _kill(self) -> None:
+        """End the process. Its connection may outlive it, as long as a disk keeps one thread."""
+        log.error("a worker does not answer and is killed")
+        if self._process is not None:
+            self._process.kill()
+        if self._transport is not None:
+            self._transport.abort()
 
     def _next(self) -> None:
         while self._current is None and self._turns and self._transport is not None:
@@ -214,9 +237,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
             self._timer.start(left_s)
             return
         self._killed = True
-        log.error("a worker does not answer and is killed", extra={"waited_s": round(waited_s, 1)})
-        if self._process is not None:
-            self._process.kill()
+        self._kill()
 
     def _exit_code(self) -> int | None:
         """How the process ended; None if it has not."""
@@ -269,7 +290,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
                     session.recorded(header)
         elif self._current is not None:
             session, waiting = self._current
-            try:
+            try:  # after an error too, the input has its answer, and the next one its turn
                 if kind == "state":
                     session.tracked(waiting, header, content)
                 elif kind == "extras":
@@ -278,9 +299,11 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
                     session.measured(waiting, header, content)
                 else:
                     session.refused(waiting, header["error"], header.get("internal", False))
-            finally:  # after an error too, the next input must not wait for ever
-                if header.get("done", True):
-                    self._done()
+            except Exception:
+                log.exception("an answer of a worker failed")
+                session.refused(waiting, "the service has an internal error: see its log", True)
+            if header.get("done", True):
+                self._done()
 
     def _answered(self, header: Header) -> None:
         closed = header["kind"] == "closed" or header.get("of") == "close"
