@@ -22,8 +22,7 @@ from tests.waiting import MOST_S, ends_in_time, wait_until
 
 from rendezview_service.client import ServiceError
 from rendezview_service.hub.clock import SessionClock, Timer
-from rendezview_service.hub.lease import Lease, Taken
-from rendezview_service.hub.sessions import Session
+from rendezview_service.hub.inputs import Lease, Taken
 from rendezview_service.hub.worker_handle import WorkerHandle
 from rendezview_service.logs.replay import model_of, read_log
 
@@ -279,7 +278,7 @@ def test_a_worker_that_waits_for_a_processor_is_not_killed_for_it(
 ) -> None:
     """An input may take 5 s of its process's own processor time."""
     ended: list[bool] = []
-    handle: WorkerHandle[Session] = WorkerHandle(4096, 5.0)
+    handle: WorkerHandle = WorkerHandle(4096, 5.0)
     handle._process = SimpleNamespace(kill=lambda: ended.append(True))
     handle._sent_at_s = time.monotonic() - waited_s
     monkeypatch.setattr(WorkerHandle, "_wants_processor", wants_processor)
@@ -306,7 +305,7 @@ def _running(program: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def test_the_processor_time_of_a_worker_is_its_own() -> None:
-    handle: WorkerHandle[Session] = WorkerHandle(4096, 5.0)
+    handle: WorkerHandle = WorkerHandle(4096, 5.0)
     with _running("while True: pass") as handle._process:
         wait_until(lambda: handle._wants_processor)
         before_s, ours_s = handle._processor_s(), time.process_time()
@@ -340,7 +339,7 @@ def test_who_sends_hostile_pictures_ends_no_process(service, client, camera, tou
 )  # fmt: skip
 def test_an_input_is_at_fault_for_its_decoder_and_not_for_what_others_kill(code, killed, barred):
     faults: list[bool] = []
-    handle: WorkerHandle[Session] = WorkerHandle(4096, 5.0)
+    handle: WorkerHandle = WorkerHandle(4096, 5.0)
     handle._process = SimpleNamespace(wait=lambda _: code, poll=lambda: code)
     handle._killed = killed
     handle._current = SimpleNamespace(lost=lambda _, at_fault: faults.append(at_fault)), None

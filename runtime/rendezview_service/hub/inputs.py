@@ -1,4 +1,4 @@
-"""Queues of a session's worker: frames, and lines of other sensors."""
+"""What comes to a session: frames and lines of other sensors, who may send them, and refusals."""
 
 from __future__ import annotations
 
@@ -11,15 +11,26 @@ from dataclasses import dataclass, field
 
 from rendezview_service.messages.frames import Bytes
 
+SOURCE = "the service's source"  # the sender of its frames
 _BARRED_S = 60.0  # s, after an input that ended a process. Source: chosen
 _ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
 
 
-class Full(Exception):
+class Refused(Exception):
+    """The service refuses something for now, with a reason."""
+
+    status = 429  # of HTTP
+    after_s = 1.0  # s, before it may be asked again
+
+
+class Full(Refused):
     """No room: too many frames wait, or there are too many sessions."""
 
+    def __str__(self) -> str:
+        return "too many requests or lines wait, or too many sessions are open: try again later"
 
-class Barred(Exception):
+
+class Barred(Refused):
     """An input of the session ended its worker's process: none is taken for a while."""
 
     def __init__(self, left_s: float) -> None:
@@ -27,7 +38,22 @@ class Barred(Exception):
             "a frame or a line of this session ended the tracker's process: nothing is taken from "
             f"it for another {left_s:.0f} s. Send frames that a common program has written"
         )
-        self.left_s = left_s
+        self.after_s = left_s
+
+
+class Taken(Refused):
+    """Another sender has the session."""
+
+    status = 409
+
+
+class NotReady(Refused):
+    """No worker is ready at the moment."""
+
+    status = 503
+
+    def __init__(self, reason: str = "no worker process is ready: try again in a moment") -> None:
+        super().__init__(reason)
 
 
 @dataclass(slots=True, eq=False)
@@ -53,6 +79,36 @@ class Bar:
         if at_fault:
             self.until_s = now_s + _BARRED_S
         self.ended_at_s = [*(at_s for at_s in self.ended_at_s if now_s - at_s < _ENDED_S), now_s]
+
+
+class Lease:
+    """One sender a session: frames of two would mix to a motion that nobody made.
+
+    It has the session until it stops for a while or lets go.
+    """
+
+    def __init__(self, hold_s: float) -> None:
+        self._hold_s = hold_s
+        self._sender: str | None = None
+        self._until_s = -math.inf
+
+    def take(self, sender: str, now_s: float) -> None:
+        """Take or renew the lease, at a monotonic time.
+
+        Raises:
+            Taken: another sender holds it.
+        """
+        if self._sender not in (None, sender) and now_s < self._until_s:
+            raise Taken(
+                "another sender sends the frames of this session: open one of your own, or wait "
+                f"until it has been silent for {self._hold_s:g} s"
+            )
+        self._sender, self._until_s = sender, now_s + self._hold_s
+
+    def release(self, sender: str) -> None:
+        """Let go of the lease, if it is this sender's."""
+        if self._sender == sender:
+            self._sender = None
 
 
 @dataclass(slots=True, eq=False)

@@ -16,10 +16,10 @@ from collections import deque
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
 
 from rendezview_service.hub.clock import Timer
 from rendezview_service.hub.inputs import SessionInput
+from rendezview_service.hub.sessions import Session
 from rendezview_service.messages.wire import Header, Unpacker, mapped, pack, shared_memory
 
 log = logging.getLogger("rendezview_service")
@@ -43,55 +43,18 @@ class WorkerGone(Exception):
     """The worker's process ended before it answered."""
 
 
-class WorkerClient(Protocol):
-    """The data of a session that a worker needs."""
-
-    id: str
-
-    @property
-    def has_waiting(self) -> bool:
-        """Whether an input waits."""
-
-    def take(self) -> SessionInput | None:
-        """The next input."""
-
-    def header_of(self, waiting: SessionInput) -> Header:
-        """The request that goes to the process with an input."""
-
-    def tracked(self, waiting: SessionInput, header: Header, state: bytes) -> None:
-        """A frame's state has come."""
-
-    def add_extras(self, header: Header, picture: bytes) -> None:
-        """The contours and pictures of the last state have come."""
-
-    def measured(self, waiting: SessionInput, header: Header, answer: bytes) -> None:
-        """The answer to sensor lines has come."""
-
-    def recorded(self, header: Header) -> None:
-        """How recording goes."""
-
-    def refused(self, waiting: SessionInput, error: str, internal: bool) -> None:
-        """The process could not use an input."""
-
-    def lost(self, waiting: SessionInput, at_fault: bool) -> None:
-        """The process ended over an input, which is perhaps at fault."""
-
-
-ClientT = TypeVar("ClientT", bound=WorkerClient)
-
-
-class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
+class WorkerHandle(asyncio.Protocol):
     """Starts one worker process, sends it inputs, and gives its answers to the sessions."""
 
     def __init__(self, memory_bytes: int, frame_timeout_s: float) -> None:
         self._memory_bytes = memory_bytes
         self._frame_timeout_s = frame_timeout_s
-        self.sessions: set[ClientT] = set()
-        self.on_gone: Callable[[WorkerHandle[ClientT]], None] = lambda worker: None
+        self.sessions: set[Session] = set()
+        self.on_gone: Callable[[WorkerHandle], None] = lambda worker: None
         self.on_progress: Callable[[int], None] = lambda loops: None  # compiled so far
         self.ready = False
-        self._turns: deque[ClientT] = deque()  # sessions with an input waiting
-        self._current: tuple[ClientT, SessionInput] | None = None
+        self._turns: deque[Session] = deque()  # sessions with an input waiting
+        self._current: tuple[Session, SessionInput] | None = None
         self._answers: deque[tuple[Header, asyncio.Future[Header]]] = deque()
         self._timer: Timer | None = None
         self._sent_at_s = self._spent_before_s = 0.0  # of the input, its own processor's clock
@@ -154,13 +117,13 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
                 future.cancel()
                 raise
 
-    def wake(self, session: ClientT) -> None:
+    def wake(self, session: Session) -> None:
         """A session has an input waiting."""
         if session not in self._turns:
             self._turns.append(session)
         self._next()
 
-    def forget(self, session: ClientT) -> None:
+    def forget(self, session: Session) -> None:
         """A session has ended."""
         self.sessions.discard(session)
         if session in self._turns:
