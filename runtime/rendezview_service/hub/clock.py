@@ -21,6 +21,11 @@ class SessionClock:
         """The clock of a session that begins."""
         return cls(time.time() - time.monotonic())
 
+    @property
+    def now_unix_s(self) -> float:
+        """Seconds since 1970 now."""
+        return self.unix_s(time.monotonic())
+
     def unix_s(self, now_s: float) -> float:
         """Seconds since 1970 at a monotonic time, by the system's clock at the session's start."""
         return now_s + self.offset_s
