@@ -173,6 +173,24 @@ def test_a_worker_that_works_for_long_is_waited_for(monkeypatch) -> None:
     assert asyncio.run(ask())["compiled"] == 3
 
 
+def test_after_a_pause_of_the_service_an_answer_is_read_before_its_worker_is_judged(monkeypatch):
+    monkeypatch.setattr(worker_handle, "_IDLE_S", 0.3)
+    known = _Handled(SimpleNamespace(kill=lambda: pytest.fail("killed"), pid=0))
+    monkeypatch.setattr(WorkerHandle, "_processor_s", lambda self: 0.0)
+
+    async def ask() -> Any:
+        theirs = await known.connect()
+        asked = asyncio.create_task(known.handle.ask({"kind": "warm", "session": ""}))
+        await asyncio.sleep(0.01)
+        theirs.sendall(pack({"kind": "opened", "session": "", "compiled": 3}))
+        time.sleep(1.5)  # the pause: the timer is due, and the answer is not read
+        answer = await asked
+        theirs.close()
+        return answer
+
+    assert asyncio.run(ask())["compiled"] == 3
+
+
 def test_an_answer_that_the_service_cannot_take_refuses_its_input() -> None:
     refused: list[str] = []
 
