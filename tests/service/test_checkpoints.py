@@ -19,20 +19,20 @@ from rendezview_service.hub import checkpoint
 from rendezview_service.hub.checkpoint import (
     Checkpoint,
     CheckpointKeeper,
-    Tracked,
     checkpoint_path,
     kept_in,
     lock_state,
     read_checkpoint,
     write_checkpoint,
 )
+from rendezview_service.hub.progress import Progress
 from rendezview_service.hub.service import Service
 from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.settings import Settings
 
 
 def _after(frames: int) -> Checkpoint:
-    tracked = Tracked(frames=frames, found=0, last=None, last_found=None, found_unix_s=None)
+    tracked = Progress(frames=frames)
     request = SessionRequest(id="run")
     about = {"log": "a", "log_base": None, "log_paths": [], "fused": False}
     return Checkpoint(request=request, model_sha256="b", tracked=tracked, **about)

@@ -4,29 +4,33 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
+import json
 import os
 import resource
 import signal
 import socket
-import struct
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import urlsplit
 
 import httpx
 import pytest
 from tests.waiting import MOST_S, wait_until
-from websockets.sync.client import connect
 
+from rendezview_service.http import streams
 from rendezview_service.hub import source_process, viewers, worker_handle
 from rendezview_service.hub.inputs import Answer, InputQueue, SessionInput
 from rendezview_service.hub.source_process import _Reader
 from rendezview_service.hub.watching import Watcher, Watchers
 from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle
+from rendezview_service.logs.recording import PENDING, RECORDED, LogWriter, RecordingOptions
 from rendezview_service.messages.wire import Unpacker, pack, receive, shared_memory
 
 # One of the threads for the disk waits for ever.
@@ -92,22 +96,28 @@ def test_a_watcher_that_comes_after_the_end_is_told() -> None:
     assert late.news.is_set()
 
 
-def test_a_stream_that_is_cut_off_with_its_answers_unread_is_over(service, client, camera):
+def test_a_stream_that_is_cut_off_with_its_answers_unread_is_over(monkeypatch) -> None:
     """The service waits for room among these answers, and nobody reads them any more."""
 
-    def used() -> int:
-        return client.request("GET", "/healthz")["budgets"]["websockets"]["used"]
+    class Cut:
+        headers: ClassVar = {"X-Sender": "somebody"}
+        scope: ClassVar = {}
+        sent = 0
 
-    with client.open(camera) as session:
-        before = used()
-        url = client.stream_url(session.name, "stream")
-        with connect(url, open_timeout=MOST_S) as stream:
-            raw = stream.socket
-            for _ in range(300):
-                stream.send(b"short")
-            raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-            raw.close()
-        wait_until(lambda: used() <= before)
+        async def receive(self) -> dict[str, Any]:
+            return {"type": "websocket.receive", "bytes": b"short"}
+
+        async def send(self, message: object) -> None:
+            self.sent += 1
+            raise RuntimeError("it is closed")
+
+    async def accepted(*_: object) -> Any:
+        return SimpleNamespace(lease=SimpleNamespace(release=lambda sender: None))
+
+    monkeypatch.setattr(streams, "_accepted", accepted)
+    cut: Any = Cut()
+    asyncio.run(asyncio.wait_for(streams.stream(cut, "s"), 30.0))
+    assert cut.sent == 1
 
 
 class _Handled:
@@ -156,6 +166,24 @@ def test_a_worker_that_works_for_long_is_waited_for(monkeypatch) -> None:
         asked = asyncio.create_task(known.handle.ask({"kind": "warm", "session": ""}))
         await asyncio.sleep(0.7)
         theirs.sendall(pack({"kind": "opened", "session": "", "compiled": 3}))
+        answer = await asked
+        theirs.close()
+        return answer
+
+    assert asyncio.run(ask())["compiled"] == 3
+
+
+def test_after_a_pause_of_the_service_an_answer_is_read_before_its_worker_is_judged(monkeypatch):
+    monkeypatch.setattr(worker_handle, "_IDLE_S", 0.3)
+    known = _Handled(SimpleNamespace(kill=lambda: pytest.fail("killed"), pid=0))
+    monkeypatch.setattr(WorkerHandle, "_processor_s", lambda self: 0.0)
+
+    async def ask() -> Any:
+        theirs = await known.connect()
+        asked = asyncio.create_task(known.handle.ask({"kind": "warm", "session": ""}))
+        await asyncio.sleep(0.01)
+        theirs.sendall(pack({"kind": "opened", "session": "", "compiled": 3}))
+        time.sleep(1.5)  # the pause: the timer is due, and the answer is not read
         answer = await asked
         theirs.close()
         return answer
@@ -226,3 +254,41 @@ def test_a_service_ends_though_a_thread_waits_for_a_disk(start_service, tmp_path
     assert httpx.get(served.url + "healthz", timeout=MOST_S).status_code == 200
     served.process.send_signal(signal.SIGTERM)
     assert served.process.wait(60.0) == 0
+
+
+def test_a_disk_that_hangs_while_a_part_is_given_up_holds_up_nobody(tmp_path, camera, monkeypatch):
+    """Tracking needs the lock that the writing thread would hold."""
+    cuts, cut, truncate = threading.Event(), threading.Event(), os.ftruncate
+    fsync, fails = os.fsync, iter([False, False, False, True])
+
+    def fails_once(file: int) -> None:
+        if next(fails, False):
+            raise OSError(errno.EIO, "Input/output error")
+        fsync(file)
+
+    def hangs(file: int, length: int) -> None:
+        cuts.set()
+        cut.wait(MOST_S)
+        truncate(file, length)
+
+    def write(k: int) -> str:
+        state = {"frame": k, "time_s": 0.1 * k, "received_unix_s": 1.7e9 + k, "pose": None}
+        return writer.write(state, json.dumps(state).encode(), b"picture")
+
+    monkeypatch.setattr(os, "fsync", fails_once)
+    monkeypatch.setattr(os, "ftruncate", hangs)
+    options = RecordingOptions(sync="always", wait_s=MOST_S)
+    writer = LogWriter(tmp_path / "run.mcap", camera, {}, None, options)
+    assert write(0) == RECORDED  # fsync of the part and its folder, and of the state
+    writer.options = RecordingOptions(sync="always", wait_s=0.05)
+    try:
+        assert write(1).startswith(PENDING)
+        assert cuts.wait(MOST_S)
+        before_s = time.monotonic()
+        assert write(2).startswith(PENDING)
+        assert writer.status.pending == 2
+        assert time.monotonic() - before_s < 0.1 * MOST_S
+    finally:
+        cut.set()
+    wait_until(lambda: writer.status.pending == 0)
+    writer.close(MOST_S)

@@ -398,27 +398,3 @@ def test_a_disk_that_hangs_costs_no_pose_and_no_worker(start_service, camera, to
         session.close()
     served.stop()
     assert _frames(place) == list(range(frames))
-
-
-def test_a_disk_that_hangs_while_a_part_is_given_up_holds_up_nobody(writer_of, disk, monkeypatch):
-    writer = writer_of(wait_s=0.05, sync="always")
-    assert _write(writer, 0) == RECORDED
-    cuts, cut, truncate = threading.Event(), threading.Event(), os.ftruncate
-
-    def hangs(file: int, length: int) -> None:
-        cuts.set()
-        cut.wait(MOST_S)
-        truncate(file, length)
-
-    monkeypatch.setattr(os, "ftruncate", hangs)
-    disk.failing["fsync"] = 1
-    try:
-        assert _write(writer, 1).startswith(PENDING)
-        assert cuts.wait(MOST_S)
-        before_s = time.monotonic()
-        assert _write(writer, 2).startswith(PENDING)
-        assert writer.status.pending == 2
-        assert time.monotonic() - before_s < 0.5 * MOST_S
-    finally:
-        cut.set()
-    wait_until(lambda: writer.status.pending == 0)

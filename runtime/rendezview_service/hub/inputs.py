@@ -8,8 +8,10 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 from rendezview_service.messages.frames import Bytes
+from rendezview_service.messages.wire import Header
 
 SOURCE = "the service's source"  # the sender of its frames
 _BARRED_S = 60.0  # s, after an input that ended a process. Source: chosen
@@ -54,6 +56,19 @@ class NotReady(Refused):
 
     def __init__(self, reason: str = "no worker process is ready: try again in a moment") -> None:
         super().__init__(reason)
+
+
+class Worker(Protocol):
+    """The process that tracks, as its sessions see it."""
+
+    def wake(self, session: Any) -> None:
+        """A session has an input waiting."""
+
+    def forget(self, session: Any) -> None:
+        """A session has ended."""
+
+    async def ask(self, header: Header) -> Header:
+        """A request other than an input, and its answer."""
 
 
 @dataclass(slots=True, eq=False)

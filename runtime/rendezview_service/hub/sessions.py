@@ -6,22 +6,14 @@ import math
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
 
 from pydantic_core import to_json
 
+from rendezview_service.hub import inputs
 from rendezview_service.hub.checkpoint import Checkpoint, CheckpointKeeper
 from rendezview_service.hub.clock import SessionClock
 from rendezview_service.hub.history import Histories, Past
-from rendezview_service.hub.inputs import (
-    SOURCE,
-    Answer,
-    Bar,
-    Full,
-    InputQueue,
-    Lease,
-    SessionInput,
-)
+from rendezview_service.hub.inputs import Answer, InputQueue, SessionInput
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.hub.once import Once
@@ -36,9 +28,6 @@ from rendezview_service.messages.messages import Recording, SensorHealth, Sessio
 from rendezview_service.messages.wire import Header
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.sensor_health import STALE_S, Arrivals, OtherSensors
-
-if TYPE_CHECKING:
-    from rendezview_service.hub.worker_handle import WorkerHandle
 
 _REMEMBERED = 64  # answers, for requests that are repeated. Source: a chosen limit
 
@@ -69,13 +58,13 @@ class Session:
         self.request = request
         self.request_now = request  # of the present worker: its prior is the last pose
         self.handover: Header | None = None  # the `Fused` state that its filter goes on from
-        self.bar = Bar()
+        self.bar = inputs.Bar()
         self.settings = settings
         assert request.camera is not None
         longest = longest_frame(request.camera.width, request.camera.height)
         self.frame_bytes = min(settings.frame_bytes, longest)
         self.source = source
-        self.worker: WorkerHandle | None = None
+        self.worker: inputs.Worker | None = None
         self.created_unix_s = time.time()
         self.log = SessionLog(name)
         rates_hz = settings.history_rate_hz, settings.history_image_hz
@@ -90,15 +79,15 @@ class Session:
         self.once: Once[Answer] = Once(_REMEMBERED)
         self._last_key: str | None = None  # of the last frame's request
         self.clock = SessionClock.started_now()
-        self.lease = Lease(settings.sender_hold_s if source is None else math.inf)
+        self.lease = inputs.Lease(settings.sender_hold_s if source is None else math.inf)
         if source is not None:
-            self.lease.take(SOURCE, self.used_s)
+            self.lease.take(inputs.SOURCE, self.used_s)
         self._metrics = metrics
         metrics.begin(name)
         self._queue = InputQueue()
         self.frame_base = 0  # number of frames before the present worker
         self.drops = 0
-        self.events = SessionEvents(name, lambda: self.clock.unix_s(time.monotonic()))
+        self.events = SessionEvents(name, lambda: self.clock.now_unix_s)
         for note in request.notes:
             self.events.add("session", Level.WARNING, note)
         self._arrivals = Arrivals()
@@ -106,7 +95,7 @@ class Session:
         self._lines = TokenBucket.full(settings.measurements_per_s, time.monotonic())
         self._last_fault: str | None = None
         self._refused_since_s: float | None = None  # no frame has been usable since
-        self.was_fused = False  # at another service
+        self._was_fused = False
         self.keeper: CheckpointKeeper | None = None
 
     # Inputs
@@ -146,7 +135,7 @@ class Session:
         """
         self._admit(waiting)
         if self._queue.count(frames=True) >= self.settings.waiting:
-            raise Full
+            raise inputs.Full
         self._arrived(waiting)
         self._queue.append(waiting)
         self._wake()
@@ -162,7 +151,7 @@ class Session:
         too_fast = self._lines.refill(waiting.received_s) < 0.0
         waiting_now = self._queue.count(frames=False)
         if too_fast or waiting_now >= self.settings.measurements_waiting:
-            raise Full
+            raise inputs.Full
         waiting.waited_s = max(0.0, waiting.received_s - self.used_s)
         self.used_s = waiting.received_s
         self._queue.append(waiting)
@@ -191,8 +180,8 @@ class Session:
 
     @property
     def is_fused(self) -> bool:
-        """Whether another sensor has sent lines."""
-        return self._others.is_fused
+        """Whether another sensor has sent lines, here or at another service."""
+        return self._was_fused or self._others.is_fused
 
     @property
     def has_waiting(self) -> bool:
@@ -346,18 +335,18 @@ class Session:
         return Checkpoint(
             request=self.request,
             model_sha256=self.stored.sha256,
-            tracked=self.progress.tracked(),
+            tracked=self.progress.model_copy(),  # another thread writes it
             log=self.log.id,
             log_base=self.log.base,
             log_paths=[part.path for part in self.log.parts],
-            fused=self.is_fused or self.was_fused,
+            fused=self.is_fused,
             last_key=self._last_key,
         )
 
     def resume(self, kept: Checkpoint) -> None:
         """Continue a session of another service; the tracker starts at its last pose."""
-        self.was_fused = kept.fused
-        self.progress.resume(kept.tracked)
+        self._was_fused = kept.fused
+        self.progress = kept.tracked
         if kept.last_key is not None and self.progress.last is not None:
             self.once.know(kept.last_key, Answer(200, self.progress.last))
         self.log.resume(kept.log, kept.log_base, kept.log_paths)

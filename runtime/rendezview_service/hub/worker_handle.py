@@ -17,7 +17,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from rendezview_service.hub.clock import Timer
+from rendezview_service.hub.clock import PAUSE_S, Timer
 from rendezview_service.hub.inputs import SessionInput
 from rendezview_service.hub.sessions import Session
 from rendezview_service.messages.wire import Header, Unpacker, mapped, pack, shared_memory
@@ -107,11 +107,13 @@ class WorkerHandle(asyncio.Protocol):
         self._answers.append((header, future))
         self._transport.write(pack(header))
         while True:
-            before_s = self._processor_s()
+            began_s, before_s = time.monotonic(), self._processor_s()
             try:
                 return await asyncio.wait_for(asyncio.shield(future), _IDLE_S)
             except TimeoutError:  # compiling takes minutes, but works
-                if sys.platform == "linux" and self._processor_s() - before_s < _LEAST_WORK_S:
+                idle = sys.platform == "linux" and self._processor_s() - before_s < _LEAST_WORK_S
+                # After a pause of this process, the answer may have come and is not read yet.
+                if idle and time.monotonic() - began_s < _IDLE_S + PAUSE_S:
                     self._kill()
             except asyncio.CancelledError:
                 future.cancel()

@@ -127,19 +127,19 @@ class WorkerPool:
                 await self._spare.ask(prepare_request(self._sights))
 
     async def expect(self, sights: list[Header]) -> None:
-        """Have all workers ready for sessions that may come."""
-        for worker in self._workers:
-            if worker.ready:
-                with contextlib.suppress(WorkerGone):
-                    await worker.ask(prepare_request(sights[-_MOST_PREPARED:]))
+        """Have all workers ready for sessions that may come; see `sight_of`."""
+        await self._ask_all(prepare_request(sights[-_MOST_PREPARED:]))
 
     async def read(self, model: StoredModel) -> None:
-        """Have all workers read a model."""
+        """Have all workers read a model, before a session uses it."""
         await self.warmed(model)
+        await self._ask_all(warm_request(model))
+
+    async def _ask_all(self, request: Header) -> None:
         for worker in self._workers:
             if worker.ready:
                 with contextlib.suppress(WorkerGone):
-                    await worker.ask(warm_request(model))
+                    await worker.ask(request)
 
     async def warmed(self, model: StoredModel) -> None:
         """Warm the workers up with a model, if there was none at the start.
