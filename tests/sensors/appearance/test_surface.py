@@ -92,7 +92,7 @@ def test_a_model_without_its_surface_finds_poses_by_edges_alone(
     )
     assert observation.status is Status.OK
     assert observation.found is not None
-    assert observation.found.shading is None
+    assert observation.found.best.shading is None
     assert observation.pose is not None
     assert observation.pose.angle_to(pose) < np.deg2rad(1.0)
 

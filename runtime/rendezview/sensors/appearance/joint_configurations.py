@@ -11,7 +11,7 @@ from rendezview.estimation.motion import rates_between
 from rendezview.geometry.joint import Joint, apart
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
-from rendezview.sensors.appearance.edges.refinement import Refined
+from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
@@ -52,8 +52,8 @@ def best_of(
 
 
 def _spread(
-    best: Refined, others: Sequence[AppearanceObservation], merit: float, joints: Sequence[Joint]
-) -> Refined:
+    best: Hypothesis, others: Sequence[AppearanceObservation], merit: float, joints: Sequence[Joint]
+) -> Hypothesis:
     """The best pose, its covariance widened to the nearby ones that fit as well.
 
     A plate seen edge-on fits at two angles.

@@ -16,9 +16,8 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
 from rendezview.sensors.appearance.edges.contour_at import NOWHERE, target_box
-from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.found import NEAR_RAD, Found
 from rendezview.sensors.appearance.judge.rivals import Rivals
-from rendezview.sensors.appearance.judge.sketch_found import NEAR_RAD, SketchFound
 from rendezview.sensors.appearance.model.joint_angles import JointAngles
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import (
@@ -159,7 +158,7 @@ class PoseFinder:
             clock.lap("refine")
         best = found if self._confident(found) else None
         if best is None and self.sketch is not None:
-            sketched = SketchFound.of(self.sketch.best(frame, sky), dark=sky.dark)
+            sketched = self.sketch.best(frame, sky)
             clock.lap("sketch")
             doubtful = found is None or found.confidence < _LEAST_CONFIDENT
             answers = [] if found is None or doubtful else found.answers
@@ -256,8 +255,7 @@ class PoseFinder:
             return self._given(view, found)
         sketched = None
         if self.sketch is not None:
-            sketched = SketchFound.of(self.sketch.near(frame, sky, prior, error_rad), dark=sky.dark)
-            sketched = near.bounds(sketched)
+            sketched = near.bounds(self.sketch.near(frame, sky, prior, error_rad))
             clock.lap("sketch")
             best = near.bounds(self._likelier(search, frame, sky, found, sketched))
             clock.lap("refine")
@@ -267,7 +265,7 @@ class PoseFinder:
 
     def _likelier(
         self, search: LevelSearch, frame: Picture, sky: Sky, found: Found | None,
-        sketched: SketchFound | None,
+        sketched: Found | None,
     ) -> Found | None:  # fmt: skip
         """What grey edges found, or else a sketch; None where neither is confident."""
         if self._confident(found):
@@ -278,13 +276,13 @@ class PoseFinder:
         # Grey edges are the finer ones, where they are seen.
         return search.at(frame, sky, sketched.best.pose, NEAR_RAD) or sketched
 
-    def _beside(self, found: Found | None, sketched: SketchFound | None) -> SketchFound | None:
+    def _beside(self, found: Found | None, sketched: Found | None) -> Found | None:
         """What a sketch shows, beside the look-alikes that were weighed with it."""
         if sketched is None or found is None or not found.weighed:
             return sketched
         return sketched.beside(found.weighed, self.model.symmetries)
 
-    def _refusable(self, found: Found | None, sketched: SketchFound | None) -> Found | None:
+    def _refusable(self, found: Found | None, sketched: Found | None) -> Found | None:
         """What is the reason for no pose: the more confident of both."""
         sketched = self._beside(found, sketched)
         if sketched is None or (found is not None and found.confidence >= sketched.confidence):

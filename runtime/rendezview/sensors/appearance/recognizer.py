@@ -18,7 +18,7 @@ from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
 from rendezview.sensors.appearance.integrity.evidence import Second
 from rendezview.sensors.appearance.joint_configurations import around, best_of
-from rendezview.sensors.appearance.judge.sketch_found import NEAR_RAD
+from rendezview.sensors.appearance.judge.found import NEAR_RAD
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation, StageClock
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
@@ -215,7 +215,7 @@ class Recognizer:
             choice = self.sketch.anywhere(frame, Sky.of(frame))
         if choice is None:
             return None
-        other = nearest_alike(choice.pose, pose, self.model.symmetries)
+        other = nearest_alike(choice.best.pose, pose, self.model.symmetries)
         return Second(other.angle_to(pose), choice.confidence)
 
 

@@ -15,7 +15,6 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between, nearest_alike
 from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
 from rendezview.sensors.appearance.joints import JointFilter
-from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.arguments import check_prior, check_recognizer, check_time
@@ -377,7 +376,7 @@ class Tracker:
         self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s)
         self._misses, self._rivals, self._jump = 0, [], None
         found = observation.found
-        if found is None or isinstance(found, SketchFound):  # its inlier ratio is another
+        if found is None or found.on_sketch:  # its inlier ratio is another
             self._confirmed = (0.0, 0)
         elif found.single:  # no search: the confirmation grows older
             self._confirmed = (self._confirmed[0], self._confirmed[1] + 1)

@@ -18,8 +18,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture, shrunk
 from rendezview.sensors.appearance.edges.refinement import Refiner
-from rendezview.sensors.appearance.judge.confidence import Bound, Found
-from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.hypothesis import Bound
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.search.search import PoseSearch
@@ -79,7 +79,7 @@ class LevelSearch:
         give_up: float = 0.0,
         again: bool = False,
         also: Sequence[Pose] = (),
-        sketched: SketchFound | None = None,
+        sketched: Found | None = None,
     ) -> Found | None:
         """``PoseSearch.anywhere``; the outlines tell the size of the target."""
         area_sr = float(np.median([body.signature.area_sr for body in bodies]))
@@ -109,7 +109,7 @@ class LevelSearch:
 
     def proposed(
         self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
-        half_turns: bool = True, sketched: SketchFound | None = None,
+        half_turns: bool = True, sketched: Found | None = None,
     ) -> Found | None:  # fmt: skip
         """``PoseSearch.proposed``; the first proposal tells the size of the target."""
         level = self._near(image, sky, proposals[0])

@@ -3,7 +3,7 @@
 Retrieval proposes views and rolls by the signature of the outline. Alignment moves many of them
 roughly onto the edges (``alignment``), refinement the best ones exactly, with edge profiles under
 the fitted light (``refinement``). Shading decides between poses whose edges are alike, and a
-regression gives the confidence of the best (``confidence``).
+regression gives the confidence of the best (``Found.confidence``).
 """
 
 from __future__ import annotations
@@ -17,15 +17,12 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.refinement import (
-    Refined,
-    RefineOptions,
-    Refiner,
-)
-from rendezview.sensors.appearance.judge.confidence import Bound, Candidates, Found
+from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
+from rendezview.sensors.appearance.hypothesis import Bound, Hypothesis
+from rendezview.sensors.appearance.judge.candidates import Candidates
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.rivals import Rivals
 from rendezview.sensors.appearance.judge.shading import Shading
-from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -154,7 +151,7 @@ class PoseSearch:
         give_up: float = 0.0,
         again: bool = False,
         also: Sequence[Pose] = (),
-        sketched: SketchFound | None = None,
+        sketched: Found | None = None,
     ) -> Found | None:
         """The pose without a prior, from one or several readings of the outline.
 
@@ -184,7 +181,7 @@ class PoseSearch:
             rotations, centres = (np.concatenate([s[k][:first] for s in starts]) for k in (0, 1))
             candidates.add(self.refiner.best(image, sky, rotations, centres, _REFINED_OF_VOTED))
             return candidates.choose()
-        turned: list[Refined] = []  # poses whose half turns have been tried
+        turned: list[Pose] = []  # poses whose half turns have been tried
         found = None
         likeliest, others = (slice(0, first), False), (slice(first, None), False)
         everything = (slice(None), True)
@@ -198,9 +195,9 @@ class PoseSearch:
                 )
             )
             best = candidates.most_inliers
-            if best is not None and best not in turned and best.inlier_ratio >= worth:
+            if best is not None and best.pose not in turned and best.inlier_ratio >= worth:
                 candidates.add(self._half_turned(image, sky, best.pose))
-                turned.append(best)
+                turned.append(best.pose)
             found = candidates.choose()
             confidence = 0.0 if found is None else found.confidence
             if confidence < give_up:
@@ -213,23 +210,24 @@ class PoseSearch:
 
     def _beside_look_alikes(
         self, image: Picture, sky: Sky, candidates: Candidates, found: Found | None,
-        sketched: SketchFound | None = None,
+        sketched: Found | None = None,
     ) -> Found | None:  # fmt: skip
         """The likeliest pose after each look-alike of the best has had one alignment."""
         if self.rivals is None or found is None:
             return found
-        asked: list[Refined] = []
+        asked: list[Pose] = []
         for _ in range(_ROUNDS):
-            if found is None or found.best in asked:
+            if found is None or found.best.pose in asked:
                 break
-            asked.append(found.best)
+            asked.append(found.best.pose)
             others = self.rivals.look_alikes(found.best.pose)
             worth = found.best.inlier_ratio - _MOST_BEHIND
             candidates.add(self._refined(image, sky, others, least=worth))
             found = candidates.choose()
         if sketched is None:
             return candidates.weighed(self.rivals)
-        candidates.add([sketched.without_grey_edges])
+        # Grey edges have no hold there: it has their least merit.
+        candidates.add([replace(sketched.best, outline=0.0, inner=0.0)])
         return candidates.weighed(self.rivals, sketched.aligned)
 
     def _voted(self, body: Outlines, rotations: Array, centres: Array) -> tuple[Array, Array]:
@@ -273,21 +271,21 @@ class PoseSearch:
         sky: Sky,
         candidates: Candidates,
         found: Found | None,
-        turned: list[Refined],
+        turned: list[Pose],
         rounds: int,
     ) -> Found | None:
         """Search around the best pose and its rival, then around those that lead after that."""
-        searched: list[Refined] = []
+        searched: list[Pose] = []
         for _ in range(rounds):
-            more: list[Refined] = []
-            for pose in () if found is None else (found.best, found.rival):
-                if pose is None or pose in searched:
+            more: list[Hypothesis] = []
+            for pose in () if found is None else found.answers:
+                if pose in searched:
                     continue
                 searched.append(pose)
-                more += self._around(image, sky, pose) + self._close_to(image, sky, pose.pose)
+                more += self._around(image, sky, pose) + self._close_to(image, sky, pose)
                 if pose not in turned:
                     turned.append(pose)
-                    more += self._half_turned(image, sky, pose.pose)
+                    more += self._half_turned(image, sky, pose)
             if not more:
                 break
             candidates.add(more)
@@ -320,7 +318,7 @@ class PoseSearch:
 
     def proposed(
         self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
-        half_turns: bool = True, sketched: SketchFound | None = None,
+        half_turns: bool = True, sketched: Found | None = None,
     ) -> Found | None:  # fmt: skip
         """The best of some poses that another estimator proposes, and of half turns of it.
 
@@ -350,7 +348,7 @@ class PoseSearch:
         candidates.add(self.refiner.best(image, sky, rotations, centres, keep))
         found = candidates.choose()
         if found is not None and found.confidence < _CONFIDENT:
-            candidates.add(self._around(image, sky, found.best))
+            candidates.add(self._around(image, sky, found.best.pose))
             found = candidates.choose()
         return found
 
@@ -370,12 +368,12 @@ class PoseSearch:
             centres = np.concatenate([centres, places[close]])
         return rotations, centres
 
-    def _around(self, image: Picture, sky: Sky, best: Refined) -> list[Refined]:
+    def _around(self, image: Picture, sky: Sky, best: Pose) -> list[Hypothesis]:
         """Poses from 9° around: the best one may be a local optimum."""
-        rotations, centres = rotated_about(best.pose, self.model.centre_m, _ASIDE_RAD)
+        rotations, centres = rotated_about(best, self.model.centre_m, _ASIDE_RAD)
         return self.refiner.best(image, sky, rotations[1:], centres[1:], 2)
 
-    def _close_to(self, image: Picture, sky: Sky, prior: Pose) -> list[Refined]:
+    def _close_to(self, image: Picture, sky: Sky, prior: Pose) -> list[Hypothesis]:
         """Poses from 3° around, refined without coarse stages, which may find another pose."""
         starts = rotated_about_axes(prior, self.model.centre_m, _CLOSE_RAD)
         found = self._refined(image, sky, starts, closely=True)
@@ -384,11 +382,11 @@ class PoseSearch:
     def _refined(
         self, image: Picture, sky: Sky, poses: Iterable[Pose], *, closely: bool = False,
         least: float = 0.0,
-    ) -> list[Refined]:  # fmt: skip
+    ) -> list[Hypothesis]:  # fmt: skip
         each = (self.refiner.refine(image, sky, p, closely=closely, least=least) for p in poses)
         return [refined for refined in each if refined is not None]
 
-    def _half_turned(self, image: Picture, sky: Sky, pose: Pose) -> list[Refined]:
+    def _half_turned(self, image: Picture, sky: Sky, pose: Pose) -> list[Hypothesis]:
         """Poses from half turns of one: many craft look nearly the same from behind or below.
 
         Each is refined directly and after coarse alignment, which may move it away.
