@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy.typing as npt
 
+from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
@@ -202,21 +203,21 @@ class PoseFinder:
             looks.append(region.in_frame(self.looking_at(region).find(part)))
         clock.lap("windows")  # with all looks
         seen.stage_ms.update(clock.stage_ms)
-        given = [look for look in looks if look.pose is not None]
-        if not given:
+        given = [(look, look.pose) for look in looks if look.pose is not None]
+
+        def same(k: int, known: int) -> bool:
+            apart = angle_between(given[k][1], given[known][1], self.model.symmetries)
+            return bool(apart <= NEAR_RAD)
+
+        choice = choose([look.score for look, _ in given], same)
+        if choice is None:
             return seen
-        symmetries, best = self.model.symmetries, max(given, key=lambda look: look.score)
-        assert best.pose is not None
+        if choice.rivals:
+            reason = f"{len(given)} bodies look like the target: say where it is (roi)"
+            return replace(seen, status=Status.RIVALS, reason=reason)
+        best = given[choice.best][0]
         best.stage_ms.clear()
         best.stage_ms.update(seen.stage_ms)
-        for look in given:
-            assert look.pose is not None
-            if angle_between(look.pose, best.pose, symmetries) > NEAR_RAD:
-                return replace(
-                    seen,
-                    status=Status.RIVALS,
-                    reason=f"{len(given)} bodies look like the target: say where it is (roi)",
-                )
         return best
 
     def _next_to(

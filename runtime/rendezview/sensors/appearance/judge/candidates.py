@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.estimation.hypotheses import Choice, choose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between, first_of_each
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.refinement import Refiner
@@ -47,10 +49,25 @@ class Candidates:
     bounds: tuple[Bound, ...] = ()  # of all poses
     _all: list[Hypothesis] = field(default_factory=list)
 
-    def add(self, refined: list[Hypothesis]) -> None:
-        """Take more poses, those within the bounds."""
-        may_be = (one for one in refined if all(bound(one.pose) for bound in self.bounds))
+    def add(self, refined: Iterable[Hypothesis | None]) -> bool:
+        """Take more poses, those within the bounds; whether there are any, within or not."""
+        found = [one for one in refined if one is not None]
+        may_be = (one for one in found if all(bound(one.pose) for bound in self.bounds))
         self._all += [replace(one, overshoot=self._overshoot(one)) for one in may_be]
+        return bool(found)
+
+    def refine(self, poses: Iterable[Pose], *, closely: bool = False, least: float = 0.0) -> bool:
+        """Add the poses next to some that fit the edges; see ``Refiner.refine``."""
+        image, sky, refine = self.image, self.sky, self.refiner.refine
+        return self.add(refine(image, sky, one, closely=closely, least=least) for one in poses)
+
+    def refine_best(
+        self, rotations: Array, centres: Array, keep: int, *, thorough: bool = False,
+        least: float = 0.0,
+    ) -> bool:  # fmt: skip
+        """Add the best of some starting poses, aligned; see ``Refiner.best``."""
+        image, sky, best = self.image, self.sky, self.refiner.best
+        return self.add(best(image, sky, rotations, centres, keep, thorough=thorough, least=least))
 
     @property
     def most_inliers(self) -> Hypothesis | None:

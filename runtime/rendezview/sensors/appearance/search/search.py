@@ -8,7 +8,7 @@ regression gives the confidence of the best (``Found.confidence``).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 
@@ -18,7 +18,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
-from rendezview.sensors.appearance.hypothesis import Bound, Hypothesis
+from rendezview.sensors.appearance.hypothesis import Bound
 from rendezview.sensors.appearance.judge.candidates import Candidates
 from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.rivals import Rivals
@@ -172,14 +172,14 @@ class PoseSearch:
             for body in bodies
         ]
         candidates = self._candidates(image, sky, bodies, self.forest_scores)
-        candidates.add(self._refined(image, sky, also))
+        candidates.refine(also)
         if self.forest_scores is not None and len(bodies) == 1 and not again:
-            agreed = self._agreed(image, sky, candidates, bodies[0], *starts[0], least)
+            agreed = self._agreed(candidates, bodies[0], *starts[0], least)
             if agreed is not None:
-                return self._beside_look_alikes(image, sky, candidates, agreed)
+                return self._beside_look_alikes(candidates, agreed)
         if brief:
             rotations, centres = (np.concatenate([s[k][:first] for s in starts]) for k in (0, 1))
-            candidates.add(self.refiner.best(image, sky, rotations, centres, _REFINED_OF_VOTED))
+            candidates.refine_best(rotations, centres, _REFINED_OF_VOTED)
             return candidates.choose()
         turned: list[Pose] = []  # poses whose half turns have been tried
         found = None
@@ -189,29 +189,23 @@ class PoseSearch:
             rotations = np.concatenate([r[part] for r, _ in starts])
             centres = np.concatenate([c[part] for _, c in starts])
             keep = self.options.refined
-            candidates.add(
-                self.refiner.best(
-                    image, sky, rotations, centres, keep, thorough=thorough, least=least
-                )
-            )
+            candidates.refine_best(rotations, centres, keep, thorough=thorough, least=least)
             best = candidates.most_inliers
             if best is not None and best.pose not in turned and best.inlier_ratio >= worth:
-                candidates.add(self._half_turned(image, sky, best.pose))
+                self._half_turned(candidates, best.pose)
                 turned.append(best.pose)
             found = candidates.choose()
             confidence = 0.0 if found is None else found.confidence
             if confidence < give_up:
                 return found
             if confidence >= _CONFIDENT:
-                return self._beside_look_alikes(image, sky, candidates, found)
-        rounds = 1 if again else _ROUNDS
-        found = self._around_best_two(image, sky, candidates, found, turned, rounds)
-        return self._beside_look_alikes(image, sky, candidates, found, sketched)
+                return self._beside_look_alikes(candidates, found)
+        found = self._around_best_two(candidates, found, turned, 1 if again else _ROUNDS)
+        return self._beside_look_alikes(candidates, found, sketched)
 
     def _beside_look_alikes(
-        self, image: Picture, sky: Sky, candidates: Candidates, found: Found | None,
-        sketched: Found | None = None,
-    ) -> Found | None:  # fmt: skip
+        self, candidates: Candidates, found: Found | None, sketched: Found | None = None
+    ) -> Found | None:
         """The likeliest pose after each look-alike of the best has had one alignment."""
         if self.rivals is None or found is None:
             return found
@@ -221,8 +215,7 @@ class PoseSearch:
                 break
             asked.append(found.best.pose)
             others = self.rivals.look_alikes(found.best.pose)
-            worth = found.best.inlier_ratio - _MOST_BEHIND
-            candidates.add(self._refined(image, sky, others, least=worth))
+            candidates.refine(others, least=found.best.inlier_ratio - _MOST_BEHIND)
             found = candidates.choose()
         if sketched is None:
             return candidates.weighed(self.rivals)
@@ -243,20 +236,13 @@ class PoseSearch:
         return rotations[order], centres[order]
 
     def _agreed(
-        self,
-        image: Picture,
-        sky: Sky,
-        candidates: Candidates,
-        body: Outlines,
-        rotations: Array,
-        centres: Array,
-        least: float,
+        self, candidates: Candidates, body: Outlines, rotations: Array, centres: Array, least: float
     ) -> Found | None:
         """The pose on which edges and forest agree, from the likeliest starts; None without one."""
         assert self.forest_scores is not None
         first = slice(0, self.options.voted_first)
         starts = rotations[first].copy(), centres[first].copy()
-        candidates.add(self.refiner.best(image, sky, *starts, _REFINED_OF_VOTED, least=least))
+        candidates.refine_best(*starts, _REFINED_OF_VOTED, least=least)
         found = candidates.choose()
         if found is None or found.confidence < _CONFIDENT or found.votes is None:
             return None
@@ -266,29 +252,22 @@ class PoseSearch:
         return found if leads else None
 
     def _around_best_two(
-        self,
-        image: Picture,
-        sky: Sky,
-        candidates: Candidates,
-        found: Found | None,
-        turned: list[Pose],
-        rounds: int,
+        self, candidates: Candidates, found: Found | None, turned: list[Pose], rounds: int
     ) -> Found | None:
         """Search around the best pose and its rival, then around those that lead after that."""
         searched: list[Pose] = []
         for _ in range(rounds):
-            more: list[Hypothesis] = []
+            more = False
             for pose in () if found is None else found.answers:
                 if pose in searched:
                     continue
                 searched.append(pose)
-                more += self._around(image, sky, pose) + self._close_to(image, sky, pose)
+                more |= self._around(candidates, pose) | self._close_to(candidates, pose)
                 if pose not in turned:
                     turned.append(pose)
-                    more += self._half_turned(image, sky, pose)
+                    more |= self._half_turned(candidates, pose)
             if not more:
                 break
-            candidates.add(more)
             found = candidates.choose()
             if found is not None and found.confidence >= _CONFIDENT:
                 break
@@ -328,12 +307,11 @@ class PoseSearch:
             sketched: what a sketch shows; it is weighed, too.
         """
         candidates = self._candidates(image, sky, bodies, self.forest_scores)
-        candidates.add(self._refined(image, sky, proposals))
+        candidates.refine(proposals)
         if half_turns:
             best = candidates.most_inliers
-            pose = proposals[0] if best is None else best.pose
-            candidates.add(self._half_turned(image, sky, pose))
-        return self._beside_look_alikes(image, sky, candidates, candidates.choose(), sketched)
+            self._half_turned(candidates, proposals[0] if best is None else best.pose)
+        return self._beside_look_alikes(candidates, candidates.choose(), sketched)
 
     def near(
         self, image: Picture, sky: Sky, prior: Pose, error_rad: float, bodies: list[Outlines],
@@ -343,12 +321,11 @@ class PoseSearch:
         rotations, centres = self._starts_near(prior, error_rad, bodies, also)
         near = within(prior, error_rad, self.model.centre_m)
         candidates = self._candidates(image, sky, bodies, prior=near)
-        candidates.add(self._close_to(image, sky, prior))
-        keep = self.options.refined_near
-        candidates.add(self.refiner.best(image, sky, rotations, centres, keep))
+        self._close_to(candidates, prior)
+        candidates.refine_best(rotations, centres, self.options.refined_near)
         found = candidates.choose()
         if found is not None and found.confidence < _CONFIDENT:
-            candidates.add(self._around(image, sky, found.best.pose))
+            self._around(candidates, found.best.pose)
             found = candidates.choose()
         return found
 
@@ -368,31 +345,22 @@ class PoseSearch:
             centres = np.concatenate([centres, places[close]])
         return rotations, centres
 
-    def _around(self, image: Picture, sky: Sky, best: Pose) -> list[Hypothesis]:
-        """Poses from 9° around: the best one may be a local optimum."""
+    def _around(self, candidates: Candidates, best: Pose) -> bool:
+        """Add poses from 9° around: the best one may be a local optimum."""
         rotations, centres = rotated_about(best, self.model.centre_m, _ASIDE_RAD)
-        return self.refiner.best(image, sky, rotations[1:], centres[1:], 2)
+        return candidates.refine_best(rotations[1:], centres[1:], 2)
 
-    def _close_to(self, image: Picture, sky: Sky, prior: Pose) -> list[Hypothesis]:
-        """Poses from 3° around, refined without coarse stages, which may find another pose."""
+    def _close_to(self, candidates: Candidates, prior: Pose) -> bool:
+        """Add poses from 3° around, refined without coarse stages: those may find another pose."""
         starts = rotated_about_axes(prior, self.model.centre_m, _CLOSE_RAD)
-        found = self._refined(image, sky, starts, closely=True)
-        return found + self._refined(image, sky, [prior])
+        return candidates.refine(starts, closely=True) | candidates.refine([prior])
 
-    def _refined(
-        self, image: Picture, sky: Sky, poses: Iterable[Pose], *, closely: bool = False,
-        least: float = 0.0,
-    ) -> list[Hypothesis]:  # fmt: skip
-        each = (self.refiner.refine(image, sky, p, closely=closely, least=least) for p in poses)
-        return [refined for refined in each if refined is not None]
-
-    def _half_turned(self, image: Picture, sky: Sky, pose: Pose) -> list[Hypothesis]:
-        """Poses from half turns of one: many craft look nearly the same from behind or below.
+    def _half_turned(self, candidates: Candidates, pose: Pose) -> bool:
+        """Add poses from half turns of one: many craft look nearly the same from behind or below.
 
         Each is refined directly and after coarse alignment, which may move it away.
         """
         rotations = pose.rotation @ self._half_turns
         centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
         starts = map(Pose, rotations, centres - rotations @ self.model.centre_m)
-        found = self._refined(image, sky, starts)
-        return found + self.refiner.best(image, sky, rotations, centres, 2)
+        return candidates.refine(starts) | candidates.refine_best(rotations, centres, 2)
