@@ -23,6 +23,11 @@ class Choice(NamedTuple):
     rivals: tuple[int, ...]  # other answers, one hypothesis of each, best first
     margin: float  # score of the best above that of the first rival; inf without one
 
+    @property
+    def answers(self) -> tuple[int, ...]:
+        """The best and its rivals."""
+        return (self.best, *self.rivals)
+
 
 def choose(
     scores: npt.ArrayLike, same: Callable[[int, int], bool], *, best: int | None = None,

@@ -67,7 +67,7 @@ def single_searches(recognizer: Recognizer, image: Array, truth: Pose, prior: Po
     refined = refiner.refine(image, sky, prior)
     if refined is None:
         return []
-    shade = recognizer.search.whole.shading.of(image, sky, refined.pose)
+    shade = recognizer.search.levels.whole.shading.of(image, sky, refined.pose)
     shadings = (None, None if shade is None else shade.agreement)
     looks = [Found(replace(refined, shading=s), 1.0, sky.dark, True) for s in shadings]
     return [{"mode": "lone"} | features_of(look, truth, recognizer.model) for look in looks]

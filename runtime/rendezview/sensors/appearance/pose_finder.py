@@ -30,7 +30,7 @@ from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
 from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search.close import CloseSearch
-from rendezview.sensors.appearance.search.levels import LevelSearch
+from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.search.windows import SAME_BODY, overlap
 from rendezview.sensors.appearance.sky import Sky
@@ -80,7 +80,7 @@ class PoseFinder:
         self.trees = trees
         self.region: Region | None = None
         self.least_confidence = least_confidence
-        self.search = LevelSearch(model, camera) if refine and model.contours is not None else None
+        self.search = PoseSearch(model, camera) if refine and model.contours is not None else None
         # Refinement has its own.
         self._rivals = None
         if self.search is None and model.shape is not None:
@@ -148,11 +148,11 @@ class PoseFinder:
         return close or self._near(search, frame, sky, near, clock)
 
     def _anywhere(
-        self, search: LevelSearch, frame: Picture, sky: Sky, clock: StageClock
+        self, search: PoseSearch, frame: Picture, sky: Sky, clock: StageClock
     ) -> AppearanceObservation:
         """Without a prior: by the outline, then on a sketch, then by the outline thoroughly."""
         traced = self.outline.trace(frame, None, clock, bright_sky=not sky.dark)
-        by_outline = partial(search.anywhere, frame, sky, traced.outlines, sky.sun_camera)
+        by_outline = partial(search.anywhere, frame, sky, traced.outlines)
         found, sketched = None, None
         if traced.outlines:
             found = by_outline(give_up=0.0 if self.sketch is None else _LEAST_CONFIDENT)
@@ -221,7 +221,7 @@ class PoseFinder:
         return best
 
     def _next_to(
-        self, search: LevelSearch, frame: Picture, sky: Sky, near: Near, enough_inliers: float,
+        self, search: PoseSearch, frame: Picture, sky: Sky, near: Near, enough_inliers: float,
         clock: StageClock,
     ) -> AppearanceObservation | None:  # fmt: skip
         """The pose next to a prior; None unless it is confident at once."""
@@ -241,7 +241,7 @@ class PoseFinder:
         return self._given(seen, found)
 
     def _near(
-        self, search: LevelSearch, frame: Picture, sky: Sky, near: Near, clock: StageClock
+        self, search: PoseSearch, frame: Picture, sky: Sky, near: Near, clock: StageClock
     ) -> AppearanceObservation:
         """Within the error of a prior: by outline and rotations of it, then on a sketch."""
         prior, error_rad = near.prior, near.error_rad
@@ -265,7 +265,7 @@ class PoseFinder:
         return refused(view, self._refusable(found, sketched))
 
     def _likelier(
-        self, search: LevelSearch, frame: Picture, sky: Sky, found: Found | None,
+        self, search: PoseSearch, frame: Picture, sky: Sky, found: Found | None,
         sketched: Found | None,
     ) -> Found | None:  # fmt: skip
         """What grey edges found, or else a sketch; None where neither is confident."""

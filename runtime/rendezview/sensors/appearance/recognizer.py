@@ -25,7 +25,7 @@ from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
 from rendezview.sensors.appearance.pose_finder import PoseFinder, Request
 from rendezview.sensors.appearance.region import Region
-from rendezview.sensors.appearance.search.levels import LevelSearch
+from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.arguments import check_prior, check_types
@@ -80,7 +80,7 @@ class Recognizer:
         self._lock = threading.Lock()
 
     @property
-    def search(self) -> LevelSearch | None:
+    def search(self) -> PoseSearch | None:
         """By grey edges; None where poses are not refined."""
         return self._finder.search
 
@@ -228,10 +228,10 @@ def _likely(
     merits, observations = [], []
     for one in searched:
         assert one.search is not None
-        one.search.start_at(one.model.angles_rad)
+        one.search.levels.start_at(one.model.angles_rad)
         found = None
         if traced.outlines:
-            found = one.search.anywhere(frame, sky, traced.outlines, sky.sun_camera, brief=True)
+            found = one.search.anywhere(frame, sky, traced.outlines, brief=True)
         merits.append(-np.inf if found is None else found.merit)
         observations.append(AppearanceObservation(Status.LOST, found=found))
     order = np.argsort(-np.array(merits), kind="stable")
@@ -244,5 +244,5 @@ def _turned_to(
 ) -> AppearanceObservation:
     """The observation of a configuration, with the joints starting at some angles (J,)."""
     assert finder.search is not None
-    finder.search.start_at(angles_rad, tracked=tracked)
+    finder.search.levels.start_at(angles_rad, tracked=tracked)
     return finder.find(request)

@@ -357,7 +357,7 @@ class Tracker:
         best = seen[choice.best]
         if choice.margin >= self.options.decisive_lead and best.pose is not None:
             return best
-        self._rivals = [(poses[k], merits[k]) for k in (choice.best, *choice.rivals)]
+        self._rivals = [(poses[k], merits[k]) for k in choice.answers]
         return replace(
             best,
             status=Status.AMBIGUOUS,

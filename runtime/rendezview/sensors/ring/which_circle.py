@@ -235,7 +235,7 @@ def _decided(
     doubtful = bool(cost[best] > -RIVAL_COST) and bool(known.circles or known.memory)
     reason = ""
     if rivals:
-        places = " or ".join(_words(found, i, ranges, known) for i in (best, *choice.rivals))
+        places = " or ".join(_words(found, i, ranges, known) for i in choice.answers)
         reason = f"{by} does not tell which circle is the ring: ellipse {places}"
     elif doubtful:
         reason = f"{by} does not tell whether {_words(found, best, ranges, known)} is the ring"
@@ -306,7 +306,7 @@ def _by_score(camera: Camera, edges: Sequence[RingEdge], radius_m: float) -> Whi
     if choice is None or not choice.rivals:
         alone = sum(edge.group == best.group for edge in edges) == 1
         return Which(0, (), _ALONE if alone else "", by_score=True, doubtful=alone)
-    places = " or ".join(f"{k} (then at {ranges[k]:.2f} m)" for k in (0, *choice.rivals))
+    places = " or ".join(f"{k} (then at {ranges[k]:.2f} m)" for k in choice.answers)
     reason = f"no range is given to tell which circle is the ring: ellipse {places}"
     return Which(0, tuple((k, RING) for k in choice.rivals), reason, by_score=True)
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
@@ -206,10 +206,15 @@ class Refiner:
             survivors, ratios,
         )  # fmt: skip
         merit = (2.0 * ratios[:, 0] + ratios[:, 1]) / 3.0
-        chosen = self._distinct(np.argsort(-merit, kind="stable"), merit, rotations, centres, keep)
+
+        def same(k: int, known: int) -> bool:
+            cosine = 0.5 * (np.sum(rotations[k] * rotations[known]) - 1.0)
+            return bool(cosine >= _SAME_COSINE)
+
+        choice = choose(merit, same, most=keep - 1)
         found = []
-        for k in chosen:
-            if merit[k] < least:
+        for k in () if choice is None else choice.answers:
+            if merit[k] <= 0.0 or merit[k] < least:
                 continue
             refined = self._refined(image, frame, self._stages, rotations[k], centres[k])
             if refined is not None:
@@ -288,19 +293,6 @@ class Refiner:
             joint_support=float(step.support.min()),
             covariance=joint[:6, :6],
         )
-
-    def _distinct(
-        self, order: npt.NDArray[np.intp], merit: Array, rotations: Array, centres: Array, most: int
-    ) -> list[int]:
-        """The first of the aligned poses, in order, that are not the same again."""
-        chosen: list[int] = []
-        for k in order:
-            if merit[k] <= 0.0 or len(chosen) == most:
-                break
-            cosines = [0.5 * (np.sum(rotations[k] * rotations[j]) - 1.0) for j in chosen]
-            if all(cosine < _SAME_COSINE for cosine in cosines):
-                chosen.append(int(k))
-        return chosen
 
     def _centred(self, pose: Pose) -> tuple[Array, Array]:
         """Rotation and view centre of a pose, fresh arrays."""

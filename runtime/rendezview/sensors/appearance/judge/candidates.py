@@ -12,11 +12,10 @@ from rendezview.estimation.hypotheses import Choice, choose
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between, first_of_each
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.hypothesis import Aligned, Bound, Hypothesis
 from rendezview.sensors.appearance.judge.found import Found, merit
-from rendezview.sensors.appearance.judge.rivals import MERIT_WEIGHT, Rivals, edge_scores
-from rendezview.sensors.appearance.judge.shading import Shading
+from rendezview.sensors.appearance.judge.level import Level
+from rendezview.sensors.appearance.judge.rivals import MERIT_WEIGHT, edge_scores
 from rendezview.sensors.appearance.judge.sketch_choice import sketch_merit
 from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
@@ -38,8 +37,7 @@ _MOST_RIVALS = 16  # that are drawn, of most merit. Source: by construction, a b
 class Candidates:
     """All refined poses of one frame; each costs its overshoot and its shading once."""
 
-    refiner: Refiner
-    shading: Shading
+    level: Level
     retrieval: Retrieval
     image: Picture
     sky: Sky
@@ -58,7 +56,7 @@ class Candidates:
 
     def refine(self, poses: Iterable[Pose], *, closely: bool = False, least: float = 0.0) -> bool:
         """Add the poses next to some that fit the edges; see ``Refiner.refine``."""
-        image, sky, refine = self.image, self.sky, self.refiner.refine
+        image, sky, refine = self.image, self.sky, self.level.refiner.refine
         return self.add(refine(image, sky, one, closely=closely, least=least) for one in poses)
 
     def refine_best(
@@ -66,7 +64,7 @@ class Candidates:
         least: float = 0.0,
     ) -> bool:  # fmt: skip
         """Add the best of some starting poses, aligned; see ``Refiner.best``."""
-        image, sky, best = self.image, self.sky, self.refiner.best
+        image, sky, best = self.image, self.sky, self.level.refiner.best
         return self.add(best(image, sky, rotations, centres, keep, thorough=thorough, least=least))
 
     @property
@@ -94,29 +92,28 @@ class Candidates:
     def _shaded(self, one: Hypothesis) -> Hypothesis:
         if one.shading is not None:
             return one
-        shade = self.shading.of(self.image, self.sky, one.pose)
+        shade = self.level.shading.of(self.image, self.sky, one.pose)
         return one if shade is None else replace(one, shading=shade.agreement, sun_camera=shade.sun)
 
-    def weighed(self, rivals: Rivals, on_sketch: Aligned | None = None) -> Found | None:
-        """The likeliest pose beside its rivals, by drawn evidence; None without any pose.
+    def weighed(self, on_sketch: Aligned | None = None) -> Found | None:
+        """The likeliest pose beside its rivals, by drawn evidence if the model has a shape.
 
         ``on_sketch``: of the sketch, where one was drawn of the frame. Poses that it leads to the
         same pose are one answer.
         """
-        found = self.choose()
-        if found is None:
-            return None
+        found, rivals = self.choose(), self.level.rivals
+        if found is None or rivals is None:
+            return found
         merits = np.array([merit(one, one.shading) for one in self._all])
         within = np.inf if on_sketch is not None else merits.max() - (found.merit - _IN_DOUBT)
         apart = choose(merits, self._same, within=within, most=len(merits))
         assert apart is not None
-        answers = [apart.best, *apart.rivals]
-        asked, on_it = [self._all[k] for k in answers], None
+        asked, on_it = [self._all[k] for k in apart.answers], None
         if on_sketch is not None:
             led = on_sketch([one.pose for one in asked])
             asked = [replace(one, on_sketch=there) for one, there in zip(asked, led, strict=True)]
             on_it = np.array([np.nan if one is None else sketch_merit(one) for one in led])
-        edges = edge_scores(merits[answers], on_it)
+        edges = edge_scores(merits[list(apart.answers)], on_it)
         order = np.argsort(-edges, kind="stable")
         order = order[edges[order] >= edges.max() - MERIT_WEIGHT * _IN_DOUBT]
         if on_sketch is not None:
@@ -142,18 +139,18 @@ class Candidates:
             self.prior,
             self._all[chosen.rivals[0]] if chosen.rivals else None,
             self._votes(best),
-            error_model=self.refiner.error_model,
+            error_model=self.level.refiner.error_model,
         )
 
     def _same(self, k: int, known: int) -> bool:
         """Whether two poses are one answer."""
         a, b = self._all[k].pose, self._all[known].pose
-        return bool(angle_between(a, b, self.refiner.model.symmetries) <= _RIVAL_RAD)
+        return bool(angle_between(a, b, self.level.refiner.model.symmetries) <= _RIVAL_RAD)
 
     def _one_each(self, order: Indices, asked: list[Hypothesis]) -> Indices:
         """Of the poses that a sketch leads to the same pose the first."""
         led = [(int(k), one.pose) for k in order if (one := asked[k].on_sketch) is not None]
-        symmetries = self.refiner.model.symmetries
+        symmetries = self.level.refiner.model.symmetries
         firsts = first_of_each((pose for _, pose in led), _RIVAL_RAD, symmetries)
         kept = {led[i][0] for i in firsts}
         return np.array([k for k in order if asked[k].on_sketch is None or int(k) in kept])

@@ -6,7 +6,6 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from scipy.special import logit
 
 from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import Symmetry, angle_between, first_of_each
+from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.judge.probability_forest import ProbabilityForest
 
@@ -125,9 +124,12 @@ def opinion_features(own: float, other: float, *, agree: bool) -> Array:
 
 def distinct(poses: Sequence[Hypothesis], most: int, apart_rad: float) -> list[Hypothesis]:
     """The poses of most merit that are some angle apart, the best first."""
-    ranked = sorted(poses, key=lambda one: -sketch_merit(one))
-    chosen = first_of_each((one.pose for one in ranked), apart_rad)
-    return [ranked[k] for k in islice(chosen, most)]
+    choice = choose(
+        [sketch_merit(one) for one in poses],
+        lambda k, known: poses[k].pose.angle_to(poses[known].pose) <= apart_rad,
+        most=most - 1,
+    )
+    return [] if choice is None else [poses[k] for k in choice.answers]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
