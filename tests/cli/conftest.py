@@ -87,7 +87,7 @@ class Spawned:
 
     def wait_for(self, happened: Callable[[], bool]) -> Spawned:
         wait_until(lambda: happened() or self.process.poll() is not None)
-        assert self.process.poll() is None, self.process.communicate()
+        assert self.process.poll() is None, self.process.communicate(timeout=MOST_S)
         return self
 
     def signal(self, number: int) -> Ran:
@@ -115,7 +115,7 @@ def spawn() -> Iterator[Callable[..., Spawned]]:
     yield start
     for spawned in started:
         spawned.process.kill()
-        spawned.process.communicate()
+        spawned.process.communicate(timeout=MOST_S)
 
 
 @pytest.fixture(scope="session")

@@ -87,7 +87,7 @@ def _trickling(connections: list[socket.socket]) -> Iterator[None]:
     thread.start()
     yield
     done.set()
-    thread.join()
+    thread.join(MOST_S)
 
 
 def test_bodies_that_trickle_make_room_for_a_neighbour(served, camera, tour):

@@ -92,7 +92,7 @@ class Disk:
         return self.writev(file, pieces)
 
     def _fault(self, call: str) -> None:
-        self.answers.wait()
+        self.answers.wait(MOST_S)
         if self.failing[call] > 0:
             self.failing[call] -= 1
             raise self.error
@@ -290,7 +290,7 @@ def test_whatever_happens_each_state_is_there_once_or_told_as_lost(
         faults[rng.integers(len(faults))]()
         write(int(rng.integers(1, 6)))
         disk.failing = dict.fromkeys(disk.failing, 0)
-        disk.answers.wait()
+        disk.answers.wait(MOST_S)
     wait_until(lambda: writer.status.pending == 0)
     writer.close()
     found = Counter(_frames(logs, kept))
@@ -398,3 +398,27 @@ def test_a_disk_that_hangs_costs_no_pose_and_no_worker(start_service, camera, to
         session.close()
     served.stop()
     assert _frames(place) == list(range(frames))
+
+
+def test_a_disk_that_hangs_while_a_part_is_given_up_holds_up_nobody(writer_of, disk, monkeypatch):
+    writer = writer_of(wait_s=0.05, sync="always")
+    assert _write(writer, 0) == RECORDED
+    cuts, cut, truncate = threading.Event(), threading.Event(), os.ftruncate
+
+    def hangs(file: int, length: int) -> None:
+        cuts.set()
+        cut.wait(MOST_S)
+        truncate(file, length)
+
+    monkeypatch.setattr(os, "ftruncate", hangs)
+    disk.failing["fsync"] = 1
+    try:
+        assert _write(writer, 1).startswith(PENDING)
+        assert cuts.wait(MOST_S)
+        before_s = time.monotonic()
+        assert _write(writer, 2).startswith(PENDING)
+        assert writer.status.pending == 2
+        assert time.monotonic() - before_s < 0.5 * MOST_S
+    finally:
+        cut.set()
+    wait_until(lambda: writer.status.pending == 0)

@@ -5,29 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol
+from typing import TYPE_CHECKING
 
-from rendezview_service.hub.history import Histories
 from rendezview_service.hub.sessions import Session
 from rendezview_service.messages.message_parts import BudgetUse
 from rendezview_service.messages.messages import Health, RecordingState
-from rendezview_service.settings import Settings
+
+if TYPE_CHECKING:
+    from rendezview_service.hub.service import Service
 
 
-class Observed(Protocol):
-    """What health is made of."""
-
-    settings: Settings
-    sessions: dict[str, Session]
-    histories: Histories
-    budgets: dict[str, Callable[[], BudgetUse]]
-    watchers: int
-    stopping: bool
-    started_s: float
-    version: str
-
-
-def health_of(service: Observed, reasons: list[str]) -> Health:
+def health_of(service: Service, reasons: list[str]) -> Health:
     """The health of a service.
 
     Args:
@@ -51,7 +39,7 @@ def health_of(service: Observed, reasons: list[str]) -> Health:
     )
 
 
-def budgets_of(service: Observed) -> dict[str, Callable[[], BudgetUse]]:
+def budgets_of(service: Service) -> dict[str, Callable[[], BudgetUse]]:
     """What is in use of the budgets of sessions; those of requests come from the guard."""
     sessions, settings = service.sessions, service.settings
     used: dict[str, tuple[Callable[[], int], int]] = {

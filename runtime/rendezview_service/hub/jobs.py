@@ -7,7 +7,6 @@ import contextlib
 import json
 import logging
 import os
-import resource
 import secrets
 import shutil
 import signal
@@ -27,6 +26,17 @@ log = logging.getLogger("rendezview_service")
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".3mf", ".dae")
 _KEPT = 100  # finished jobs in the list. Source: a chosen limit
 _QUEUED = 16  # jobs that may wait. Source: a chosen limit
+# The training's process: little priority and bounded memory. It limits itself: Python between fork
+# and exec may wait for ever for a lock that another thread of the service held.
+_TRAIN = """
+import os, resource, sys
+os.nice(10)
+resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]),) * 2)
+resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+del sys.argv[1]
+from rendezview.cli.main import main
+main()
+"""
 
 
 @dataclass(slots=True, eq=False)
@@ -171,18 +181,13 @@ class Jobs:
         try:
             # Its own process group: the processes that it starts end with it.
             job.process = await asyncio.create_subprocess_exec(
-                sys.executable,
-                "-c",
-                "from rendezview.cli.main import main; main()",
-                "train",
-                *job.arguments,
+                *(sys.executable, "-c", _TRAIN, str(self._most_bytes), "train", *job.arguments),
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=asyncio.subprocess.DEVNULL,
                 stderr=asyncio.subprocess.PIPE,
                 cwd=job.folder,
                 env=os.environ | {"RENDEZVIEW_PROGRESS": "json"},
                 start_new_session=True,
-                preexec_fn=self._limited,
             )
             if job.state is JobState.CANCELLED:  # while the process started
                 _kill(job)
@@ -213,12 +218,6 @@ class Jobs:
                 self._over(job, JobState.CANCELLED)
             self._running.pop(job, None)
             self._next()
-
-    def _limited(self) -> None:
-        """In the training's process before it starts: little priority and bounded memory."""
-        os.nice(10)
-        resource.setrlimit(resource.RLIMIT_AS, (self._most_bytes, self._most_bytes))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
     def _over(self, job: Job, state: JobState) -> None:
         job.state, job.ended_s = state, time.monotonic()

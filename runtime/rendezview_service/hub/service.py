@@ -26,7 +26,7 @@ from rendezview_service.hub.checkpoint import (
 from rendezview_service.hub.feeder import Feeder
 from rendezview_service.hub.health import budgets_of, health_of
 from rendezview_service.hub.history import Histories
-from rendezview_service.hub.inputs import Full
+from rendezview_service.hub.inputs import Full, NotReady, Refused
 from rendezview_service.hub.jobs import Jobs
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import ModelStore, StoredModel
@@ -37,8 +37,8 @@ from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.source_process import open_apart
 from rendezview_service.hub.sources import Source
 from rendezview_service.hub.viewers import Viewers
-from rendezview_service.hub.worker_handle import WorkerGone
-from rendezview_service.hub.worker_pool import NotReady, Worker, WorkerPool
+from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle
+from rendezview_service.hub.worker_pool import WorkerPool
 from rendezview_service.hub.worker_requests import open_request
 from rendezview_service.logs.log_folder import keep_logs
 from rendezview_service.logs.recordings import Recordings
@@ -172,7 +172,7 @@ class Service:
             try:
                 stored = self.models.kept(name or "model", sha256)
                 await self._open(kept.request, resumed=kept, stored=stored)
-            except (RendezviewError, NotReady, Full) as error:
+            except (RendezviewError, Refused) as error:
                 about = {"session": kept.request.id, "reason": str(error)}
                 log.warning("a session does not go on", extra=about)
             self.resuming.discard(kept.request.id)
@@ -339,7 +339,7 @@ class Service:
             raise RendezviewError(f"{said} (there are: {known})")
         return stored
 
-    async def _place(self, session: Session, worker: Worker | None = None) -> None:
+    async def _place(self, session: Session, worker: WorkerHandle | None = None) -> None:
         """Give a session to a worker; None: the one with the fewest sessions."""
         if worker is None or not worker.ready:
             worker = self._workers.least_busy()
@@ -359,7 +359,7 @@ class Service:
         if session.has_waiting:
             worker.wake(session)
 
-    async def _reopen(self, orphans: list[Session], worker: Worker | None) -> list[Session]:
+    async def _reopen(self, orphans: list[Session], worker: WorkerHandle | None) -> list[Session]:
         """Continue the sessions of a worker that ended with another one, or end them.
 
         Returns:
@@ -381,7 +381,7 @@ class Service:
                 left.append(session)
             except WorkerGone:
                 pass  # its sessions, this one too, come here again
-            except RendezviewError as error:
+            except (RendezviewError, OSError) as error:
                 await self.close(session, f"its tracker cannot be restarted: {error}")
         return left
 

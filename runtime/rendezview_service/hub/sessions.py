@@ -6,14 +6,22 @@ import math
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import TYPE_CHECKING
 
 from pydantic_core import to_json
 
 from rendezview_service.hub.checkpoint import Checkpoint, CheckpointKeeper
 from rendezview_service.hub.clock import SessionClock
 from rendezview_service.hub.history import Histories, Past
-from rendezview_service.hub.inputs import Answer, Bar, Full, InputQueue, SessionInput
-from rendezview_service.hub.lease import SOURCE, Lease
+from rendezview_service.hub.inputs import (
+    SOURCE,
+    Answer,
+    Bar,
+    Full,
+    InputQueue,
+    Lease,
+    SessionInput,
+)
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.hub.once import Once
@@ -22,13 +30,15 @@ from rendezview_service.hub.rate_limit import TokenBucket
 from rendezview_service.hub.session_events import SessionEvents
 from rendezview_service.hub.session_log import SessionLog
 from rendezview_service.hub.watching import Watchers
-from rendezview_service.hub.worker_handle import WorkerHandle
 from rendezview_service.messages.approach_messages import Level
 from rendezview_service.messages.frames import Bytes, longest_frame
 from rendezview_service.messages.messages import Recording, SensorHealth, SessionRequest
 from rendezview_service.messages.wire import Header
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.sensor_health import STALE_S, Arrivals, OtherSensors
+
+if TYPE_CHECKING:
+    from rendezview_service.hub.worker_handle import WorkerHandle
 
 _REMEMBERED = 64  # answers, for requests that are repeated. Source: a chosen limit
 
@@ -65,7 +75,7 @@ class Session:
         longest = longest_frame(request.camera.width, request.camera.height)
         self.frame_bytes = min(settings.frame_bytes, longest)
         self.source = source
-        self.worker: WorkerHandle[Session] | None = None
+        self.worker: WorkerHandle | None = None
         self.created_unix_s = time.time()
         self.log = SessionLog(name)
         rates_hz = settings.history_rate_hz, settings.history_image_hz
@@ -83,7 +93,8 @@ class Session:
         self.lease = Lease(settings.sender_hold_s if source is None else math.inf)
         if source is not None:
             self.lease.take(SOURCE, self.used_s)
-        self._metrics = metrics.of_session(name)
+        self._metrics = metrics
+        metrics.begin(name)
         self._queue = InputQueue()
         self.frame_base = 0  # number of frames before the present worker
         self.drops = 0
@@ -168,7 +179,7 @@ class Session:
         dropped = self._queue.replace(waiting)
         if dropped is not None:
             self.drops += 1
-            self._metrics.drops.inc()
+            self._metrics.dropped(self.id)
             dropped.answer(Answer(0, b""))
         self._wake()
 
@@ -254,7 +265,8 @@ class Session:
         self.events.fault(None)
         self.recorded(header)
         self._others.tracked(waiting.received_s, waiting.received_unix_s, header)
-        self._metrics.tracked(header["status"], header["track_ms"], now_s - waiting.received_s)
+        latency_s = now_s - waiting.received_s
+        self._metrics.tracked(self.id, header["status"], header["track_ms"], latency_s)
         answer = partial(waiting.answer, Answer(200, state))
         if self.keeper is None:
             answer()
@@ -269,7 +281,7 @@ class Session:
         self._lines.spend(header["lines"])
         self._others.received(waiting.sensor, waiting.received_s, waiting.received_unix_s, header)
         self.recorded(header)
-        self._metrics.measured(waiting.sensor, header["lines"], header["accepted"])
+        self._metrics.measured(self.id, waiting.sensor, header["lines"], header["accepted"])
         waiting.answer(Answer(200, answer))
 
     def add_extras(self, header: Header, picture: bytes) -> None:
@@ -289,7 +301,7 @@ class Session:
         if "recording" in header:
             self.log.update(header["log_paths"], Recording.model_validate(header["recording"]))
             self.events.recording(self.log.recording)
-            self._metrics.recording(self.log.recording)
+            self._metrics.recording(self.id, self.log.recording)
 
     def refused(self, waiting: SessionInput, error: str, internal: bool = False) -> None:
         """The worker could not use a frame or sensor lines."""
@@ -298,7 +310,7 @@ class Session:
         if waiting.sensor is None:
             self.watchers.wait()
             self._last_fault = error
-            self._metrics.refused.inc()
+            self._metrics.refused(self.id)
             self._refused_since_s = self._refused_since_s or time.monotonic()
             self.events.fault(error)
         else:
@@ -358,7 +370,7 @@ class Session:
         """A frame of the source could not be read."""
         self._last_fault = error
         self.events.fault(error)
-        self._metrics.refused.inc()
+        self._metrics.refused(self.id)
 
     def source_ended(self, reason: str | None) -> None:
         """The source has ended, or failed for a reason."""
@@ -367,13 +379,11 @@ class Session:
         self.events.add("source", Level.WARNING if reason else Level.INFO, said)
 
     def end(self, reason: str, status: int = 410) -> None:
-        """Answer everything that waits; nothing follows here."""
-        for waiting in self._queue:
-            waiting.answer(Answer(status, b"", reason))
-        self._queue.clear()
+        """Answer everything that waits, or comes later; nothing follows here."""
+        self._queue.close(Answer(status, b"", reason, ends=True))
         self._histories.leave(self.past)
         self.watchers.end(reason)
-        self._metrics.remove()
+        self._metrics.end(self.id)
 
     # Information
 
