@@ -6,7 +6,6 @@ import math
 import numpy as np
 
 from rendezview.sensors.beacons import Acquirer
-from rendezview.sensors.beacons.match.judgement import judge
 from rendezview.sensors.beacons.match.triplets import search
 
 
@@ -57,27 +56,3 @@ def test_the_grid_finds_every_centre_spot_that_the_hourglass_holds(paper_camera,
     assert len(flat) == 40
     assert len(wanted) > 500
     assert found == wanted
-
-
-def test_the_quick_pose_refuses_no_triplet_that_would_pass(paper_camera, three):
-    acquirer, rng = Acquirer(paper_camera, [three]), np.random.default_rng(4)
-    options, passed = acquirer.options, 0
-    for size_px, count in ((1.0, 100), (1.6, 100), (2.5, 60), (5.0, 35)):
-        directions, flat, sizes, peaks = crowd(paper_camera, rng, count, size_px)
-        triplets = triplets_of(acquirer, (directions, flat, sizes, peaks))
-        members = acquirer._triangles[0].members
-        scores = []
-        for quick in (False, True):
-            score, poses = np.empty((len(triplets), 4)), np.empty((len(triplets), 4, 12))
-            judge(
-                triplets, directions, sizes, peaks, three.positions_m[members],
-                three.normals[members], three.diameters_m[members], paper_camera.fx,
-                options.blur_px, (options.size_sigma, options.diameter_sigma, options.blur_sigma,
-                options.peak_sigma, options.beam_sigma, math.cos(1.2 * options.tilt_rad),
-                options.beam_curve),
-                np.array([0.3, 150.0]), options.score_limit, quick, score, poses,
-            )  # fmt: skip
-            scores.append(np.where(score <= options.score_limit, score, np.inf))
-        assert np.array_equal(*scores)
-        passed += int(np.isfinite(scores[0]).sum())
-    assert passed > 100
