@@ -118,6 +118,28 @@ class RigCamera:
         normalised = self.lens.distort(points[:, :2] / depth)
         return np.asarray(normalised * (self.fx, self.fy) + (self.cx, self.cy))
 
+    def slopes(self, points_rig_m: Array) -> tuple[Array, Array, Array]:
+        """Places (N, 2) of points (N, 3) in front, and their slopes in detector units.
+
+        Returns also (N, 2, 18) by INTRINSICS and POSE, and (N, 2, 3) by the point in the rig frame.
+        """
+        c = self.camera_from_rig
+        arm = points_rig_m @ c.rotation.T
+        points = arm + c.translation_m
+        ideal = points[:, :2] / points[:, 2:]
+        measured, by_ideal, by_lens = self.lens.derivatives(ideal)
+        focal = np.array([self.fx, self.fy])
+        by_point = np.zeros((len(points), 2, 3))  # ∂ ideal / ∂ p_camera
+        by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / points[:, 2]
+        by_point[:, :, 2] = -ideal / points[:, 2:]
+        by_point = focal[:, None] * (by_ideal @ by_point)
+        by_own = np.zeros((len(points), 2, len(INTRINSICS) + len(POSE)))
+        by_own[:, 0, 0], by_own[:, 1, 1] = measured.T
+        by_own[:, 0, 2] = by_own[:, 1, 3] = 1.0
+        by_own[:, :, 4:12] = focal[:, None] * by_lens
+        by_own[:, :, 12:] = by_pose(by_point, arm)
+        return measured * focal + (self.cx, self.cy), by_own, by_point @ c.rotation
+
     def ideal(self, spots: Spots) -> tuple[Array, Array]:
         """(N, 2) ideal places of spots, normalised, and their standard deviations."""
         xy, sigma = np.empty((len(spots), 2)), np.empty((len(spots), 2))
@@ -260,6 +282,15 @@ def required_leds(positions: Sequence[npt.ArrayLike], what: str) -> Array:
     if spread[1] < 1e-6 * spread[0] or spread[0] == 0.0:
         raise RendezviewError(f"{what}: its lights are all on one line: a pose needs a triangle")
     return leds
+
+
+def by_pose(by_point: Array, arms: Array) -> Array:
+    """(N, 2, 6) slopes by a pose's left perturbation from those by its points (N, 2, 3).
+
+    ``arms`` (N, 3): the points less the pose's place. ``d p / d(rotation vector) = −[R p]×``.
+    """
+    turns = np.cross(arms[:, None, :], by_point)
+    return np.concatenate([turns, by_point], axis=2)
 
 
 def intrinsics_of(camera: RigCamera) -> Array:

@@ -44,8 +44,7 @@ class TrackerOptions:
     motion: MotionOptions | None = None  # the filter; None: each reading's pose as it is
     # after that the last estimate is no longer used. Source: a chosen limit
     longest_outage_s: float = 5.0
-    # Add what the rig's calibration and the lights' places do to each pose's covariance: 7 ms where
-    # the pose has moved.
+    # Add what the rig's calibration and the lights' places do to each pose's covariance.
     calibration_error: bool = True
     # normalised; unnamed spots are looked for so far from the forecast. Source: by hand; see
     # stereo-accuracy (0.1) --part identity
@@ -282,14 +281,14 @@ class StereoTracker:
         pose, fit = observation.rig_from_target, observation.fit
         if not self.options.calibration_error or pose is None or observation.covariance is None:
             return observation
-        own, shares = observation.covariance, self._calibration.last
+        whole: dict[str, Array | None] = dict(self._calibration.last)
         if self._calibration and fit is not None:
-            shares = self._calibration.shares(pose, fit.sights.weight)
-        if self._calibration and fit is not None and self.options.motion is None:
-            own = turned(self._calibration.noise(pose, fit.sights.weight), self._first.rotation)
-        whole: dict[str, Array | None] = {SPOTS: own}
-        for cause, share in shares.items():
+            whole = self._calibration.shares(pose, fit.sights.weight)
+        for cause, share in whole.items():
             whole[cause] = None if share is None else turned(share, self._first.rotation)
+        noise = whole.get(SPOTS)
+        own = observation.covariance if noise is None or self.options.motion else noise
+        whole[SPOTS] = own
         common = common_of(whole)
         return replace(observation, covariance=own + common, common=common, budget=budget_of(whole))
 
