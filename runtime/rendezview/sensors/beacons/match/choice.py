@@ -357,7 +357,7 @@ class Chooser:
                 self.camera, pattern, spots.table[where, :2], which, pose, sigma, options.blur_px,
                 saturated=bool((spots.saturated_px[where] > 1).all()),
             )  # fmt: skip
-            if refined is None or not refined.converged:
+            if refined is None:
                 return None
             if len(which) == 3:
                 return _Hypothesis(refined, group, which, where, score, score, tuple(dropped))
