@@ -62,6 +62,12 @@ class CameraMessage(Message):
     bit_depth: int | None = Field(
         default=None, ge=8, le=16, description="of PNG frames with 16-bit levels; null: 16"
     )
+    covariance: list[Annotated[list[FiniteFloat], Field(max_length=18)]] | None = Field(
+        default=None,
+        max_length=18,
+        description="of fx fy cx cy, or of these and the distortion, by their errors of "
+        "calibration; null: not known",
+    )
     checked: bool = Field(default=False, description="its numbers are meant: no warnings")
 
 

@@ -72,6 +72,7 @@ def camera_message(camera: Camera, *, checked: bool = False) -> CameraMessage:
         distortion=list(camera.distortion),
         lens_model=camera.lens_model,
         bit_depth=camera.bit_depth,
+        covariance=None if camera.covariance is None else [list(c) for c in camera.covariance],
         checked=checked,
     )
 
