@@ -142,7 +142,7 @@ class RigCamera:
         focal = np.array([self.fx, self.fy])
         measured = (spots.positions - (self.cx, self.cy)) / focal
         ideal, sigma = self.lens.undistort(measured), np.hypot(spots.sigma, self.floor) / focal
-        known = np.isfinite(ideal).all(axis=1)
+        known = np.asarray(np.isfinite(ideal).all(axis=1))
         _, by_ideal, _ = self.lens.derivatives(np.where(known[:, None], ideal, 0.0))
         slopes = np.asarray(np.linalg.inv(by_ideal), np.float64)
         sigma = np.sqrt(((slopes * sigma[:, None]) ** 2).sum(axis=2))
