@@ -41,12 +41,12 @@ from rendezview.sensors.beacons.detect.spots import (
     window_centroid,
 )
 from rendezview.sensors.beacons.match.matching import expect_spots, match_spots
-from rendezview.sensors.beacons.pose.refinement import adjust, solve_spots
+from rendezview.sensors.beacons.pose.refinement import Refined, adjust, solve_spots
 from rendezview.sensors.beacons.pose.shares import share_out, spot_slopes, whole_sigma
 from rendezview.sensors.beacons.rates import RateEstimator
+from rendezview.sensors.beacons.track import Branch, Track
 from rendezview.sensors.beacons.windows import (
     VISIBLE,
-    carry,
     place_windows,
     read_windows,
     window_noise,
@@ -284,10 +284,12 @@ def test_windows_find_the_spot_and_the_noise():
     assert outcome.tolist() == [VISIBLE, 0, 1]
     np.testing.assert_allclose(table[0, [X, Y]], [30.3, 25.7], atol=0.1)
     assert window_noise(image, NO_DARK, expected, half) == pytest.approx(2.0, rel=0.3)
-    bright, unseen = np.empty(3), np.empty(3, np.int64)
-    carry(table, np.array([1.0, 2.0, 3.0]), np.array([4, 5, 6]), bright, unseen)
-    assert unseen.tolist() == [0, 6, 7]
-    assert bright[1:].tolist() == [2.0, 3.0]
+    last = Track.begun(0.0, Pose.identity(), 3, roll_known=True)
+    last.brightness, last.unseen = np.array([1.0, 2.0, 3.0]), np.array([4, 5, 6])
+    refined = Refined(Pose.identity(), np.zeros((4, 6, 6)), np.zeros((0, 2)))
+    after = Track.after(last, 1.0, table, refined, 2.0, False, Branch.SURE, 5)
+    assert after.unseen.tolist() == [0, 6, 7]
+    assert after.brightness[1:].tolist() == [2.0, 3.0]
 
 
 def test_windows_move_by_the_last_step_and_grow_with_what_is_unknown():

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.estimation.rates import RateOptions
 from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.beacons.detect.spots import AMPLITUDE, X
 from rendezview.sensors.beacons.pose.refinement import Refined
-from rendezview.sensors.beacons.windows import carry
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,14 +107,17 @@ class Track:
     ) -> Track:  # fmt: skip
         """The memory after a reading; ``table`` (N, 20): its spots, NaN where not visible."""
         count = len(table)
-        bright, unseen = np.empty(count), np.empty(count, np.int64)
         since, dim = np.zeros(count, np.int64), np.full(count, np.nan)
         before, before_s = np.full((count, 2), np.nan), time_s
         if last is not None:
             since, dim = last.unseen, last.brightness
             if last.misses <= coast:
                 before, before_s = last.places, last.time_s
-        carry(table, dim, since, bright, unseen)
+        visible = np.isfinite(table[:, X])
+        bright, unseen = (
+            np.where(visible, table[:, AMPLITUDE], dim),
+            np.where(visible, 0, since + 1),
+        )
         return cls(
             time_s, refined.camera_from_target, table[:, :2].copy(), before, before_s, bright,
             noise, ambiguous, refined.covariance, unseen=unseen, branch=branch,

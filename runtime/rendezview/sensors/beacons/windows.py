@@ -254,12 +254,3 @@ def place_windows(
     for i in range(count):
         if half[i] < 0.0:
             expected[i, 0] = np.nan
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def carry(table: Array, brightness: Array, since: Ints, bright: Array, unseen: Ints) -> None:
-    """Brightness (N,) and readings without a spot (N,) after a reading; NaN: not visible."""
-    for i in range(table.shape[0]):
-        visible = math.isfinite(table[i, X])
-        bright[i] = table[i, AMPLITUDE] if visible else brightness[i]
-        unseen[i] = 0 if visible else since[i] + 1
