@@ -16,7 +16,7 @@ from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptio
 from rendezview.sensors.beacons.detect.discs import camera_doubts, camera_numbers
 from rendezview.sensors.beacons.detect.lens_scale import LensScale
 from rendezview.sensors.beacons.detect.rolling_shutter import at_middle_row
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SIZE, recentre
+from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, recentre
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.match.judgement import least_facing
@@ -87,7 +87,8 @@ class WindowFit:
         recentre(rows, noise, threshold.centroid)
         self._background.hidden.widen(rows)
         if len(rows) >= 3:
-            cover = covered_px(rows[:, SIZE], self.expected[seen, 2], rows[:, SIGMA], self._blur_px)
+            which = np.flatnonzero(seen)
+            cover = covered_px(rows, self.constellation, which, track.pose, self._blur_px)
             rows[:, SIGMA] = np.hypot(rows[:, SIGMA], cover)
         if self.options.readout_s:
             step_s, height = time_s - track.time_s, self.camera.height
@@ -98,7 +99,7 @@ class WindowFit:
     def at_one_time(
         self, refined: Refined, table: Array, before: Array, step_s: float
     ) -> Refined | None:
-        """The pose of a table (N, 20) of a first find, whose reading before is (N, 20), too."""
+        """The pose of a table (N, 23) of a first find, whose reading before is (N, 23), too."""
         if not self.options.readout_s:
             return refined
         readout_s, height = self.options.readout_s, self.camera.height
