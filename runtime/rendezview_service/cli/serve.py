@@ -175,8 +175,7 @@ def serve(
 @contextlib.contextmanager
 def _flight(target: str, address: str) -> Iterator[None]:
     """A flight at the service, in a process that ends with it."""
-    start = "from rendezview.cli.main import main; main()"
-    command = [sys.executable, "-c", start, "fly", target, "--live", address]
+    command = [sys.executable, "-m", "rendezview", "fly", target, "--live", address]
     with subprocess.Popen(command) as process:
         try:
             yield
