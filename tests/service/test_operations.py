@@ -254,8 +254,10 @@ def test_a_source_is_tracked_to_its_last_frame(start_service, camera, tour, tmp_
     assert (info["frames"], info["drops"], info["reason"]) == (8, 0, None)
     served.stop()
     assert served.process.returncode == 0
-    command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "replay"]
-    done = subprocess.run([*command, str(place)], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "rendezview", "replay"]
+    done = subprocess.run(
+        [*command, str(place)], capture_output=True, text=True, check=False, timeout=MOST_S
+    )
     assert "8 frames" in done.stderr
     assert "bit for bit" in done.stderr
 
