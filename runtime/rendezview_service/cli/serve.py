@@ -33,7 +33,7 @@ _OF_RAY = {
 
 
 # Flags that are no settings, and those that have another name there.
-_OWN = ("model", "source", "speed", "check", "settings")
+_OWN = ("model", "source", "speed", "fly", "check", "settings")
 _SETTINGS = {
     "foxglove": "foxglove_port", "rerun": "rerun_port", "ros": "ros_endpoint",
     "tokens": "tokens_file", "models": "models_folder", "state": "state_folder",
