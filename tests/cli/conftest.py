@@ -21,7 +21,7 @@ from rendezview_ground.mesh.mesh import Mesh
 
 # What a command says of compiling depends on the cache of the machine: not here.
 _COMPILING = ("Compiling ", "Compiled ")
-PROGRAM = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
+PROGRAM = [sys.executable, "-m", "rendezview"]
 
 
 @dataclass(frozen=True)

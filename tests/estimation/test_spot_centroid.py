@@ -10,6 +10,7 @@ from scipy.special import erf
 
 from rendezview.estimation.spot_centroid import (
     centre_spot,
+    elongation,
     overlap_error,
     pixel_moments,
     ring_plane,
@@ -198,3 +199,17 @@ def test_an_overlap_is_half_the_moment_of_what_differs_from_the_opposite_side():
         )
         assert told == pytest.approx(1.5 * moment / (np.pi * size**2 * peak), rel=1e-9)
         assert (told > 0.1) == overlapped
+
+
+@pytest.mark.parametrize("size", [1.2, 2.5])
+def test_a_window_of_its_size_shows_half_of_a_spots_elongation(size):
+    rows, columns = np.mgrid[:40, :50]
+    x, y, turn, stretch = 24.3, 19.6, 0.7, 0.1  # of the variances along and across
+    along = (columns - x) * np.cos(turn) + (rows - y) * np.sin(turn)
+    across = (rows - y) * np.cos(turn) - (columns - x) * np.sin(turn)
+    square = along**2 / (1.0 + stretch) + across**2 / (1.0 - stretch)
+    spot = 20.0 + 0.3 * columns + 180.0 * np.exp(-0.5 * square / size**2)
+    picture = np.clip(np.rint(spot), 0, 255).astype(np.uint8)
+    found = elongation(picture, NOTHING, (x, y, size), (20.0, 0.3, 0.0))
+    wanted = 0.5 * stretch * np.array([np.cos(2.0 * turn), np.sin(2.0 * turn)])
+    np.testing.assert_allclose(found, wanted, atol=0.006)

@@ -24,6 +24,7 @@ from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
 from rendezview_ground.simulate.ring_frames import RingSceneOptions, random_scene, render_ring_frame
 from rendezview_ground.simulate.sensor import SensorOptions
+from rendezview_service.client.messages import camera_message as sent_by_client
 from rendezview_service.hub.progress import Progress
 from rendezview_service.hub.session_defaults import SessionDefaults
 from rendezview_service.messages.frame_sensor_messages import RingReading
@@ -31,7 +32,8 @@ from rendezview_service.messages.fusion_messages import FusionRequest
 from rendezview_service.messages.messages import SessionRequest, State
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.session_filter import SessionFilter
-from rendezview_service.tracker.tracking import SessionTracker, camera_message
+from rendezview_service.tracker.tracking import SessionTracker, camera_message, camera_of
+from rendezview_service.worker.worker_models import Sight
 
 PAPER = Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
 FOUR = ReflectorPattern(  # the fourth tells the roll
@@ -282,6 +284,19 @@ def test_a_model_brings_the_ring_of_its_target(refining_model, camera, tmp_path)
     many = tuple(replace(target.reflectors[0], name=str(k)) for k in range(9))
     stored.model = replace(read, reflectors=many)
     assert SessionDefaults(Settings()).filled(request, "one", stored).fusion.reflectors == []
+
+
+def test_a_session_keeps_the_covariance_of_its_camera(camera):
+    spread = np.diag([1.0, 1.0, 4.0, 9.0]).tolist()
+    known = replace(camera, covariance=spread)
+    for message in (camera_message(known).model_dump(mode="json"), sent_by_client(known)):
+        request = SessionRequest.model_validate(json.loads(json.dumps({"camera": message})))
+        full = SessionDefaults(Settings()).filled(request, "one", STORED)
+        asked = {"model_path": "one.rvm", "camera": full.model_dump()["camera"], "trees": True}
+        assert Sight.of(asked).camera == known  # of the worker
+    wrong = camera_message(known).model_copy(update={"covariance": [[1.0, 0.0], [0.0, 1.0]]})
+    with pytest.raises(RendezviewError, match="camera: covariance must be of 4 numbers"):
+        camera_of(wrong)
 
 
 @pytest.mark.parametrize("told", [True, False])

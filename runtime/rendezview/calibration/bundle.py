@@ -16,11 +16,11 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.estimation.least_squares import FIRST_DAMPING, Equations, Options, minimise
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.beacons.detect.brown_lens import COEFFICIENT_NAMES
 from rendezview.sensors.beacons.rig import (
     INTRINSICS,
     POSE,
     RigCamera,
+    by_pose,
     intrinsics_of,
     with_intrinsics,
 )
@@ -239,42 +239,22 @@ def _linearised(
         board = bundle.points[points]
         arm = np.einsum("nij,nj->ni", turn, board)
         rig = arm + place
-        c = camera.camera_from_rig
-        turned = rig @ c.rotation.T
-        x, y, z = (turned + c.translation_m).T
-        if not (z > 0.0).all():
+        if not (camera.camera_from_rig.apply(rig)[:, 2] > 0.0).all():
             return np.full(2 * count, np.inf), jacobian
-        ideal = np.column_stack([x / z, y / z])
-        measured, by_ideal, by_lens = camera.lens.derivatives(ideal)
-        focal = np.array([camera.fx, camera.fy])
-        residual[rows] = (observed.positions[rows] - measured * focal - (camera.cx, camera.cy)) / (
-            observed.sigma[rows]
-        )
-        by_point = np.zeros((len(rows), 2, 3))  # ∂ ideal / ∂ p_camera
-        by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / z
-        by_point[:, :, 2] = -ideal / z[:, None]
-        by_point = focal[:, None] * (by_ideal @ by_point)
+        predicted, by_own, by_rig = camera.slopes(rig)
+        residual[rows] = (observed.positions[rows] - predicted) / observed.sigma[rows]
         block = np.zeros((len(rows), 2, len(columns.names)))
         for name, column in columns.intrinsics[k].items():
-            if name in ("fx", "f"):
-                block[:, 0, column] = measured[:, 0]
-            if name in ("fy", "f"):
-                block[:, 1, column] = measured[:, 1]
-            if name in ("cx", "cy"):
-                block[:, "xy".index(name[1]), column] = 1.0
-            if name in COEFFICIENT_NAMES:
-                block[:, :, column] = focal * by_lens[:, :, COEFFICIENT_NAMES.index(name)]
+            own = [INTRINSICS.index(n) for n in (("fx", "fy") if name == "f" else (name,))]
+            block[:, :, column] = by_own[:, :, own].sum(axis=2)
         at = columns.cameras[k]
         if at is not None:
-            block[:, :, at : at + 3] = -by_point @ _cross(turned)
-            block[:, :, at + 3 : at + 6] = by_point
-        by_rig = by_point @ c.rotation
+            block[:, :, at : at + 6] = by_own[:, :, len(INTRINSICS) :]
+        by_view = by_pose(by_rig, arm)
         for v in np.unique(views):
             at = columns.views[v]
             if at is not None:
-                mine = views == v
-                block[mine, :, at : at + 3] = -by_rig[mine] @ _cross(arm[mine])
-                block[mine, :, at + 3 : at + 6] = by_rig[mine]
+                block[views == v, :, at : at + 6] = by_view[views == v]
         if columns.points is not None:
             by_board = by_rig @ turn
             for i, point in enumerate(points):
@@ -321,12 +301,3 @@ def _priors(bundle: Bundle, columns: _Columns, given: Bundle) -> tuple[list[Arra
             residuals.append(-whitening[axis] @ offset[axis])
             rows.append(block)
     return residuals, rows
-
-
-def _cross(vectors: Array) -> Array:
-    """(N, 3) → (N, 3, 3) with ``[v]× u = v × u``."""
-    out = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x
-    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = z, -y, x
-    return out

@@ -210,6 +210,32 @@ def centre_spot(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def elongation(
+    image: Grey, dark: Grey, spot: tuple[float, float, float], plane: tuple[float, float, float]
+) -> tuple[float, float]:
+    """How far from round a spot is: (xx − yy, 2 xy) / (xx + yy) of its moments, by its own window.
+
+    Args:
+        image: (H, W) picture; ``dark``: one to subtract, or (0, 0).
+        spot: x, y and size of `centre_spot`.
+        plane: of the background: grey at pixel (0, 0), and its slopes, grey a px.
+    """
+    height, width = image.shape
+    x, y, size = spot
+    sigma = max(size, LEAST_WINDOW_PX)
+    reach, f, xx, yy, xy = _REACH * sigma, -0.5 / (sigma * sigma), 0.0, 0.0, 0.0
+    for v in range(max(math.ceil(y - reach), 0), min(math.floor(y + reach), height - 1) + 1):
+        for u in range(max(math.ceil(x - reach), 0), min(math.floor(x + reach), width - 1) + 1):
+            value = float(image[v, u]) - plane[0] - plane[1] * u - plane[2] * v
+            if dark.shape[0] > 0:
+                value -= dark[v, u]
+            dx, dy = u - x, v - y
+            value *= math.exp(f * (dx * dx + dy * dy))
+            xx, yy, xy = xx + value * dx * dx, yy + value * dy * dy, xy + value * dx * dy
+    return ((xx - yy) / (xx + yy), 2.0 * xy / (xx + yy)) if xx + yy > 0.0 else (0.0, 0.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def overlap_error(
     image: Grey, dark: Grey, spot: tuple[float, float, float, float], slopes: tuple[float, float],
     noise: float, saturated: bool,

@@ -49,6 +49,8 @@ def camera_message(camera: Camera) -> dict[str, Any]:
         message["lens_model"] = camera.lens_model
     if camera.bit_depth is not None:
         message["bit_depth"] = camera.bit_depth
+    if camera.covariance is not None:
+        message["covariance"] = [list(row) for row in camera.covariance]
     return message
 
 

@@ -59,8 +59,9 @@ class CameraMessage(Message):
     lens_model: LensModel = Field(
         default=LensModel.OPENCV, description="fisheye: Kannala–Brandt, as cv2.fisheye"
     )
-    bit_depth: int | None = Field(
-        default=None, ge=8, le=16, description="of PNG frames with 16-bit levels; null: 16"
+    bit_depth: int | None = Field(None, ge=8, le=16, description="of 16-bit PNG frames; null: 16")
+    covariance: list[list[FiniteFloat]] | None = Field(
+        default=None, max_length=18, description="of fx fy cx cy [distortion]; null: not known"
     )
     checked: bool = Field(default=False, description="its numbers are meant: no warnings")
 

@@ -1,4 +1,4 @@
-"""A reflector that is partly hidden: its spot is smaller than its neighbours' and moved."""
+"""A reflector that is partly hidden: its spot is narrower than its neighbours' and moved."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, predict_spots
 from rendezview.sensors.beacons.detect.cover import covered_px
-from rendezview.sensors.beacons.detect.discs import camera_numbers
-from rendezview.sensors.beacons.match.matching import expect_spots
+from rendezview.sensors.beacons.detect.spots import LONG_X, LONG_XY
 
 PINHOLE = plain.Pinhole()
 CAMERA = Camera(512, 384, 650.0, 650.0, 255.5, 191.5)
@@ -45,13 +44,7 @@ def test_a_covered_spot_counts_by_how_far_it_has_moved(five, share):
         places = predict_spots(CAMERA, five, truth)
         away = np.linalg.norm(places[:, None] - found.spots.centroids_px, axis=2)
         nearest = away.argmin(axis=1)
-        sizes, sigma = found.spots.size_px[nearest], found.spots.sigma_px[nearest]
-        expected = np.empty((5, 3))
-        expect_spots(
-            camera_numbers(CAMERA), five.positions_m, five.normals, five.diameters_m,
-            truth.rotation.copy(), truth.translation_m.copy(), 650.0, 0.75, expected,
-        )  # fmt: skip
-        cover = covered_px(sizes, expected[:, 2].copy(), sigma, 0.75)
+        cover = covered_px(found.spots.table[nearest], five, np.arange(5), truth, 0.75)
         assert not cover[[0, 2, 3, 4]].any()
         moved.append(away[1].min())
         claimed.append(cover[1])
@@ -60,7 +53,7 @@ def test_a_covered_spot_counts_by_how_far_it_has_moved(five, share):
 
 
 def test_a_pose_of_a_covered_reflector_is_off_by_what_it_claims(three):
-    """Of three, whose pose fits any three spots: nothing but the size tells."""
+    """Of three, whose pose fits any three spots: nothing but the shape tells."""
     rng, nees = np.random.default_rng(2), []
     half_turn = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     for _ in range(16):
@@ -77,8 +70,15 @@ def test_a_pose_of_a_covered_reflector_is_off_by_what_it_claims(three):
     assert np.mean(nees) < 10.0  # 138 without
 
 
-def test_clean_spots_are_covered_by_nothing():
+def test_discs_that_lean_alike_are_covered_by_nothing(five):
     rng = np.random.default_rng(3)
-    expected = np.array([1.6, 1.7, 1.65, 1.6])
-    sizes = 0.95 * expected * np.exp(rng.normal(0.0, 0.005, 4))  # all smaller: the blur is another
-    assert not covered_px(sizes, expected, np.full(4, 0.012), 0.75).any()
+    for _ in range(8):
+        found, truth = reading(five, rng, {})
+        places = predict_spots(CAMERA, five, truth)
+        away = np.linalg.norm(places[:, None] - found.spots.centroids_px, axis=2)
+        rows = found.spots.table[away.argmin(axis=1)].copy()
+        assert not covered_px(rows, five, np.arange(5), truth, 0.75).any()
+        rows[2, [LONG_X, LONG_XY]] = np.nan  # saturated
+        assert not covered_px(rows, five, np.arange(5), truth, 0.75).any()
+        rows[1, LONG_X] += 0.1
+        assert covered_px(rows, five, np.arange(5), truth, 0.75)[1] > 0.1

@@ -41,12 +41,12 @@ from rendezview.sensors.beacons.detect.spots import (
     window_centroid,
 )
 from rendezview.sensors.beacons.match.matching import expect_spots, match_spots
-from rendezview.sensors.beacons.pose.refinement import adjust, solve_spots
+from rendezview.sensors.beacons.pose.refinement import Refined, adjust, solve_spots
 from rendezview.sensors.beacons.pose.shares import share_out, spot_slopes, whole_sigma
 from rendezview.sensors.beacons.rates import RateEstimator
+from rendezview.sensors.beacons.track import Branch, Track
 from rendezview.sensors.beacons.windows import (
     VISIBLE,
-    carry,
     place_windows,
     read_windows,
     window_noise,
@@ -144,7 +144,7 @@ def test_the_adjusted_pose_is_the_minimum_and_its_covariance_the_inverse_normal_
     shares, residuals = np.empty((4, 6, 6)), np.empty((5, 2))
     used = adjust(
         lens, camera_doubts(paper_camera), arms, five.normals, five.discs, spots, sigma,
-        np.zeros((6, 6)), rotation, shift, shares, residuals,
+        rotation, shift, shares, residuals,
     )  # fmt: skip
     assert 0 < used < 30
     assert not shares[2:].any()
@@ -201,7 +201,7 @@ def test_shares_are_those_of_the_slopes_of_the_spots(five, paper_camera):
     shares[0] = inverse
     share_out(
         lens, camera_doubts(paper_camera), arms, five.normals, discs, noise, sigma,
-        np.zeros((6, 6)), rotation, shift, shares,
+        rotation, shift, shares,
     )  # fmt: skip
     by_noise = np.einsum("nai,n,naj->ij", weighted, noise**2, weighted)
     pulls = np.einsum("nai,nac,n->nic", weighted, slopes[:, :, 3:], sigmas_m)
@@ -211,23 +211,6 @@ def test_shares_are_those_of_the_slopes_of_the_spots(five, paper_camera):
         scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
         np.testing.assert_allclose(share / scale, wanted / scale, atol=2e-3)
     assert not shares[2].any()
-
-
-def test_a_prior_holds_the_pose_by_the_rotation_vector_between_the_two(five, paper_camera):
-    truth, lens = pose_of(SIX, five), camera_numbers(paper_camera, 0.75)
-    spots = predict_spots(paper_camera, five, truth)
-    start = truth.perturbed([0.3, -0.2, 0.25, 0.0, 0.0, 0.0])
-    prior = np.diag([1e8] * 3 + [1e-6] * 3)
-    rotation, shift = np.array(start.rotation), start.apply(five.centre_m)
-    shares, residuals = np.empty((4, 6, 6)), np.empty((5, 2))
-    assert adjust(
-        lens, camera_doubts(paper_camera), five.positions_m - five.centre_m, five.normals,
-        five.discs, spots, np.full(5, 10.0), prior, rotation, shift, shares, residuals,
-    ) > 0  # fmt: skip
-    covariance = shares.sum(axis=0)
-    held = Rotation.from_matrix(rotation @ start.rotation.T).magnitude()
-    assert held < 1e-3
-    assert np.sqrt(np.diag(covariance)[:3]) == pytest.approx(1e-4, rel=0.05)
 
 
 def test_solve_spots_uses_the_named_rows_and_refuses_a_line(five, paper_camera):
@@ -301,10 +284,12 @@ def test_windows_find_the_spot_and_the_noise():
     assert outcome.tolist() == [VISIBLE, 0, 1]
     np.testing.assert_allclose(table[0, [X, Y]], [30.3, 25.7], atol=0.1)
     assert window_noise(image, NO_DARK, expected, half) == pytest.approx(2.0, rel=0.3)
-    bright, unseen = np.empty(3), np.empty(3, np.int64)
-    carry(table, np.array([1.0, 2.0, 3.0]), np.array([4, 5, 6]), bright, unseen)
-    assert unseen.tolist() == [0, 6, 7]
-    assert bright[1:].tolist() == [2.0, 3.0]
+    last = Track.begun(0.0, Pose.identity(), 3, roll_known=True)
+    last.brightness, last.unseen = np.array([1.0, 2.0, 3.0]), np.array([4, 5, 6])
+    refined = Refined(Pose.identity(), np.zeros((4, 6, 6)), np.zeros((0, 2)))
+    after = Track.after(last, 1.0, table, refined, 2.0, False, Branch.SURE, 5)
+    assert after.unseen.tolist() == [0, 6, 7]
+    assert after.brightness[1:].tolist() == [2.0, 3.0]
 
 
 def test_windows_move_by_the_last_step_and_grow_with_what_is_unknown():

@@ -10,11 +10,10 @@ from tests import plain_pictures as plain
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import Lens, LitDark, ReflectorSensor
-from rendezview.sensors.beacons.detect.brown_lens import ideal_with_sigma, shift, unshift
+from rendezview.sensors.beacons import Lens, LitDark, ReflectorSensor, RigCamera, Spots
+from rendezview.sensors.beacons.detect.brown_lens import shift, unshift
 from rendezview.sensors.beacons.detect.lens_scale import LensScale
 from rendezview.sensors.beacons.detect.spots import COLUMNS, SIZE, SpotTable
-from rendezview.sensors.beacons.rig import ideal_spot
 from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
 
 WHOLE = Lens((0.2, -0.1, 0.05), (0.004, -0.003, 2.0), (0.01, -0.02), corrects=True)
@@ -87,9 +86,10 @@ def test_sigma_follows_the_lens(corrects: bool):
     lens = Lens((0.8, 0.0, 0.0), (0.01, 0.02, 0.0), corrects=corrects)
     at, sigma = np.array([0.25, -0.2]), np.array([1e-4, 3e-4])
     scattered = lens.undistort(at + rng.normal(0.0, sigma, (20_000, 2)))
-    told = ideal_with_sigma(*at, *sigma, lens.coefficients, corrects)
-    assert told[:2] == pytest.approx(scattered.mean(axis=0), abs=2e-5)
-    assert told[2:] == pytest.approx(scattered.std(axis=0), rel=0.03)
+    camera = RigCamera("one", 1.0, 1.0, 0.0, 0.0, Pose.identity(), lens, size=(1, 1))
+    place, told = camera.ideal(Spots(at[None], sigma[None], [0]))
+    assert place[0] == pytest.approx(scattered.mean(axis=0), abs=2e-5)
+    assert told[0] == pytest.approx(scattered.std(axis=0), rel=0.03)
 
 
 def test_a_point_beyond_the_fold_is_nan():
@@ -138,7 +138,9 @@ def test_a_spot_becomes_an_ideal_place_as_in_numpy(corrects: bool):
     spread = np.hypot(sigma, k[4]) / k[:2]
     twin = np.hstack([ideal, np.sqrt(((by_place * spread[:, None]) ** 2).sum(axis=-1))])
     spots = measured * k[:2] + k[2:4]
-    places = [ideal_spot(*uv, *s, k, c, corrects) for uv, s in zip(spots, sigma, strict=True)]
+    lens = Lens.from_coefficients(c, corrects=corrects)
+    camera = RigCamera("one", *k[:4], Pose.identity(), lens, size=(640, 480), floor=k[4])
+    places = np.hstack(camera.ideal(Spots(spots, sigma, np.arange(len(spots)))))
     np.testing.assert_allclose(places, twin, rtol=1e-12, atol=1e-12)
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from rendezview.sensors.beacons import Normalisation, Photodiode, Response
-from rendezview.sensors.beacons.detect.detectors import read_currents
-from rendezview.sensors.beacons.detect.photodiode import fit_response, place_light, terms
+from rendezview.sensors.beacons.detect.photodiode import fit_response, terms
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
 
 SIDE = np.linspace(-0.9, 0.9, 30) * 0.005
@@ -97,53 +96,27 @@ def test_scans_that_determine_nothing_are_refused(beam: np.ndarray, scan: np.nda
         fit_response(beam, scan)
 
 
-def place_by_numpy(
-    currents: np.ndarray, noise: float, total: bool, coefficients: np.ndarray
-) -> np.ndarray:
-    """(N, 4) currents → (N, 4) place and σ; derivatives of eq. 5 by the complex step."""
-    x1, x2, y1, y2 = currents.T
-    sums = np.stack([x1 + x2, y1 + y2], axis=1)
-    if total:
-        sums = np.repeat(sums.mean(axis=1, keepdims=True), 2, axis=1)
-    reading = np.stack([x1 - x2, y1 - y2], axis=1) / sums
-    share = 0.5 if total else 1.0
-    sigma = noise * np.sqrt(2.0 * (1.0 + share * reading**2)) / sums
-    order = {10: 3, 21: 5}[coefficients.shape[1]]
-    slopes = np.stack(
-        [
-            (terms(reading + 1e-30j * axis, order) @ coefficients.T).imag / 1e-30
-            for axis in np.eye(2)
-        ],
-        axis=-1,
-    )
-    spread = np.sqrt(((slopes * sigma[:, None]) ** 2).sum(axis=-1))
-    return np.hstack([terms(reading, order) @ coefficients.T, spread])
-
-
-@pytest.mark.parametrize("total", [False, True])
+@pytest.mark.parametrize("normalisation", list(Normalisation))
 @pytest.mark.parametrize("count", [10, 21])
-def test_compiled_places_are_those_of_numpy(total: bool, count: int):
+def test_places_have_the_slopes_of_the_response_and_faint_or_outer_lights_are_left_out(
+    normalisation: Normalisation, count: int
+):
     rng = np.random.default_rng(5)
     coefficients = rng.normal(0.0, 3e-4, (2, count))
     coefficients[0, 1] += 0.005
     coefficients[1, 2] += 0.005
-    currents, noise, half_width = rng.uniform(0.0, 1.0, (300, 4)), 0.02, 0.004
+    response, noise = Response(coefficients, normalisation), 0.02
+    currents = rng.uniform(0.0, 1.0, (300, 4))
     currents[0], currents[1, 2], currents[2, 0] = 0.0, np.nan, np.inf
     bright = np.isfinite(currents).all(axis=1)
     bright[bright] = np.minimum(*(currents[bright].reshape(-1, 2, 2).sum(axis=2).T)) > 30.0 * noise
-    twin = place_by_numpy(currents[bright], noise, total, coefficients)
-    places = [place_light(*row, noise, total, coefficients) for row in currents[bright]]
-    np.testing.assert_allclose(places, twin, rtol=1e-12, atol=1e-16)
-
-    positions, sigma = np.full((300, 2), np.nan), np.full((300, 2), np.nan)
-    seen = np.empty(300, np.bool_)
-    found = read_currents(currents, noise, total, coefficients, half_width, positions, sigma, seen)
-    inside = (np.abs(twin[:, :2]) <= 1.05 * half_width).all(axis=1)
-    wanted = bright.copy()
-    wanted[bright] = inside
-    assert 50 < found < bright.sum() < 300  # all three cases occur: read, outside, too weak
-    assert found == wanted.sum()
-    np.testing.assert_array_equal(seen, wanted)
-    np.testing.assert_allclose(
-        np.hstack([positions, sigma])[wanted], twin[inside], rtol=1e-12, atol=1e-16
-    )
+    places, h = response.positions(currents[bright]), 1e-6
+    inside = (np.abs(places) <= 1.05 * 0.004).all(axis=1)
+    found = Photodiode(response, noise, 0.004).read(currents)
+    assert 50 < len(found) < bright.sum() < 300  # all three cases occur: read, outside, too weak
+    np.testing.assert_array_equal(found.led, np.flatnonzero(bright)[inside])
+    np.testing.assert_allclose(found.positions, places[inside])
+    read = currents[found.led]
+    ends = [(response.positions(read + s), response.positions(read - s)) for s in h * np.eye(4)]
+    slopes = np.array([ahead - behind for ahead, behind in ends]) / (2.0 * h)
+    np.testing.assert_allclose(found.sigma, noise * np.sqrt((slopes**2).sum(axis=0)), rtol=0.3)

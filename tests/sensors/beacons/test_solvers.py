@@ -60,7 +60,6 @@ def test_least_squares_returns_to_the_pose_through_the_cameras_model(five, camer
     start = truth.perturbed([0.05, -0.04, 0.03, 0.05, 0.02, -0.1])
     found = refine(camera, five, spots, which, start)
     assert found is not None
-    assert found.converged
     assert found.camera_from_target.angle_to(truth) < 1e-9
     np.testing.assert_allclose(
         found.camera_from_target.translation_m, truth.translation_m, rtol=1e-9

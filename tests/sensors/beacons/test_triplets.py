@@ -5,8 +5,10 @@ import math
 
 import numpy as np
 
-from rendezview.sensors.beacons import Acquirer
+from rendezview.sensors.beacons import Acquirer, SixNumbers, pose_of
+from rendezview.sensors.beacons.detect.discs import camera_numbers
 from rendezview.sensors.beacons.match.judgement import judge
+from rendezview.sensors.beacons.match.matching import expect_spots
 from rendezview.sensors.beacons.match.triplets import search
 
 
@@ -59,25 +61,29 @@ def test_the_grid_finds_every_centre_spot_that_the_hourglass_holds(paper_camera,
     assert found == wanted
 
 
-def test_the_quick_pose_refuses_no_triplet_that_would_pass(paper_camera, three):
-    acquirer, rng = Acquirer(paper_camera, [three]), np.random.default_rng(4)
-    options, passed = acquirer.options, 0
-    for size_px, count in ((1.0, 100), (1.6, 100), (2.5, 60), (5.0, 35)):
-        directions, flat, sizes, peaks = crowd(paper_camera, rng, count, size_px)
-        triplets = triplets_of(acquirer, (directions, flat, sizes, peaks))
-        members = acquirer._triangles[0].members
-        scores = []
-        for quick in (False, True):
-            score, poses = np.empty((len(triplets), 4)), np.empty((len(triplets), 4, 12))
-            judge(
-                triplets, directions, sizes, peaks, three.positions_m[members],
-                three.normals[members], three.diameters_m[members], paper_camera.fx,
-                options.blur_px, (options.size_sigma, options.diameter_sigma, options.blur_sigma,
-                options.peak_sigma, options.beam_sigma, math.cos(1.2 * options.tilt_rad),
-                options.beam_curve),
-                np.array([0.3, 150.0]), options.score_limit, quick, score, poses,
-            )  # fmt: skip
-            scores.append(np.where(score <= options.score_limit, score, np.inf))
-        assert np.array_equal(*scores)
-        passed += int(np.isfinite(scores[0]).sum())
-    assert passed > 100
+def test_true_spots_are_judged_by_their_sizes_and_brightness_at_the_true_pose(paper_camera, three):
+    pose = pose_of(SixNumbers(4.0, 0.1, -0.05, 0.4, 0.2, -0.1), three)
+    places = pose.apply(three.positions_m)
+    directions = places / np.linalg.norm(places, axis=1)[:, None]
+    expected, options = np.empty((3, 3)), Acquirer(paper_camera, [three]).options
+    expect_spots(
+        camera_numbers(paper_camera), three.positions_m, three.normals, three.diameters_m,
+        pose.rotation.copy(), pose.translation_m.copy(), paper_camera.fx, 0.75, expected,
+    )  # fmt: skip
+
+    def judged(sizes, peaks):
+        scores, poses = np.empty((1, 4)), np.empty((1, 4, 12))
+        judge(
+            np.array([[0, 1, 2]]), directions, sizes, peaks, three.positions_m, three.normals,
+            three.diameters_m, paper_camera.fx, 0.75, (0.035, 0.03, 0.12, 0.08, 0.5, 0.5, 5.7),
+            np.array([0.3, 150.0]), options.score_limit, scores, poses,
+        )  # fmt: skip
+        k = int(np.argmin(scores[0]))
+        return scores[0, k], poses[0, k]
+
+    score, found = judged(expected[:, 2], np.full(3, 150.0))
+    assert score < 1.0
+    np.testing.assert_allclose(found[9:], pose.translation_m, atol=1e-6)
+    for factor, least in ((np.array([1.0, 1.05, 1.0]), 1.0), (np.full(3, 0.5), np.inf)):
+        assert judged(factor * expected[:, 2], np.full(3, 150.0))[0] >= least
+    assert judged(expected[:, 2], np.array([150.0, 110.0, 150.0]))[0] > 8.0

@@ -4,7 +4,6 @@ The video guidance sensor (Book et al. 1992, Bales 1995) and the stereo tracker 
 Montgomery & Barsky 1991).
 """
 
-from rendezview.sensors.beacons.batch import reprocess
 from rendezview.sensors.beacons.constellation import (
     ReflectorPattern,
     SixNumbers,
@@ -24,7 +23,7 @@ from rendezview.sensors.beacons.observation import ReflectorObservation
 from rendezview.sensors.beacons.rig import Rig, RigCamera, Sights
 from rendezview.sensors.beacons.stereo_motion import MotionOptions
 from rendezview.sensors.beacons.stereo_observation import StereoObservation
-from rendezview.sensors.beacons.stereo_tracker import StereoTracker, TrackerOptions
+from rendezview.sensors.beacons.stereo_tracker import StereoTracker, TrackerOptions, reprocess
 from rendezview.sensors.beacons.track import TrackingOptions
 from rendezview.sensors.beacons.tracker import ReflectorSensor
 

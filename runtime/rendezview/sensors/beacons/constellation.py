@@ -5,17 +5,15 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numba import njit
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import Reflector, Target
 
-_STEP_S = 1e-4  # s, of the six numbers' slopes. Source: by construction, 1e-5 rad at 6°/s
 # area of a triangle over its longest side squared: thinner ones fix no attitude. Source: by
 # construction, a bound only
 _FLAT = 1e-3
@@ -154,36 +152,31 @@ class ReflectorPattern:
         Places that differ by less than they are known to are alike. Two mirror-equal outer
         reflectors about a post give one: a roll by 180° that no picture of this pattern can show.
         """
-        centred = self.positions_m - self.centre_m
-        loose_m = _ALIKE_SIGMAS * float(self.sigmas_m.max())
-        # Which also leaves a turn open, and with it the normals.
-        loose_rad = loose_m / float(np.linalg.svd(centred, compute_uv=False)[1])
-        found = []
-        for order in itertools.permutations(range(len(self))):
-            if order == tuple(range(len(self))):
-                continue
-            if np.abs(self.diameters_m - self.diameters_m[list(order)]).max() > _ALIKE_M:
-                continue
-            u, _, vt = np.linalg.svd(centred[list(order)].T @ centred)
-            turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-            if (
-                np.abs(centred @ turn.T - centred[list(order)]).max() < _ALIKE_M + loose_m
-                and np.abs(self.normals @ turn.T - self.normals[list(order)]).max()
-                < 1e-6 + loose_rad
-            ):
-                found.append(order)
-        return found
+        return [order for order, _ in self._alike()]
 
     def turns(self) -> list[Pose]:
         """The turns of the target frame that bring the pattern onto itself."""
         centre = self.centre_m
-        centred = self.positions_m - centre
-        turns = []
-        for order in self.symmetries():
-            u, _, vt = np.linalg.svd(centred[list(order)].T @ centred)
+        return [Pose(turn, centre - turn @ centre) for _, turn in self._alike()]
+
+    def _alike(self) -> Iterator[tuple[tuple[int, ...], Array]]:
+        """Renumberings with their rotations (3, 3)."""
+        centred = self.positions_m - self.centre_m
+        loose_m = _ALIKE_SIGMAS * float(self.sigmas_m.max())
+        # Which also leaves a turn open, and with it the normals.
+        loose_rad = loose_m / float(np.linalg.svd(centred, compute_uv=False)[1])
+        for order in itertools.permutations(range(len(self))):
+            other = list(order)
+            if order == tuple(range(len(self))):
+                continue
+            if np.abs(self.diameters_m - self.diameters_m[other]).max() > _ALIKE_M:
+                continue
+            u, _, vt = np.linalg.svd(centred[other].T @ centred)
             turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-            turns.append(Pose(turn, centre - turn @ centre))
-        return turns
+            moved = np.abs(centred @ turn.T - centred[other]).max()
+            leaned = np.abs(self.normals @ turn.T - self.normals[other]).max()
+            if moved < _ALIKE_M + loose_m and leaned < 1e-6 + loose_rad:
+                yield order, turn
 
 
 def patterns_of(target: Target, groups: tuple[str, ...] | None = None) -> list[ReflectorPattern]:
@@ -255,57 +248,31 @@ class Face:
 
     def six_numbers(self, camera_from_target: Pose) -> SixNumbers:
         """The six numbers of a pose."""
-        out = np.empty(6)
-        _six(
-            camera_from_target.rotation.copy(), camera_from_target.translation_m.copy(),
-            self.rotation, self.origin_m, out,
-        )  # fmt: skip
-        return SixNumbers(*out.tolist())
+        x, y, z = camera_from_target.apply(self.origin_m).tolist()
+        angles = attitude_angles(camera_from_target.rotation @ self.rotation)
+        bearing = math.atan2(x, z), math.atan2(-y, math.hypot(x, z))
+        return SixNumbers(math.hypot(x, y, z), *bearing, *angles)
 
     def six_rates(self, camera_from_target: Pose, rates: Array) -> Array:
         """(6,) rates of the six numbers; ``rates`` (6,) rad/s and m/s, camera frame."""
-        out = np.empty(6)
-        _six_rates(
-            camera_from_target.rotation.copy(), camera_from_target.translation_m.copy(),
-            self.rotation, self.origin_m, rates, out,
-        )  # fmt: skip
-        return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _six(rotation: Array, translation: Array, face: Array, origin: Array, out: Array) -> None:
-    place, turn = np.empty(3), np.empty((3, 3))
-    for i in range(3):
-        place[i] = translation[i]
-        for j in range(3):
-            place[i] += rotation[i, j] * origin[j]
-            turn[i, j] = 0.0
-            for k in range(3):
-                turn[i, j] += rotation[i, k] * face[k, j]
-    x, y, z = place[0], place[1], place[2]
-    out[0] = math.sqrt(x * x + y * y + z * z)
-    out[1], out[2] = math.atan2(x, z), math.atan2(-y, math.sqrt(x * x + z * z))
-    out[3], out[4] = math.atan2(turn[1, 0], turn[0, 0]), math.atan2(turn[2, 1], turn[2, 2])
-    out[5] = math.asin(min(max(turn[2, 0], -1.0), 1.0))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _six_rates(
-    rotation: Array, translation: Array, face: Array, origin: Array, rates: Array, out: Array
-) -> None:
-    """Central difference of `_six` over ``_STEP_S`` of motion at constant rates."""
-    ends, turned, turn, moved = np.empty((2, 6)), np.empty((3, 3)), np.empty(3), np.empty(3)
-    for end in range(2):
-        dt = _STEP_S * (0.5 - end)
-        for i in range(3):
-            turn[i], moved[i] = dt * rates[i], translation[i] + dt * rates[3 + i]
-        so3.perturb_into(turn, rotation, turned)
-        _six(turned, moved, face, origin, ends[end])
-    for i in range(6):
-        change = ends[0, i] - ends[1, i]
-        if i > 2:  # over the half turn
-            change -= 2.0 * math.pi * round(change / (2.0 * math.pi))
-        out[i] = change / _STEP_S
+        arm = camera_from_target.rotation @ self.origin_m
+        x, y, z = (arm + camera_from_target.translation_m).tolist()
+        vx, vy, vz = (np.cross(rates[:3], arm) + rates[3:]).tolist()
+        turn = camera_from_target.rotation @ self.rotation
+        change = np.cross(rates[:3], turn, axisb=0, axisc=0)  # dR/dt = [w]× R
+        level, far, along = math.hypot(x, z), math.hypot(x, y, z), x * vx + z * vz
+        (a, b), (da, db) = turn[:2, 0], change[:2, 0]
+        (c, d), (dc, dd) = turn[2, 1:], change[2, 1:]
+        return np.array(
+            [
+                (along + y * vy) / far,
+                (z * vx - x * vz) / level**2,
+                (y * along / level - level * vy) / far**2,
+                (a * db - b * da) / (a * a + b * b),
+                (d * dc - c * dd) / (c * c + d * d),
+                change[2, 0] / math.sqrt(1.0 - min(turn[2, 0] ** 2, 1.0 - 1e-12)),
+            ]
+        )
 
 
 def attitude(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Array:

@@ -41,29 +41,32 @@ class RateEstimator:
         self._first_s = self._last_s = math.nan
         self._readings = 0
         self._scatter = np.full((6, 6), np.inf)  # of the last pose
+        self.last: Rates | None = None
 
     def clear(self) -> None:
         """Forget the readings: the target was lost."""
         self._bank.clear()
-        self._readings = 0
+        self._readings, self.last = 0, None
 
-    def jumps(self, time_s: float, refined: Refined, options: TrackingOptions, sure: bool) -> bool:
+    def jumps(
+        self, time_s: float, refined: Refined, options: TrackingOptions, *, sure: bool, doubt: bool
+    ) -> bool:
         """Whether a pose breaks with the motion so far; never where that is unknown.
 
         ``sure``: the last reading gave a pose. After a gap only the likeliest motion counts: others
-        would by then allow anything.
+        would by then allow anything. So it is in ``doubt`` about a spot, whose σ is no excuse then:
+        it must agree as well as the last pose without doubt.
         """
         if not self._readings or time_s - self._last_s > _LONGEST_S:
             return False
         pose, (turn, share) = refined.camera_from_target, options.jump_floor
-        # A pose that is less certain than the last one, as where a spot looks partly hidden, may
-        # rest on a glint: it must agree as well as that one.
-        place, covariance = pose.translation_m, _smaller(refined.scatter, self._scatter).copy()
+        place, covariance = pose.translation_m, (self._scatter if doubt else refined.scatter).copy()
         variances = covariance.reshape(-1)[::7]
         variances[:3] += turn**2
         variances[3:] += share**2 * float(place @ place)
-        odds = options.jump_odds if sure else math.inf
-        limit = options.jump_limit if sure else options.gap_limit
+        free = sure and not doubt
+        odds = options.jump_odds if free else math.inf
+        limit = options.jump_limit if free else options.gap_limit
         return self._bank.surprise(time_s, pose, covariance, odds, limit) > limit
 
     def add(self, time_s: float, pose: Pose, covariance: Array, face: Face) -> Rates | None:
@@ -76,12 +79,8 @@ class RateEstimator:
         self._readings += 1
         if found is None:
             return None
-        return Rates(
+        self.last = Rates(
             found.rates[3:], found.rates[:3], face.six_rates(pose, found.rates), found.covariance,
             time_s - self._first_s, self._readings,
         )  # fmt: skip
-
-
-def _smaller(one: Array, other: Array) -> Array:
-    """The covariance (6, 6) with the smaller variance of the attitude."""
-    return one if np.trace(one[:3, :3]) <= np.trace(other[:3, :3]) else other
+        return self.last

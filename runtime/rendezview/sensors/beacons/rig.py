@@ -9,11 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera, LensModel
@@ -22,7 +20,6 @@ from rendezview.sensors.beacons.detect.brown_lens import (
     COEFFICIENT_NAMES,
     Array,
     Lens,
-    ideal_with_sigma,
 )
 from rendezview.sensors.beacons.detect.detectors import Photodiode, Spots
 
@@ -118,18 +115,38 @@ class RigCamera:
         normalised = self.lens.distort(points[:, :2] / depth)
         return np.asarray(normalised * (self.fx, self.fy) + (self.cx, self.cy))
 
+    def slopes(self, points_rig_m: Array) -> tuple[Array, Array, Array]:
+        """Places (N, 2) of points (N, 3) in front, and their slopes in detector units.
+
+        Returns also (N, 2, 18) by INTRINSICS and POSE, and (N, 2, 3) by the point in the rig frame.
+        """
+        c = self.camera_from_rig
+        arm = points_rig_m @ c.rotation.T
+        points = arm + c.translation_m
+        ideal = points[:, :2] / points[:, 2:]
+        measured, by_ideal, by_lens = self.lens.derivatives(ideal)
+        focal = np.array([self.fx, self.fy])
+        by_point = np.zeros((len(points), 2, 3))  # ∂ ideal / ∂ p_camera
+        by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / points[:, 2]
+        by_point[:, :, 2] = -ideal / points[:, 2:]
+        by_point = focal[:, None] * (by_ideal @ by_point)
+        by_own = np.zeros((len(points), 2, len(INTRINSICS) + len(POSE)))
+        by_own[:, 0, 0], by_own[:, 1, 1] = measured.T
+        by_own[:, 0, 2] = by_own[:, 1, 3] = 1.0
+        by_own[:, :, 4:12] = focal[:, None] * by_lens
+        by_own[:, :, 12:] = by_pose(by_point, arm)
+        return measured * focal + (self.cx, self.cy), by_own, by_point @ c.rotation
+
     def ideal(self, spots: Spots) -> tuple[Array, Array]:
         """(N, 2) ideal places of spots, normalised, and their standard deviations."""
-        xy, sigma = np.empty((len(spots), 2)), np.empty((len(spots), 2))
-        k, lens, corrects = self.kernel_arguments
-        _ideal(spots.positions, spots.sigma, k, lens, corrects, xy, sigma)
-        return xy, sigma
-
-    @property
-    def kernel_arguments(self) -> Any:
-        """The data of this camera for the compiled correction."""
-        intrinsics = np.array([self.fx, self.fy, self.cx, self.cy, self.floor])
-        return intrinsics, self.lens.coefficients, self.lens.corrects
+        focal = np.array([self.fx, self.fy])
+        measured = (spots.positions - (self.cx, self.cy)) / focal
+        ideal, sigma = self.lens.undistort(measured), np.hypot(spots.sigma, self.floor) / focal
+        known = np.asarray(np.isfinite(ideal).all(axis=1))
+        _, by_ideal, _ = self.lens.derivatives(np.where(known[:, None], ideal, 0.0))
+        slopes = np.asarray(np.linalg.inv(by_ideal), np.float64)
+        sigma = np.sqrt(((slopes * sigma[:, None]) ** 2).sum(axis=2))
+        return ideal, np.where(known[:, None], sigma, np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,7 +171,6 @@ class Rig:
     covariance_names: tuple[str, ...] = ()
     rotations: Array = field(init=False)  # (C, 3, 3) camera from rig
     translations: Array = field(init=False)  # (C, 3)
-    _kernel_arguments: Any = field(init=False)
 
     def __post_init__(self) -> None:
         if not self.cameras:
@@ -166,8 +182,6 @@ class Rig:
         poses = [camera.camera_from_rig for camera in self.cameras]
         object.__setattr__(self, "rotations", np.stack([p.rotation for p in poses]))
         object.__setattr__(self, "translations", np.stack([p.translation_m for p in poses]))
-        arguments = tuple(camera.kernel_arguments for camera in self.cameras)
-        object.__setattr__(self, "_kernel_arguments", arguments)
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -184,65 +198,14 @@ class Rig:
         if len(spots) != len(self.cameras):
             raise ValueError(f"{len(spots)} cameras' spots for a rig of {len(self.cameras)}")
         xy, weight = np.zeros((len(spots), leds, 2)), np.zeros((len(spots), leds, 2))
-        for k, found in enumerate(spots):
-            given, lens, corrects = self._kernel_arguments[k]
-            if not _fill_sights(
-                found.positions, found.sigma, found.led, given, lens, corrects, xy[k], weight[k]
-            ):
-                raise ValueError(
-                    f"camera {self.cameras[k].name!r} names a light beyond the target's {leds}"
-                )
+        for k, (camera, found) in enumerate(zip(self.cameras, spots, strict=True)):
+            if (found.led >= leds).any():
+                raise ValueError(f"camera {camera.name!r} names a light beyond the target's {leds}")
+            ideal, sigma = camera.ideal(found)
+            times = np.bincount(found.led[found.led >= 0], minlength=leds)
+            one = (found.led >= 0) & np.isfinite(ideal).all(axis=1) & (times[found.led] == 1)
+            xy[k, found.led[one]], weight[k, found.led[one]] = ideal[one], 1.0 / sigma[one]
         return Sights(xy, weight)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def ideal_spot(
-    u: float, v: float, su: float, sv: float, k: Array, lens: Array, corrects: bool
-) -> tuple[float, float, float, float]:
-    """A spot in detector units → ideal normalised place and its standard deviations."""
-    su, sv = np.sqrt(su * su + k[4] * k[4]), np.sqrt(sv * sv + k[4] * k[4])
-    return ideal_with_sigma(
-        (u - k[2]) / k[0], (v - k[3]) / k[1], su / k[0], sv / k[1], lens, corrects
-    )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _ideal(
-    spots: Array, sigma: Array, k: Array, lens: Array, corrects: bool, xy: Array, out: Array
-) -> None:
-    for i in range(spots.shape[0]):
-        xy[i, 0], xy[i, 1], out[i, 0], out[i, 1] = ideal_spot(
-            spots[i, 0], spots[i, 1], sigma[i, 0], sigma[i, 1], k, lens, corrects
-        )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fill_sights(
-    spots: Array,
-    sigma: Array,
-    led: npt.NDArray[np.int64],
-    k: Array,
-    lens: Array,
-    corrects: bool,
-    xy: Array,
-    weight: Array,
-) -> bool:
-    twice = np.zeros(xy.shape[0], np.int64)
-    for i in range(led.shape[0]):
-        j = led[i]
-        if j >= xy.shape[0]:
-            return False
-        if j < 0:
-            continue
-        twice[j] += 1
-        x, y, sx, sy = ideal_spot(
-            spots[i, 0], spots[i, 1], sigma[i, 0], sigma[i, 1], k, lens, corrects
-        )
-        wx, wy = 1.0 / sx, 1.0 / sy
-        if not (np.isfinite(x) and np.isfinite(y) and twice[j] == 1):
-            x = y = wx = wy = 0.0
-        xy[j, 0], xy[j, 1], weight[j, 0], weight[j, 1] = x, y, wx, wy
-    return True
 
 
 def required_leds(positions: Sequence[npt.ArrayLike], what: str) -> Array:
@@ -260,6 +223,15 @@ def required_leds(positions: Sequence[npt.ArrayLike], what: str) -> Array:
     if spread[1] < 1e-6 * spread[0] or spread[0] == 0.0:
         raise RendezviewError(f"{what}: its lights are all on one line: a pose needs a triangle")
     return leds
+
+
+def by_pose(by_point: Array, arms: Array) -> Array:
+    """(N, 2, 6) slopes by a pose's left perturbation from those by its points (N, 2, 3).
+
+    ``arms`` (N, 3): the points less the pose's place. ``d p / d(rotation vector) = −[R p]×``.
+    """
+    turns = np.cross(arms[:, None, :], by_point)
+    return np.concatenate([turns, by_point], axis=2)
 
 
 def intrinsics_of(camera: RigCamera) -> Array:

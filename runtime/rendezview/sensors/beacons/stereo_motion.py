@@ -10,9 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from rendezview.estimation import linear_algebra
 from rendezview.estimation.motion import predict_covariance
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
@@ -74,11 +72,13 @@ def predict(state: Motion, time_s: float, options: MotionOptions) -> Motion:
     dt = time_s - state.time_s
     if not dt >= 0.0:
         raise ValueError(f"the filter cannot go back, from {state.time_s} s to {time_s} s")
-    rotation, translation, covariance = _predict(
-        state.rotation, state.translation, state.rates, state.covariance, dt,
-        options.angular_acceleration**2, options.linear_acceleration**2,
-    )  # fmt: skip
-    return Motion(time_s, rotation, translation, state.rates, covariance)
+    turn = so3.exp(dt * state.rates[:3])
+    sigma = [options.angular_acceleration] * 3 + [options.linear_acceleration] * 3
+    covariance = predict_covariance(
+        state.covariance, turn, dt, np.diag(np.square(sigma)), np.ones(0)
+    )
+    place = state.translation + dt * state.rates[3:]
+    return Motion(time_s, turn @ state.rotation, place, state.rates, covariance)
 
 
 def update(
@@ -99,115 +99,38 @@ def update(
         weight: (C, L, 2) 1/σ, 0 for lights that are not visible or rejected.
         start: rotation and translation to begin at, such as the reading's own pose.
     """
-    given = (state.rotation, state.translation) if start is None else start
-    rotation, translation = given[0].copy(), given[1].copy()
-    rates = state.rates.copy()
-    covariance = np.empty((12, 12))
-    if not _update(
-        state.rotation, state.translation, state.covariance, leds, rig.rotations,
-        rig.translations, xy, weight, rotation, translation, rates, covariance,
-    ):  # fmt: skip
+    rotation, translation = (state.rotation, state.translation) if start is None else start
+    rotation, translation = rotation.copy(), translation.copy()
+    prior, information = state.covariance, np.empty((6, 6))
+    inverse = np.asarray(np.linalg.inv(prior[:6, :6]), np.float64)
+    _, _, done = solve(
+        rotation, translation, leds, rig.rotations, rig.translations, xy, weight, inverse,
+        state.rotation, state.translation, _ITERATIONS, _TOLERANCE, information,
+    )  # fmt: skip
+    if not done:
         return None
-    return Motion(state.time_s, rotation, translation, rates, covariance)
+    posterior = np.linalg.inv(information)
+    gain = prior[6:, :6] @ inverse  # of the rates by a pose's correction
+    lost = prior[:6, :6] - posterior
+    whole = np.block(
+        [
+            [posterior, posterior @ gain.T],
+            [gain @ posterior, prior[6:, 6:] - gain @ lost @ gain.T],
+        ]
+    )
+    moved = difference(rotation, translation, state.rotation, state.translation)
+    return Motion(state.time_s, rotation, translation, state.rates + gain @ moved, whole)
 
 
 def breaks(state: Motion, rotation: Array, translation: Array, information: Array) -> bool:
     """Whether a reading's own pose is so far from the forecast that the forecast is wrong."""
-    return bool(
-        _breaks(
-            state.rotation, state.translation, state.covariance, rotation, translation, information
-        )
-    )
+    both = np.linalg.inv(information) + state.covariance[:6, :6]
+    away = difference(rotation, translation, state.rotation, state.translation)
+    return bool(away @ np.linalg.solve(both, away) > _BREAK)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _predict(
-    rotation: Array,
-    translation: Array,
-    rates: Array,
-    covariance: Array,
-    dt: float,
-    angular: float,
-    linear: float,
-) -> tuple[Array, Array, Array]:
-    """Rotation, translation and covariance ``dt`` later; densities of the white accelerations."""
-    turn, later, density = so3.exp(dt * rates[:3]), np.empty((3, 3)), np.zeros((6, 6))
-    for i in range(3):
-        density[i, i], density[3 + i, 3 + i] = angular, linear
-        for j in range(3):
-            later[i, j] = (
-                turn[i, 0] * rotation[0, j]
-                + turn[i, 1] * rotation[1, j]
-                + turn[i, 2] * rotation[2, j]
-            )
-    predicted = predict_covariance(covariance, turn, dt, density, np.ones(0))
-    return later, translation + dt * rates[3:], predicted
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def difference(
     rotation: Array, translation: Array, other_rotation: Array, other_translation: Array
 ) -> Array:
     """(6,) perturbation that leads from the other pose to this one."""
-    out = np.empty(6)
-    out[:3] = so3.between(rotation, other_rotation)
-    for i in range(3):
-        out[3 + i] = translation[i] - other_translation[i]
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _update(
-    prior_rotation: Array,
-    prior_translation: Array,
-    prior: Array,
-    leds: Array,
-    cr: Array,
-    ct: Array,
-    xy: Array,
-    weight: Array,
-    rotation: Array,
-    translation: Array,
-    rates: Array,
-    covariance: Array,
-) -> bool:
-    lower, inverse, information = np.zeros((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    if not linear_algebra.invert(prior[:6, :6], lower, inverse):
-        return False
-    _, _, done = solve(
-        rotation, translation, leds, cr, ct, xy, weight, inverse, prior_rotation,
-        prior_translation, _ITERATIONS, _TOLERANCE, information,
-    )  # fmt: skip
-    if not done:
-        return False
-    posterior = np.empty((6, 6))
-    if not linear_algebra.invert(information, lower, posterior):
-        return False
-    moved = difference(rotation, translation, prior_rotation, prior_translation)
-    gain = np.ascontiguousarray(prior[6:, :6]) @ inverse  # gain of the rates by a pose's correction
-    rates += gain @ moved
-    covariance[:6, :6] = posterior
-    covariance[6:, :6] = gain @ posterior
-    covariance[:6, 6:] = covariance[6:, :6].T
-    lost = np.ascontiguousarray(prior[:6, :6]) - posterior
-    covariance[6:, 6:] = prior[6:, 6:] - gain @ lost @ gain.T
-    return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _breaks(
-    rotation: Array,
-    translation: Array,
-    covariance: Array,
-    measured_rotation: Array,
-    measured_translation: Array,
-    information: Array,
-) -> bool:
-    lower, both, solution = np.zeros((6, 6)), np.empty((6, 6)), np.empty(6)
-    if not linear_algebra.invert(information, lower, both):
-        return False
-    both += covariance[:6, :6]
-    away = difference(measured_rotation, measured_translation, rotation, translation)
-    if not linear_algebra.solve(both, away, lower, solution):
-        return False
-    return bool(away @ solution > _BREAK)
+    return np.append(so3.between(rotation, other_rotation), translation - other_translation)

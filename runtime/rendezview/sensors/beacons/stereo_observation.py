@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from rendezview.estimation.linear_algebra import invert
-from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons.budget import Budget
+from rendezview.sensors.beacons.calibration_error import turned
 from rendezview.sensors.beacons.detect.detectors import Spots
 from rendezview.sensors.beacons.euler import YawPitchRoll, yaw_pitch_roll
 from rendezview.sensors.beacons.match.agreement import LightsFit
@@ -54,21 +53,17 @@ class StereoObservation(Observation):
 
         The covariance of a single reading is the inverse of its information.
         """
-        rotation, place, covariance = np.empty((3, 3)), np.empty(3), np.empty((6, 6))
         if estimate is not None:
-            _in_camera(
-                camera_from_rig.rotation, camera_from_rig.translation_m, estimate.rotation,
-                estimate.translation, estimate.covariance, False, rotation, place, covariance,
-            )  # fmt: skip
+            found = Pose(estimate.rotation, estimate.translation)
+            own = np.asarray(estimate.covariance[:6, :6], np.float64)
         else:
             assert fit is not None
-            _in_camera(
-                camera_from_rig.rotation, camera_from_rig.translation_m, fit.rotation,
-                fit.translation, fit.information, True, rotation, place, covariance,
-            )  # fmt: skip
+            found = Pose(fit.rotation, fit.translation)
+            own = np.asarray(np.linalg.inv(fit.information), np.float64)
+        pose, turn = camera_from_rig @ found, camera_from_rig.rotation
         return cls(
             status, reason, fit, estimate, restarted, spots, names,
-            time_s=time_s, pose=Pose.unchecked(rotation, place), covariance=covariance,
+            time_s=time_s, pose=pose, covariance=turned(own, turn),
         )  # fmt: skip
 
     @property
@@ -123,52 +118,3 @@ class StereoObservation(Observation):
             "found_anew": self.restarted,
             "stage_ms": stage_ms,
         }
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _in_camera(
-    camera_rotation: Array,
-    camera_translation: Array,
-    rotation: Array,
-    translation: Array,
-    spread: Array,
-    is_information: bool,
-    out_rotation: Array,
-    out_translation: Array,
-    out: Array,
-) -> None:
-    """Fill a pose and its covariance (6, 6) in the camera frame, from the rig frame.
-
-    ``spread`` is the covariance, or its inverse where ``is_information``; only its first six rows
-    and columns are read. NaN where the information is singular.
-    """
-    c = camera_rotation
-    covariance, lower = np.empty((6, 6)), np.empty((6, 6))
-    inverted = is_information and invert(spread, lower, covariance)
-    for i in range(0 if inverted else 6):
-        for j in range(6):
-            covariance[i, j] = np.nan if is_information else spread[i, j]
-    half = np.empty((6, 6))
-    for i in range(3):
-        out_translation[i] = camera_translation[i]
-        for j in range(3):
-            out_translation[i] += c[i, j] * translation[j]
-            out_rotation[i, j] = (
-                c[i, 0] * rotation[0, j] + c[i, 1] * rotation[1, j] + c[i, 2] * rotation[2, j]
-            )
-    for block in range(0, 6, 3):
-        for i in range(3):
-            for j in range(6):
-                half[block + i, j] = (
-                    c[i, 0] * covariance[block, j]
-                    + c[i, 1] * covariance[block + 1, j]
-                    + c[i, 2] * covariance[block + 2, j]
-                )
-    for block in range(0, 6, 3):
-        for j in range(3):
-            for i in range(6):
-                out[i, block + j] = (
-                    half[i, block] * c[j, 0]
-                    + half[i, block + 1] * c[j, 1]
-                    + half[i, block + 2] * c[j, 2]
-                )

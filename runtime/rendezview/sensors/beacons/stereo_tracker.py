@@ -44,8 +44,7 @@ class TrackerOptions:
     motion: MotionOptions | None = None  # the filter; None: each reading's pose as it is
     # after that the last estimate is no longer used. Source: a chosen limit
     longest_outage_s: float = 5.0
-    # Add what the rig's calibration and the lights' places do to each pose's covariance: 7 ms where
-    # the pose has moved.
+    # Add what the rig's calibration and the lights' places do to each pose's covariance.
     calibration_error: bool = True
     # normalised; unnamed spots are looked for so far from the forecast. Source: by hand; see
     # stereo-accuracy (0.1) --part identity
@@ -282,14 +281,14 @@ class StereoTracker:
         pose, fit = observation.rig_from_target, observation.fit
         if not self.options.calibration_error or pose is None or observation.covariance is None:
             return observation
-        own, shares = observation.covariance, self._calibration.last
+        whole: dict[str, Array | None] = dict(self._calibration.last)
         if self._calibration and fit is not None:
-            shares = self._calibration.shares(pose, fit.sights.weight)
-        if self._calibration and fit is not None and self.options.motion is None:
-            own = turned(self._calibration.noise(pose, fit.sights.weight), self._first.rotation)
-        whole: dict[str, Array | None] = {SPOTS: own}
-        for cause, share in shares.items():
+            whole = self._calibration.shares(pose, fit.sights.weight)
+        for cause, share in whole.items():
             whole[cause] = None if share is None else turned(share, self._first.rotation)
+        noise = whole.get(SPOTS)
+        own = observation.covariance if noise is None or self.options.motion else noise
+        whole[SPOTS] = own
         common = common_of(whole)
         return replace(observation, covariance=own + common, common=common, budget=budget_of(whole))
 
@@ -305,3 +304,50 @@ class StereoTracker:
 
 _NO_RATES = np.zeros(6)  # Source: by construction
 _NO_COVARIANCE = np.zeros((12, 12))  # Source: by construction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """Poses of N readings, rig frame; NaN in all fields where ``ok`` is False."""
+
+    rotation: Array  # (N, 3, 3) rig from target
+    translation_m: Array  # (N, 3)
+    covariance: Array  # (N, 6, 6)
+    ok: npt.NDArray[np.bool_]  # (N,)
+
+
+def reprocess(tracker: StereoTracker, currents: npt.ArrayLike) -> Poses:
+    """Every reading's own pose, each started from the one before; the tracker does not change.
+
+    Args:
+        tracker: of a rig of photodiodes.
+        currents: (N, C, L, 4) x1 x2 y1 y2 of each light in each camera; NaN where not read.
+
+    Raises:
+        ValueError: a wrong shape, or a camera that is no photodiode.
+    """
+    given = np.asarray(currents, dtype=np.float64)
+    rig, leds = tracker.rig, tracker.leds
+    wanted = (len(rig), len(leds), 4)
+    if given.ndim != 4 or given.shape[1:] != wanted:
+        raise ValueError(f"currents must be (readings, {wanted}), not {given.shape}")
+    diodes = [camera.photodiode for camera in rig.cameras if camera.photodiode is not None]
+    if len(diodes) < len(rig):
+        raise ValueError("a log of currents needs a rig of photodiodes")
+    n = len(given)
+    out = Poses(
+        np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan), np.full((n, 6, 6), np.nan),
+        np.zeros(n, np.bool_),
+    )  # fmt: skip
+    for k, reading in enumerate(given):
+        spots = [diode.read(own) for diode, own in zip(diodes, reading, strict=True)]
+        sights = rig.sights(spots, len(leds))
+        fit: LightsFit | Disagreement | None = None
+        if k > 0 and out.ok[k - 1]:
+            fit = agree(rig, leds, sights, out.rotation[k - 1], out.translation_m[k - 1])
+        if not isinstance(fit, LightsFit):
+            fit = tracker.locate(sights)
+        if isinstance(fit, LightsFit):
+            out.rotation[k], out.translation_m[k], out.ok[k] = fit.rotation, fit.translation, True
+            out.covariance[k] = np.linalg.inv(fit.information)
+    return out

@@ -11,8 +11,11 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.estimation.rates import RateOptions
 from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.beacons.detect.spots import AMPLITUDE, RIVALS, SIGMA, X
+from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.pose.refinement import Refined
-from rendezview.sensors.beacons.windows import carry
+
+_NEVER = 10**6  # readings. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +56,11 @@ class TrackingOptions:
     # Readings after the target was found again, in which every spot of the picture counts.
     # Source: experiment reflector-hidden --scene glint
     fresh: int = 10
+    # Readings in which a pose with a doubtful spot must keep to the motion before: one whose σ is
+    # so many times that of the others, or beside which another was in so many readings before.
+    # Source: experiment reflector-hidden --scene glint
+    doubt: int = 12
+    doubt_sigma: float = 3.0  # Source: likewise
     # error of a centroid beside the noise: pixels, lens, reflector edge. Source: by hand; doubled,
     # NEES falls from 0.53 to 0.29
     floor_px: float = 0.01
@@ -90,6 +98,11 @@ class Track:
     misses: int = 0
     branch: Branch = Branch.SURE
     unseen: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    alone: npt.NDArray[np.int64] = field(init=False)  # (N,) readings since another was beside it
+    doubtful: int = 0  # readings in a row with a doubtful spot
+
+    def __post_init__(self) -> None:
+        self.alone = np.full(len(self.places), _NEVER)
 
     @classmethod
     def begun(cls, time_s: float, pose: Pose, reflectors: int, *, roll_known: bool) -> Track:
@@ -103,22 +116,37 @@ class Track:
     @classmethod
     def after(
         cls, last: Track | None, time_s: float, table: Array, refined: Refined, noise: float,
-        ambiguous: bool, branch: Branch, coast: int,
+        ambiguous: bool, branch: Branch, coast: int, doubt: bool = False,
     ) -> Track:  # fmt: skip
-        """The memory after a reading; ``table`` (N, 20): its spots, NaN where not visible."""
+        """The memory after a reading; ``table`` (N, 23): its spots, NaN where not visible."""
         count = len(table)
-        bright, unseen = np.empty(count), np.empty(count, np.int64)
         since, dim = np.zeros(count, np.int64), np.full(count, np.nan)
         before, before_s = np.full((count, 2), np.nan), time_s
         if last is not None:
             since, dim = last.unseen, last.brightness
             if last.misses <= coast:
                 before, before_s = last.places, last.time_s
-        carry(table, dim, since, bright, unseen)
-        return cls(
+        visible = np.isfinite(table[:, X])
+        bright, unseen = (
+            np.where(visible, table[:, AMPLITUDE], dim),
+            np.where(visible, 0, since + 1),
+        )
+        after = cls(
             time_s, refined.camera_from_target, table[:, :2].copy(), before, before_s, bright,
             noise, ambiguous, refined.covariance, unseen=unseen, branch=branch,
         )  # fmt: skip
+        if last is not None:
+            after.doubtful = last.doubtful + 1 if doubt else 0
+            after.alone = np.where(table[:, RIVALS] > 0.0, 0, last.alone + 1)
+        return after
+
+    def doubts(self, table: Array, seen: npt.NDArray[np.int64], options: TrackingOptions) -> bool:
+        """Whether one of few visible spots may not be its reflector, or not all of it."""
+        if not 3 <= len(seen) <= FEW or self.doubtful >= options.doubt:
+            return False
+        sigma, rivals = table[seen, SIGMA], table[seen, RIVALS]
+        recent = (rivals > 0.0) | (self.alone[seen] < options.doubt)
+        return bool((recent | (sigma > options.doubt_sigma * np.median(sigma))).any())
 
     def follow(self, time_s: float, seen: npt.NDArray[np.int64], table: Array) -> None:
         """Keep the places of visible reflectors, too few for a pose: they move the windows."""

@@ -19,22 +19,12 @@ from rendezview.sensors.beacons.detect.spots import MOST_CERTAIN, SpotTable
 from rendezview.sensors.beacons.match.acquisition import Acquirer, merged
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.match.choice import FEW
-from rendezview.sensors.beacons.observation import (
-    ReflectorObservation,
-    missed,
-    refused,
-    undecided,
-)
+from rendezview.sensors.beacons.observation import ReflectorObservation, missed, refused, undecided
 from rendezview.sensors.beacons.pose.refinement import Refined
 from rendezview.sensors.beacons.pose.shares import CAUSES
 from rendezview.sensors.beacons.rates import RateEstimator
 from rendezview.sensors.beacons.tolerance import DotSizes, fit_dots
-from rendezview.sensors.beacons.track import (
-    Branch,
-    Track,
-    TrackingOptions,
-    checked_acceleration,
-)
+from rendezview.sensors.beacons.track import Branch, Track, TrackingOptions, checked_acceleration
 from rendezview.sensors.beacons.window_fit import WindowFit
 from rendezview.sensors.beacons.windows import VISIBLE
 from rendezview.sensors.observation import Status
@@ -249,7 +239,8 @@ class ReflectorSensor:
         if refined is None and not np.isfinite(track.before).any():
             # The motion is not known: windows are of little use.
             return self._acquire(time_s, frames)
-        if refined is not None and self._jumps(time_s, refined, seen):
+        doubt = track.doubts(table, seen, self.tracking)
+        if refined is not None and self._jumps(time_s, refined, len(seen), doubt):
             refined, seen, branch = None, seen[:0], Branch.SURE
         contradiction = self._contradiction(time_s, frames, track, refined, seen, stage_ms)
         if contradiction is not None:
@@ -263,14 +254,16 @@ class ReflectorSensor:
         table = table.copy()
         table[outcome != VISIBLE] = np.nan
         ambiguous = track.roll_ambiguous and not self._resolves(seen)
-        self._remember(time_s, table, refined, noise, ambiguous, branch)
+        self._remember(time_s, table, refined, noise, ambiguous, branch, doubt)
         if branch is Branch.OPEN:
             self._rates.clear()
             return undecided(
                 f"two poses show the same {len(seen)} spots, and the motion does not tell them "
                 "apart: uncover more reflectors", time_s, spots, names, stage_ms, tracked=True,
             )  # fmt: skip
-        return self._reading(time_s, refined, spots, names, None, stage_ms, ambiguous, tracked=True)
+        return self._reading(
+            time_s, refined, spots, names, None, stage_ms, ambiguous, tracked=True, doubt=doubt
+        )
 
     def _contradiction(
         self, time_s: float, frames: LitDark, track: Track, refined: Refined | None,
@@ -346,16 +339,17 @@ class ReflectorSensor:
         search = not self.is_tracking
         return missed(time_s, spots, names, lost, stage_ms, search=search, strange=strange)
 
-    def _jumps(self, time_s: float, refined: Refined, seen: npt.NDArray[np.int64]) -> bool:
+    def _jumps(self, time_s: float, refined: Refined, count: int, doubt: bool = False) -> bool:
         """Whether a pose of few spots, which do not confirm each other, breaks with the motion."""
         sure = self._track is not None and not self._track.misses
-        return len(seen) <= FEW and self._rates.jumps(time_s, refined, self.tracking, sure)
+        jumps = self._rates.jumps
+        return count <= FEW and jumps(time_s, refined, self.tracking, sure=sure, doubt=doubt)
 
     def _continues(self, time_s: float, found: Acquisition) -> bool:
         """Whether there is a pose that does not break with the motion."""
         if found.refined is None or found.reflectors is None:
             return False
-        return not self._jumps(time_s, found.refined, found.reflectors)
+        return not self._jumps(time_s, found.refined, len(found.reflectors))
 
     def _range_m(self, pose: Pose) -> float:
         return float(np.linalg.norm(pose.apply(self._centre)))
@@ -366,18 +360,19 @@ class ReflectorSensor:
 
     def _remember(
         self, time_s: float, table: Array, refined: Refined, noise: float, ambiguous: bool,
-        branch: Branch,
+        branch: Branch, doubt: bool = False,
     ) -> None:  # fmt: skip
         last = self._track
         if last is None or last.misses > self.tracking.coast:
             self._rates.clear()
         self._track = Track.after(
-            last, time_s, table, refined, noise, ambiguous, branch, self.tracking.coast
+            last, time_s, table, refined, noise, ambiguous, branch, self.tracking.coast, doubt
         )
 
     def _reading(
         self, time_s: float, refined: Refined, spots: SpotTable, names: tuple[str | None, ...],
         group: str | None, stage_ms: dict[str, float], ambiguous: bool, tracked: bool,
+        doubt: bool = False,
     ) -> ReflectorObservation:  # fmt: skip
         begin = time.perf_counter()
         pose = refined.camera_from_target
@@ -387,7 +382,8 @@ class ReflectorSensor:
         )
         face = self._faces[whole.name]
         six = face.six_numbers(pose)
-        rates = self._rates.add(time_s, pose, refined.scatter, face)
+        known = self._rates  # a doubtful spot tells nothing of the motion
+        rates = known.last if doubt else known.add(time_s, pose, refined.scatter, face)
         self._dots.take(pose, spots, names)
         shares = dict(zip(CAUSES, refined.shares, strict=True)) | self._unknown
         stage_ms["rates"] = 1e3 * (time.perf_counter() - begin)

@@ -8,16 +8,19 @@ find one answer, that with the post towards the camera. They report a failure.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.geometry.pose import Array, Pose
 
-Counts = npt.NDArray[np.int64]
+Squares = tuple[float, float, float]  # of the chords between unit rays: tip, left; …, right; outer
+# From these, L, H and the cosine between the tip and the middle of the outer two, with a bound of
+# iterations and a tolerance: the distances and the iterations used.
+Method = Callable[[Squares, float, float, float, int, float], tuple[Array, int]]
 
 
 class Iteration(StrEnum):
@@ -55,7 +58,7 @@ def newton_raphson(
     Raises:
         ValueError: rays not (3, 3) and finite, or a length not positive.
     """
-    return _one(rays, base_m, post_m, most, tolerance, 0)
+    return _one(rays, base_m, post_m, most, tolerance, _newton)
 
 
 def alternate_iteration(
@@ -69,7 +72,7 @@ def alternate_iteration(
     where θ12 < θ13. As printed the first radicands are negative in nearly all cases; here they
     are taken as 0 then. That reaches the truth in most cases, not in all.
     """
-    return _one(rays, base_m, post_m, most, tolerance, 1)
+    return _one(rays, base_m, post_m, most, tolerance, _alternate)
 
 
 def pose_from_distances(
@@ -97,113 +100,87 @@ def pose_from_distances(
 
 
 def _one(
-    rays: npt.ArrayLike, base_m: float, post_m: float, most: int, tolerance: float, method: int
+    rays: npt.ArrayLike, base_m: float, post_m: float, most: int, tolerance: float, method: Method
 ) -> Triangulation:
-    given = np.ascontiguousarray(rays, dtype=np.float64)
+    given = np.asarray(rays, dtype=np.float64)
     if given.shape != (3, 3) or not np.isfinite(given).all():
         raise ValueError(f"rays must be (3, 3) and finite, not {given.tolist()}")
     if not (base_m > 0.0 and post_m > 0.0):
         raise ValueError(f"base and post must be longer than 0: {base_m}, {post_m}")
-    distances, counts, residuals = np.empty((1, 3)), np.empty(1, np.int64), np.empty(1)
-    _batch(given[None], base_m, post_m, most, tolerance, method, distances, counts, residuals)
-    converged = bool(counts[0] < most and residuals[0] < 1e-9)
-    return Triangulation(distances[0], int(counts[0]), converged, float(residuals[0]))
+    tip, left, right = given / np.linalg.norm(given, axis=1)[:, None]
+    # q = 2 − 2 cos θ, which keeps its digits at small angles
+    q12, q13, q23 = (float((a - b) @ (a - b)) for a, b in
+                     ((tip, left), (tip, right), (left, right)))  # fmt: skip
+    side2 = 0.25 * base_m * base_m + post_m * post_m
+    if not q23 > 0.0:
+        return Triangulation(np.full(3, np.nan), most, False, np.inf)
+    middle = left + right
+    cosine = float(middle @ tip / np.linalg.norm(middle))
+    r, used = method((q12, q13, q23), base_m, post_m, cosine, most, tolerance)
+    errors = _equations(r, (q12, q13, q23), side2, base_m**2)
+    residual = float(np.abs(errors).max()) / base_m**2
+    if not (r.min() > 0.0 and math.isfinite(residual)):
+        residual = math.inf
+    return Triangulation(r, used, bool(used < most and residual < 1e-9), residual)
 
 
-@njit(cache=True, nogil=True)
-def _batch(
-    rays: Array, base: float, post: float, most: int, tolerance: float, method: int,
-    distances: Array, counts: Counts, residuals: Array,
-) -> None:  # fmt: skip
-    d = np.empty((3, 3))
-    side2, base2 = 0.25 * base * base + post * post, base * base
-    for n in range(rays.shape[0]):
-        for i in range(3):
-            norm = math.sqrt(rays[n, i, 0] ** 2 + rays[n, i, 1] ** 2 + rays[n, i, 2] ** 2)
-            for j in range(3):
-                d[i, j] = rays[n, i, j] / norm
-        # q = 2 − 2 cos θ, which keeps its digits at small angles
-        q12, q13, q23 = _chord2(d, 0, 1), _chord2(d, 0, 2), _chord2(d, 1, 2)
-        if not q23 > 0.0:
-            counts[n], residuals[n], distances[n] = most, np.inf, np.nan
-            continue
-        if method == 0:
-            r1, r2, r3, used = _newton(d, q12, q13, q23, base, post, side2, most, tolerance)
-        else:
-            r1, r2, r3, used = _alternate(q12, q13, q23, base, side2, most, tolerance)
-        f12 = (r1 - r2) ** 2 + r1 * r2 * q12 - side2
-        f13 = (r1 - r3) ** 2 + r1 * r3 * q13 - side2
-        f23 = (r2 - r3) ** 2 + r2 * r3 * q23 - base2
-        residuals[n] = max(abs(f12), abs(f13), abs(f23)) / base2
-        if not (r1 > 0.0 and r2 > 0.0 and r3 > 0.0 and math.isfinite(residuals[n])):
-            residuals[n] = np.inf
-        counts[n] = used
-        distances[n, 0], distances[n, 1], distances[n, 2] = r1, r2, r3
+def _equations(r: Array, q: Squares, side2: float, base2: float) -> Array:
+    """(3,) errors of the three laws of cosines, m²."""
+    (r1, r2, r3), (q12, q13, q23) = r, q
+    return np.array(
+        [
+            (r1 - r2) ** 2 + r1 * r2 * q12 - side2,
+            (r1 - r3) ** 2 + r1 * r3 * q13 - side2,
+            (r2 - r3) ** 2 + r2 * r3 * q23 - base2,
+        ]
+    )
 
 
-@njit(cache=True, nogil=True)
-def _chord2(d: Array, i: int, j: int) -> float:
-    return float((d[i, 0] - d[j, 0]) ** 2 + (d[i, 1] - d[j, 1]) ** 2 + (d[i, 2] - d[j, 2]) ** 2)
-
-
-@njit(cache=True, nogil=True)
 def _newton(
-    d: Array, q12: float, q13: float, q23: float, base: float, post: float, side2: float,
-    most: int, tolerance: float,
-) -> tuple[float, float, float, int]:  # fmt: skip
+    q: Squares, base: float, post: float, cosine: float, most: int, tolerance: float
+) -> tuple[Array, int]:
+    q12, q13, q23 = q
     half = math.sqrt(0.25 * q23)  # sin(θ23/2)
-    r2 = r3 = 0.5 * base / half
-    middle = r2 * math.sqrt(1.0 - half * half)
-    mx, my, mz = d[1, 0] + d[2, 0], d[1, 1] + d[2, 1], d[1, 2] + d[2, 2]
-    m = math.sqrt(mx * mx + my * my + mz * mz)
-    cosine = (mx * d[0, 0] + my * d[0, 1] + mz * d[0, 2]) / m
+    outer = 0.5 * base / half
+    middle = outer * math.sqrt(1.0 - half * half)
     sine2 = max(1.0 - cosine * cosine, 0.0)
-    r1 = middle * cosine - math.sqrt(max(post * post - middle * middle * sine2, 0.0))
-    base2 = base * base
-    used = most
+    tip = middle * cosine - math.sqrt(max(post * post - middle * middle * sine2, 0.0))
+    r, side2 = np.array([tip, outer, outer]), 0.25 * base * base + post * post
     for k in range(most):
-        f12 = (r1 - r2) ** 2 + r1 * r2 * q12 - side2
-        f13 = (r1 - r3) ** 2 + r1 * r3 * q13 - side2
-        f23 = (r2 - r3) ** 2 + r2 * r3 * q23 - base2
-        a1, a2 = 2.0 * (r1 - r2) + r2 * q12, 2.0 * (r2 - r1) + r1 * q12
-        b1, b3 = 2.0 * (r1 - r3) + r3 * q13, 2.0 * (r3 - r1) + r1 * q13
-        c2, c3 = 2.0 * (r2 - r3) + r3 * q23, 2.0 * (r3 - r2) + r2 * q23
-        # [[a1, a2, 0], [b1, 0, b3], [0, c2, c3]]
-        det = -a1 * b3 * c2 - a2 * b1 * c3
-        if det == 0.0 or not math.isfinite(det):
+        r1, r2, r3 = r
+        slopes = np.array(
+            [
+                [2.0 * (r1 - r2) + r2 * q12, 2.0 * (r2 - r1) + r1 * q12, 0.0],
+                [2.0 * (r1 - r3) + r3 * q13, 0.0, 2.0 * (r3 - r1) + r1 * q13],
+                [0.0, 2.0 * (r2 - r3) + r3 * q23, 2.0 * (r3 - r2) + r2 * q23],
+            ]
+        )
+        try:
+            step = np.linalg.solve(slopes, _equations(r, q, side2, base * base))
+        except np.linalg.LinAlgError:
             break
-        s1 = (-f12 * b3 * c2 - a2 * (f13 * c3 - b3 * f23)) / det
-        s2 = (a1 * (f13 * c3 - b3 * f23) - f12 * b1 * c3) / det
-        s3 = (-a1 * f13 * c2 - a2 * b1 * f23 + f12 * b1 * c2) / det
-        r1, r2, r3 = r1 - s1, r2 - s2, r3 - s3
-        if abs(s1) + abs(s2) + abs(s3) < tolerance * (abs(r1) + abs(r2) + abs(r3)):
-            used = k + 1
-            break
-    return r1, r2, r3, used
+        r = r - step
+        if np.abs(step).sum() < tolerance * np.abs(r).sum():
+            return r, k + 1
+    return r, most
 
 
-@njit(cache=True, nogil=True)
 def _alternate(
-    q12: float, q13: float, q23: float, base: float, side2: float, most: int, tolerance: float
-) -> tuple[float, float, float, int]:
-    swapped = q12 < q13
-    if swapped:
-        q12, q13 = q13, q12
+    q: Squares, base: float, post: float, cosine: float, most: int, tolerance: float
+) -> tuple[Array, int]:
+    swapped = q[0] < q[1]
+    q12, q13, q23 = (q[1], q[0], q[2]) if swapped else q
     c12, c13, c23 = 1.0 - 0.5 * q12, 1.0 - 0.5 * q13, 1.0 - 0.5 * q23
     # sin² θ = q (1 − q/4)
     s12, s13, s23 = q12 * (1 - 0.25 * q12), q13 * (1 - 0.25 * q13), q23 * (1 - 0.25 * q23)
-    half = math.sqrt(0.25 * q23)
-    r1 = 0.5 * base * math.sqrt(1.0 - half * half) / half
-    r2 = r3 = 0.0
+    half, side2 = math.sqrt(0.25 * q23), 0.25 * base * base + post * post
+    r1, r2, r3 = 0.5 * base * math.sqrt(1.0 - half * half) / half, 0.0, 0.0
     used = most
     for k in range(most):
         r2 = r1 * c12 + math.sqrt(max(side2 - r1 * r1 * s12, 0.0))
         r3 = r2 * c23 + math.sqrt(max(base * base - r2 * r2 * s23, 0.0))
-        last = r1
-        r1 = r3 * c13 - math.sqrt(max(side2 - r3 * r3 * s13, 0.0))
+        last, r1 = r1, r3 * c13 - math.sqrt(max(side2 - r3 * r3 * s13, 0.0))
         if abs(r1 - last) < tolerance * abs(r1):
             used = k + 1
             break
-    if swapped:
-        r2, r3 = r3, r2
-    return r1, r2, r3, used
+    return np.array([r1, r3, r2] if swapped else [r1, r2, r3]), used

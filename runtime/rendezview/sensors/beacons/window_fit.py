@@ -16,13 +16,14 @@ from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptio
 from rendezview.sensors.beacons.detect.discs import camera_doubts, camera_numbers
 from rendezview.sensors.beacons.detect.lens_scale import LensScale
 from rendezview.sensors.beacons.detect.rolling_shutter import at_middle_row
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SIZE, recentre
+from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, recentre
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.match.judgement import least_facing
 from rendezview.sensors.beacons.match.matching import expect_spots
 from rendezview.sensors.beacons.match.mirrored_pose import mirror
-from rendezview.sensors.beacons.pose.refinement import Refined, adjust, loose_px, solve_spots
+from rendezview.sensors.beacons.pose.collinearity import solve
+from rendezview.sensors.beacons.pose.refinement import Refined, loose_px, solve_spots
 from rendezview.sensors.beacons.pose.shares import CAUSES
 from rendezview.sensors.beacons.track import Branch, Track, TrackingOptions
 from rendezview.sensors.beacons.windows import (
@@ -36,6 +37,7 @@ Ints = npt.NDArray[np.int64]
 
 _SAME_RAD = 0.02  # rad: poses nearer than this, or than 4 σ, are one. Source: by construction
 _CONTINUITY = 3.0  # the nearer of two poses to the last, by this factor. Source: by construction
+_NUDGES = 20  # steps. Source: by construction, a bound only
 
 
 class WindowFit:
@@ -85,7 +87,8 @@ class WindowFit:
         recentre(rows, noise, threshold.centroid)
         self._background.hidden.widen(rows)
         if len(rows) >= 3:
-            cover = covered_px(rows[:, SIZE], self.expected[seen, 2], rows[:, SIGMA], self._blur_px)
+            which = np.flatnonzero(seen)
+            cover = covered_px(rows, self.constellation, which, track.pose, self._blur_px)
             rows[:, SIGMA] = np.hypot(rows[:, SIGMA], cover)
         if self.options.readout_s:
             step_s, height = time_s - track.time_s, self.camera.height
@@ -96,7 +99,7 @@ class WindowFit:
     def at_one_time(
         self, refined: Refined, table: Array, before: Array, step_s: float
     ) -> Refined | None:
-        """The pose of a table (N, 20) of a first find, whose reading before is (N, 20), too."""
+        """The pose of a table (N, 23) of a first find, whose reading before is (N, 23), too."""
         if not self.options.readout_s:
             return refined
         readout_s, height = self.options.readout_s, self.camera.height
@@ -115,7 +118,7 @@ class WindowFit:
         )  # fmt: skip
         if iterations < 0:
             return None
-        return Refined(Pose(rotation, translation), shares, residuals, iterations, True)
+        return Refined(Pose(rotation, translation), shares, residuals)
 
     def without_strangers(
         self, start: Pose, refined: Refined, table: Array, seen: Ints
@@ -222,15 +225,15 @@ class WindowFit:
         """Move the remembered pose by the least that brings it under the visible spots."""
         if not track.covariance.any():
             return
-        rotation, shift = np.array(track.pose.rotation), track.pose.apply(self._centre)
-        far = float(np.linalg.norm(shift))
         # The attitude may turn by 0.1 rad and the place move by 5 % meanwhile.
-        prior = np.diag([1e2, 1e2, 1e2, *([400.0 / far**2] * 3)])
-        shares, residuals = np.empty((len(CAUSES), 6, 6)), np.empty((len(seen), 2))
-        iterations = adjust(
-            self._lens, self._doubts, self._arms[seen], self.constellation.normals[seen],
-            self._discs[seen], np.ascontiguousarray(self.table[seen, :2]),
-            np.full(len(seen), 0.1), prior, rotation, shift, shares, residuals,
+        rotation, shift = np.array(track.pose.rotation), track.pose.apply(self._centre)
+        start = rotation.copy(), shift.copy()
+        free = np.diag([1e2, 1e2, 1e2, *([400.0 / float(shift @ shift)] * 3)])
+        rays = self.camera.rays(self.table[seen, :2])[None, :, :2]
+        _, _, done = solve(
+            rotation, shift, self._arms[seen], np.eye(3)[None], np.zeros((1, 3)),
+            np.ascontiguousarray(rays), np.full(rays.shape, 10.0 * self.camera.fx),
+            free, *start, _NUDGES, 1e-3, np.empty((6, 6)),
         )  # fmt: skip
-        if iterations >= 0:
+        if done:
             track.pose = Pose(rotation, shift - rotation @ self._centre)

@@ -16,6 +16,7 @@ from rendezview.sensors.beacons.detect.spots import (
     COLUMNS,
     LEFT,
     RIGHT,
+    RIVALS,
     SHAPE,
     SIZE,
     TOP,
@@ -52,7 +53,7 @@ def read_windows(
         level: (N,) threshold of the difference, grey.
         noise: of one pixel of the difference, grey.
         limits: largest |ln| of size over expected size, least shape (small over large axis).
-        table: (N, 20) rows of the spot table, filled where a spot is found.
+        table: (N, 23) rows of the spot table, filled where a spot is found.
         outcome: (N,) 0 window outside the picture, 1 nothing in it, 2 spots that are not a
             reflector, 3 visible.
     """
@@ -91,7 +92,7 @@ def _search_window(
         part_dark = np.empty((h, w), np.uint8)
     flat, stack, row = np.empty(w * h, np.uint8), np.empty(w * h, np.int32), np.empty(COLUMNS)
     rim, least, most = _copy_window(lit, dark, (x0, y0), part, part_dark)
-    outcome, best = _NOTHING, np.inf
+    outcome, best, alike = _NOTHING, np.inf, 0
     # A single picture: what is behind the spot may be darker than the window's rim.
     for attempt in range(2 if most - least > _CONTRAST * level else 1):
         floor = 0.5 * (least + most) if attempt else rim + level
@@ -115,13 +116,17 @@ def _search_window(
                 row[SIZE] = rim_size
             ratio = math.log(row[SIZE] / expected[2])
             off = math.hypot(row[X] - expected[0], row[Y] - expected[1]) / half
-            if abs(ratio) > size_limit or off > 1.0 or (attempt and row[AMPLITUDE] < level):
+            if abs(ratio) > size_limit or (attempt and row[AMPLITUDE] < level):
+                continue
+            alike += 1
+            if off > 1.0:
                 continue
             score = off * off + (ratio / size_limit) ** 2
             if score < best:
                 best, outcome = score, VISIBLE
                 copy_into(row, best_row)
         if outcome == VISIBLE:
+            best_row[RIVALS] = alike - 1
             break
     return outcome
 
@@ -254,12 +259,3 @@ def place_windows(
     for i in range(count):
         if half[i] < 0.0:
             expected[i, 0] = np.nan
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def carry(table: Array, brightness: Array, since: Ints, bright: Array, unseen: Ints) -> None:
-    """Brightness (N,) and readings without a spot (N,) after a reading; NaN: not visible."""
-    for i in range(table.shape[0]):
-        visible = math.isfinite(table[i, X])
-        bright[i] = table[i, AMPLITUDE] if visible else brightness[i]
-        unseen[i] = 0 if visible else since[i] + 1

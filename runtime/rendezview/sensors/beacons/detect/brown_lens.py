@@ -227,21 +227,3 @@ def _slopes(points: Array, c: Array, out: Array) -> None:
         _, _, out[i, 0, 0], out[i, 0, 1], out[i, 1, 0], out[i, 1, 1] = shift(
             points[i, 0], points[i, 1], c
         )
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"}, forceinline=True)
-def ideal_with_sigma(
-    x: float, y: float, sx: float, sy: float, c: Array, corrects: bool
-) -> tuple[float, float, float, float]:
-    """Measured point and its standard deviations → the ideal ones (normalised)."""
-    if corrects:
-        dx, dy, xx, xy, yx, yy = shift(x, y, c)
-        x, y = x + dx, y + dy
-        a, b, e, d = 1.0 + xx, xy, yx, 1.0 + yy
-    else:
-        x, y, xx, xy, yx, yy = unshift(x, y, c)
-        determinant = (1.0 + xx) * (1.0 + yy) - xy * yx
-        a, b = (1.0 + yy) / determinant, -xy / determinant
-        e, d = -yx / determinant, (1.0 + xx) / determinant
-    a, b, e, d = a * sx, b * sy, e * sx, d * sy
-    return x, y, np.sqrt(a * a + b * b), np.sqrt(e * e + d * d)

@@ -1,39 +1,66 @@
-"""Spots that are partly hidden: smaller beside their neighbours than they should be.
+"""Spots that are partly hidden: narrower than their neighbours, across the edge that hides them.
 
-An edge that hides a part of a disc moves the middle of what is left, and makes it narrower across
-the edge. The size tells by about how much, not which way.
+An edge that hides a part of a disc moves the middle of what is left, along its narrow axis. The
+elongation beside that of its neighbours tells by how much, not which way.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
-from rendezview.geometry.pose import Array
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.beacons.constellation import ReflectorPattern
+from rendezview.sensors.beacons.detect.spots import LONG_X, LONG_XY, SIGMA, SIZE
 
-# × ln(size) that is missing, × extent: by how much, one σ an axis, the middle has moved. Of 10 to
-# 35 % hidden it moves by 2.6 to 3.3 of these. Source: experiment reflector-nees --kind "20 %"
-_SHIFT = 2.2
-# σ of ln(size) beside the neighbours', but for the noise: discs are not cut alike. Simulated ones
-# scatter by 0.002. Source: a chosen limit
-_SIZE_SIGMA = 0.006
-# σ of ln(size) over that of the place, in sizes: simulated 0.7 to 0.8
-_NOISE = 0.75  # Source: experiment reflector-nees --kind retro
-_SURE = 2.5  # σ; 3.5 of the simulated scatter. Source: by construction, normal tail
+Ints = npt.NDArray[np.int64]
+
+# × elongation of the disc, × extent: by how much, one σ an axis, the middle has moved. Of 20 and
+# 35 % hidden it moves by 1.1 to 1.6 times √2 of these. Source: experiment reflector-nees --kind 20
+_SHIFT = 1.6
+# of a spot's own elongation a Gaussian window of its size shows so much. Source: by construction
+_WINDOWED = 0.5
+# × the disc's share: σ of an elongation beside its neighbours', but for the noise.
+# Source: experiment reflector-nees --kind retro
+_ROUND_SIGMA = 0.007
+# σ of an elongation over that of the place, in sizes; simulated 0.8
+_NOISE = 0.8  # Source: experiment reflector-nees --kind retro
+_SURE = (
+    2.7  # σ; simulated clean spots exceed it 1 in 200 times. Source: reflector-nees --kind retro
+)
 
 
-def covered_px(sizes: Array, expected: Array, sigma: Array, blur_px: float) -> Array:
+def covered_px(
+    rows: Array, pattern: ReflectorPattern, which: Ints, pose: Pose, blur_px: float
+) -> Array:
     """(K,) σ, px, of each spot's place by what may hide a part of it; 0 where nothing does.
 
     Args:
-        sizes, expected: (K,) of the spots, and of their reflectors at the pose, px; three or more.
-        sigma: (K,) px, of their places by noise.
+        rows: (K, 23) of the spot table, three or more.
+        pattern: the reflectors; which: (K,) whose spots these are.
+        pose: of the target, near enough for the shape of its discs.
         blur_px: σ of the optics and a pixel's width together.
     """
-    missing = np.log(expected / sizes)
-    missing = missing - np.median(missing)
-    # Of a spot that is mostly blur, little of the size is the disc's.
-    extent = np.sqrt(np.maximum(expected**2 - blur_px**2, (0.1 * expected) ** 2))
-    disc = missing * (expected / extent) ** 2
-    noise = np.median(sigma) / sizes  # a strange spot's own may be larger already
-    doubt = np.hypot(_SIZE_SIGMA, _NOISE * noise) * (expected / extent) ** 2
-    return np.where(disc > _SURE * doubt, _SHIFT * extent * disc, 0.0)
+    sizes = rows[:, SIZE]
+    # Of a spot that is mostly blur, little of the shape is the disc's.
+    extent = np.sqrt(np.maximum(sizes**2 - blur_px**2, (0.1 * sizes) ** 2))
+    share = (extent / sizes) ** 2
+    long = rows[:, [LONG_X, LONG_XY]] - share[:, None] * _elongation(pattern, which, pose)
+    known = np.isfinite(long).all(axis=1)
+    if np.count_nonzero(known) < 3:
+        return np.zeros(len(rows))
+    long -= np.median(long[known], axis=0)
+    off = np.where(known, np.hypot(*long.T), 0.0)
+    noise = np.median(rows[:, SIGMA]) / sizes  # a strange spot's own may be larger already
+    doubt = np.hypot(_ROUND_SIGMA * share, _NOISE * noise)
+    return np.where(off > _SURE * doubt, _SHIFT * extent * off / share, 0.0)
+
+
+def _elongation(pattern: ReflectorPattern, which: Ints, pose: Pose) -> Array:
+    """(K, 2) of discs in the picture, without blur, as a window of their size shows it."""
+    places, normals = pose.apply(pattern.positions_m[which]), pattern.normals[which]
+    at, turned = places[:, :2] / places[:, 2:], normals @ pose.rotation.T
+    lean = turned[:, :2] - turned[:, 2:] * at  # of the disc's plane I − n nᵀ under the projection
+    xx, yy = (1.0 + at**2 - lean**2).T
+    xy = at[:, 0] * at[:, 1] - lean[:, 0] * lean[:, 1]
+    return np.asarray(_WINDOWED * np.column_stack([xx - yy, 2.0 * xy]) / (xx + yy)[:, None])

@@ -18,6 +18,7 @@ from numba import njit
 from rendezview.estimation.saturated_spot import Plane, fit_rim
 from rendezview.estimation.spot_centroid import (
     centre_spot,
+    elongation,
     overlap_error,
     ring_plane,
     saturated_error,
@@ -65,12 +66,15 @@ BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DAR
 )
 # grey²: texture of the ring about it, as white noise of a pixel. Source: by construction
 ROUGH = 19
-COLUMNS = 20  # Source: by construction
+# Elongation of the moments under its window: (xx − yy, 2 xy) / (xx + yy); NaN where saturated.
+LONG_X, LONG_XY = 20, 21  # Source: by construction
+RIVALS = 22  # spots like it beside it, where a window was read. Source: by construction
+COLUMNS = 23  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpotTable:
-    """Spots of one picture; ``table`` (N, 20) as the compiled loops use it."""
+    """Spots of one picture; ``table`` (N, 23) as the compiled loops use it."""
 
     table: Array
     overfull: bool = False  # more than MOST_SPOTS were found, and dropped
@@ -337,7 +341,10 @@ def window_centroid(
     if amplitude > 0.0:
         row[AMPLITUDE] = amplitude
     if row[SATURATED] <= 1.0:
+        plane = (level - slope_x * at_x - slope_y * at_y, slope_x, slope_y)
+        row[LONG_X], row[LONG_XY] = elongation(lit, dark, (x, y, size), plane)
         return 0.0
+    row[LONG_X], row[LONG_XY] = np.nan, np.nan
     x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
     here = level + slope_x * (x - at_x) + slope_y * (y - at_y)
     return _use_rim(lit, dark, row, (x, y, here, slope_x, slope_y), max(rough, noise), away)

@@ -294,7 +294,7 @@ class Acquirer:
                 (options.size_sigma, options.diameter_sigma, options.blur_sigma,
                  options.peak_sigma, options.beam_sigma, math.cos(1.2 * options.tilt_rad),
                  options.beam_curve),
-                window, options.score_limit, True, scores, poses,
+                window, options.score_limit, scores, poses,
             )  # fmt: skip
             good, root = np.nonzero(scores <= options.score_limit)
             if good.size:

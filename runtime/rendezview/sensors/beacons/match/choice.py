@@ -350,14 +350,13 @@ class Chooser:
         dropped: list[tuple[int, int]] = []
         while True:
             sigma = np.maximum(spots.sigma_px[where], 1e-3)
-            sizes = self._expected(pose)[which, 2]
-            cover = covered_px(spots.size_px[where], sizes, sigma, options.blur_px)
+            cover = covered_px(spots.table[where], pattern, which, pose, options.blur_px)
             sigma = np.hypot(sigma, cover)
             refined = refine(
                 self.camera, pattern, spots.table[where, :2], which, pose, sigma, options.blur_px,
                 saturated=bool((spots.saturated_px[where] > 1).all()),
             )  # fmt: skip
-            if refined is None or not refined.converged:
+            if refined is None:
                 return None
             if len(which) == 3:
                 return _Hypothesis(refined, group, which, where, score, score, tuple(dropped))

@@ -11,7 +11,6 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from rendezview.geometry.pose import Array, Pose, rotation_angle
 from rendezview.sensors.beacons.detect.detectors import UNKNOWN, Spots
@@ -165,11 +164,7 @@ def _explain(
 ) -> None:
     """Judge poses by the spots they explain; the best are refined and added to the answers."""
     rotations, translations = poses
-    misfit = np.empty(len(rotations))
-    _misfits(
-        rotations, translations, leds, normals, rig.rotations, rig.translations, xy,
-        weight / NOISY_TIMES, misfit,
-    )  # fmt: skip
+    misfit = _misfits(poses, rig, leds, normals, xy, weight / NOISY_TIMES)
     coarse = 2.0 * np.sqrt(CAP) * NOISY_TIMES / np.median(weight[weight > 0.0])
     for i in np.argsort(misfit, kind="stable")[:_KEPT]:
         pose, gate = Pose(rotations[i], translations[i]), coarse
@@ -219,34 +214,18 @@ def _verdict(
     return numbered, fit
 
 
-@njit(cache=True, nogil=True)
 def _misfits(
-    rotations: Array,
-    translations: Array,
-    leds: Array,
-    normals: Array,
-    cr: Array,
-    ct: Array,
-    xy: Array,
-    weight: Array,
-    out: Array,
-) -> None:
-    """Sum over lights and cameras of the squared distance to the nearest spot, up to CAP."""
-    for h in range(rotations.shape[0]):
-        total = 0.0
-        for j in range(leds.shape[0]):
-            p = rotations[h] @ leds[j] + translations[h]
-            n = rotations[h] @ normals[j]
-            for k in range(cr.shape[0]):
-                q, m = cr[k] @ p + ct[k], cr[k] @ n
-                nearest = CAP
-                if q[2] > 1e-9 and m[0] * q[0] + m[1] * q[1] + m[2] * q[2] <= 0.0:
-                    x, y = q[0] / q[2], q[1] / q[2]
-                    for i in range(xy.shape[1]):
-                        rx = weight[k, i, 0] * (xy[k, i, 0] - x)
-                        ry = weight[k, i, 1] * (xy[k, i, 1] - y)
-                        d = rx * rx + ry * ry
-                        if d < nearest:
-                            nearest = d
-                total += nearest
-        out[h] = total
+    poses: Retrieval, rig: Rig, leds: Array, normals: Array, xy: Array, weight: Array
+) -> Array:
+    """(H,) sums over lights and cameras of the squared distance to the nearest spot, up to CAP."""
+    rotations, translations = poses
+    places = leds @ rotations.transpose(0, 2, 1) + translations[:, None]
+    beams, total = normals @ rotations.transpose(0, 2, 1), np.zeros(len(rotations))
+    for k in range(len(rig)):
+        q, beam = places @ rig.rotations[k].T + rig.translations[k], beams @ rig.rotations[k].T
+        front = (q[:, :, 2] > 1e-9) & ((beam * q).sum(axis=2) <= 0.0)
+        at = q[:, :, :2] / np.where(front, q[:, :, 2], 1.0)[:, :, None]
+        square = ((weight[k] * (xy[k] - at[:, :, None])) ** 2).sum(axis=3)
+        nearest = np.fmin(np.fmin.reduce(square, axis=2), CAP)  # NaN: no spot
+        total += np.where(front, nearest, CAP).sum(axis=1)
+    return np.asarray(total)

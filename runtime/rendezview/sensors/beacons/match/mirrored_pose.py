@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
@@ -22,9 +20,12 @@ def mirror(pose: Pose, pattern: ReflectorPattern, which: Ints) -> Pose:
     sight. Least squares from there finds the second minimum, if there is one.
     """
     middle, normal = _plane(pattern, tuple(which.tolist()))
-    rotation, translation = np.empty((3, 3)), np.empty(3)
-    mirror_into(pose.rotation, pose.translation_m, middle, normal, rotation, translation)
-    return Pose.unchecked(rotation, translation)
+    place = pose.apply(middle)
+    turned, sight = pose.rotation @ normal, place / np.linalg.norm(place)
+    # (I − 2 s sᵀ) R (I − 2 n nᵀ), s the line of sight
+    half = pose.rotation - 2.0 * np.outer(turned, normal)
+    rotation = half - 2.0 * np.outer(sight, sight @ half)
+    return Pose.unchecked(rotation, place - rotation @ middle)
 
 
 @lru_cache(maxsize=64)
@@ -33,32 +34,3 @@ def _plane(pattern: ReflectorPattern, which: tuple[int, ...]) -> tuple[Array, Ar
     points = pattern.positions_m[list(which)]
     middle = points.mean(axis=0)
     return middle, np.ascontiguousarray(np.linalg.svd(points - middle)[2][2])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def mirror_into(
-    rotation: Array, translation: Array, middle: Array, normal: Array, out: Array, moved: Array
-) -> None:
-    """Fill the rotation (I − 2 s sᵀ) R (I − 2 n nᵀ), s the middle's line of sight, and its place.
-
-    Args:
-        rotation, translation: of the pose.
-        middle, normal: (3,) of a plane, target frame.
-    """
-    sight, turned = np.empty(3), np.empty(3)
-    for i in range(3):
-        sight[i], turned[i] = translation[i], 0.0
-        for j in range(3):
-            sight[i] += rotation[i, j] * middle[j]
-            turned[i] += rotation[i, j] * normal[j]
-    far = math.sqrt(sight[0] ** 2 + sight[1] ** 2 + sight[2] ** 2)
-    for i in range(3):
-        moved[i] = sight[i]
-        sight[i] /= far
-    along = sight[0] * turned[0] + sight[1] * turned[1] + sight[2] * turned[2]
-    for j in range(3):
-        row = sight[0] * rotation[0, j] + sight[1] * rotation[1, j] + sight[2] * rotation[2, j]
-        row -= 2.0 * along * normal[j]
-        for i in range(3):
-            out[i, j] = rotation[i, j] - 2.0 * turned[i] * normal[j] - 2.0 * sight[i] * row
-            moved[i] -= out[i, j] * middle[j]

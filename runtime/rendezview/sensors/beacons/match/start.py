@@ -14,11 +14,10 @@ import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numba import njit
-from scipy.spatial.transform import Rotation
 
+from rendezview.estimation.p3p import MAX_ROOTS, solve_p3p_batch
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.pose.collinearity import solve, squares
 from rendezview.sensors.beacons.rig import Rig, Sights
@@ -32,7 +31,6 @@ DISTINCT_RAD = np.deg2rad(3.0)  # rad; poses nearer than this are one. Source: b
 NOISY_TIMES = 6.0
 # Squared residual of a light, at which it counts as false: 1 in 3 million by chance.
 CAP = 30.0  # Source: χ² distribution, two degrees of freedom
-_CAMERA_MATRIX = np.eye(3)  # Source: by construction
 
 Retrieval = tuple[Array, Array]  # (N, 3, 3) rotations and (N, 3) translations, rig from target
 _NO: Retrieval = (np.empty((0, 3, 3)), np.empty((0, 3)))  # Source: by construction
@@ -137,25 +135,16 @@ def widest(xy: Array, triples: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
 
 def p3p(rig: Rig, camera: int, problems: Iterable[tuple[Array, Array]]) -> Retrieval:
     """rig_from_points of many three points (3, 3) at ideal places (3, 2): up to four each."""
-    turns, places = [], []
-    for points, xy in problems:
-        try:
-            _, turned, placed = cv2.solveP3P(
-                np.ascontiguousarray(points), np.ascontiguousarray(xy), _CAMERA_MATRIX, None,
-                cv2.SOLVEPNP_P3P,
-            )  # fmt: skip
-        except cv2.error:  # three lights on one line
-            continue
-        turns += [vector.ravel() for vector in turned]
-        places += [vector.ravel() for vector in placed]
-    if not turns:
+    each = list(problems)
+    if not each:
         return _NO
-    both = np.column_stack([turns, places])
-    both = both[np.isfinite(both).all(axis=1)]
+    points, xy = (np.array(part) for part in zip(*each, strict=True))
+    rays = np.concatenate([xy, np.ones((len(xy), 3, 1))], axis=2)
+    rotations, translations, counts = solve_p3p_batch(rays, points)
+    found = np.arange(MAX_ROOTS) < counts[:, None]
     # The camera's own axes to the rig's
     rotation, translation = rig.rotations[camera].T, rig.translations[camera]
-    matrices = Rotation.from_rotvec(both[:, :3]).as_matrix()
-    return rotation @ matrices, (both[:, 3:] - translation) @ rotation.T
+    return rotation @ rotations[found], (translations[found] - translation) @ rotation.T
 
 
 def refine(

@@ -18,7 +18,7 @@ from rendezview.estimation.least_squares import (
 from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into, invert
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.so3 import between, hat, orthonormalise, perturb_into
+from rendezview.geometry.so3 import orthonormalise, perturb_into
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview.sensors.beacons.detect.discs import (
     LAW,
@@ -27,7 +27,7 @@ from rendezview.sensors.beacons.detect.discs import (
     project_disc,
     turned,
 )
-from rendezview.sensors.beacons.detect.spots import SATURATED
+from rendezview.sensors.beacons.detect.spots import COLUMNS, SATURATED, SIGMA, X, Y
 from rendezview.sensors.beacons.pose.shares import (
     CAUSES,
     RIM_LAW,
@@ -57,8 +57,6 @@ class Refined:
     # (4, 6, 6) camera frame, (rotation vector, translation), left perturbation; one of each cause
     shares: Array
     residuals_px: Array  # (K, 2) observed minus predicted
-    iterations: int
-    converged: bool
     covariance: Array = field(init=False)  # (6, 6) of all causes
 
     def __post_init__(self) -> None:
@@ -106,39 +104,17 @@ def refine(
             f"spots_px must be (K, 2) and reflectors (K,) with K of three or more, "
             f"not {spots.shape} and {which.shape}"
         )
-    sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), which.shape).copy()
-    centre = pattern.centre_m
-    rotation = np.array(start.rotation)
-    shift = start.apply(centre)
+    table = np.zeros((len(pattern), COLUMNS))
+    table[which[:, None], [X, Y]] = spots
+    table[which, SIGMA], table[which, SATURATED] = sigma_px, 2.0 * saturated
     shares, residuals = np.empty((len(CAUSES), 6, 6)), np.empty((len(spots), 2))
-    lens = camera_numbers(camera, blur_px)
-    if saturated:
-        lens[LAW] = RIM_LAW
-    iterations = adjust(
-        lens, camera_doubts(camera),
-        (pattern.positions_m - centre)[which], pattern.normals[which],
-        pattern.discs[which], spots, sigma, np.zeros((6, 6)),
-        rotation, shift, shares, residuals,
+    rotation, translation, centre = np.array(start.rotation), np.empty(3), pattern.centre_m
+    iterations = solve_spots(
+        camera_numbers(camera, blur_px), camera_doubts(camera), pattern.positions_m - centre,
+        pattern.normals, pattern.discs, centre, table, which, 0.0,
+        rotation, np.array(start.translation_m), translation, shares, residuals,
     )  # fmt: skip
-    if iterations < 0:
-        return None
-    return Refined(
-        Pose(rotation, shift - rotation @ centre),
-        covariance_at_origin(shares, rotation @ centre),
-        residuals,
-        iterations,
-        iterations < _ITERATIONS,
-    )
-
-
-def covariance_at_origin(covariance: Array, centre_camera_m: Array) -> Array:
-    """Covariances (…, 6, 6) of (rotation, a centre's position) as of (rotation, target origin).
-
-    ``t = shift − R centre``: a left rotation w moves the origin by ``−w × (R centre)``.
-    """
-    turn = np.eye(6)
-    turn[3:, :3] = hat(centre_camera_m)
-    return np.asarray(turn @ covariance @ turn.T)
+    return None if iterations < 0 else Refined(Pose(rotation, translation), shares, residuals)
 
 
 def loose_px(pattern: ReflectorPattern, refined: Refined, which: Ints, focal_px: float) -> Array:
@@ -150,33 +126,26 @@ def loose_px(pattern: ReflectorPattern, refined: Refined, which: Ints, focal_px:
 @njit(cache=True, nogil=True, error_model="numpy")
 def adjust(
     lens: Array, doubts: Array, arms: Array, normals: Array, discs: Array, spots: Array,
-    noise: Array, prior: Array, rotation: Array, shift: Array, shares: Array, residuals: Array,
+    noise: Array, rotation: Array, shift: Array, shares: Array, residuals: Array,
 ) -> int:  # fmt: skip
     """Levenberg–Marquardt on the spots; changes ``rotation`` and ``shift`` (of the arms' origin).
 
-    ``noise`` is the σ (K,) of the spots, px, beside that of their reflectors' places. ``prior`` is
-    the information (6, 6) of the start, zero for none. Returns the number of iterations, −1 where
-    the pose is not determined or leaves the front of the camera.
+    ``noise`` is the σ (K,) of the spots, px, beside that of their reflectors' places. Returns the
+    number of iterations, −1 where the pose is not determined or leaves the front of the camera.
     """
     diameters, sigma = discs[:, 0].copy(), whole_sigma(lens, discs, arms, noise, rotation, shift)
-    start_r, start_t = rotation.copy(), shift.copy()
     normal, lower, right, step = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
-    trial_r, trial_t, offset = np.empty((3, 3)), np.empty(3), np.zeros(6)
+    trial_r, trial_t = np.empty((3, 3)), np.empty(3)
     trials, damping, done, used = np.empty_like(residuals), 0.0, False, 0
     cost = _cost(lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals)
     if not math.isfinite(cost):
         return -1
-    with_prior = prior[0, 0] > 0.0
     for _ in range(_ITERATIONS):
         used += 1
-        _difference(rotation, shift, start_r, start_t, with_prior, offset)
-        _equations(
-            lens, arms, normals, diameters, sigma, rotation, shift, residuals, prior, offset,
-            normal, right,
-        )  # fmt: skip
+        _equations(lens, arms, normals, diameters, sigma, rotation, shift, residuals, normal, right)
         if done:
             break
-        total, accepted = cost + _prior_cost(prior, offset), False
+        accepted = False
         far = math.sqrt(shift[0] ** 2 + shift[1] ** 2 + shift[2] ** 2)
         for _ in range(_TRIALS):
             if not damped_step(normal, right, damping, lower, step):
@@ -188,16 +157,14 @@ def adjust(
             move = math.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2) / far
             if trial_t[2] > 0.0 and turn < 1.0 and move < 1.0:
                 new = _cost(lens, arms, normals, diameters, spots, sigma, trial_r, trial_t, trials)
-                _difference(trial_r, trial_t, start_r, start_t, with_prior, offset)
-                there = new + _prior_cost(prior, offset)
                 # At the limit of rounding the cost may rise a little: converged, not a bad step.
-                if there <= total or turn + move < _ROUNDING:
+                if new <= cost or turn + move < _ROUNDING:
                     copy_matrix_into(trial_r, rotation)
                     copy_matrix_into(trials, residuals)
                     copy_into(trial_t, shift)
                     # Three spots are fitted exactly: a cost of almost zero ends the iteration too.
                     small = (turn < _STEP and move < _STEP) or new < _EXACT
-                    done = small or abs(total - there) <= _GAIN * total
+                    done = small or abs(cost - new) <= _GAIN * cost
                     cost, accepted = new, True
                     damping *= DAMPING_DECAY
                     break
@@ -205,7 +172,7 @@ def adjust(
         done = done or not accepted
     if not invert(normal, lower, shares[0]):
         return -1
-    share_out(lens, doubts, arms, normals, discs, noise, sigma, prior, rotation, shift, shares)
+    share_out(lens, doubts, arms, normals, discs, noise, sigma, rotation, shift, shares)
     orthonormalise(rotation)
     return used if done else _ITERATIONS
 
@@ -213,15 +180,11 @@ def adjust(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _equations(
     lens: Array, arms: Array, normals: Array, diameters: Array, sigma: Array, rotation: Array,
-    shift: Array, residuals: Array, prior: Array, offset: Array, normal: Array, right: Array,
+    shift: Array, residuals: Array, normal: Array, right: Array,
 ) -> None:  # fmt: skip
-    """Normal equations (6, 6) and (6,) of the spots and of a prior ``offset`` (6,) away."""
+    """Fill the normal equations (6, 6) and (6,) of the spots."""
     jacobian = np.empty((2, 6))
-    for a in range(6):
-        right[a] = 0.0
-        for b in range(6):
-            normal[a, b] = prior[a, b]
-            right[a] -= prior[a, b] * offset[b]
+    normal[:], right[:] = 0.0, 0.0
     for i in range(arms.shape[0]):
         spot_slopes(lens, arms, normals, diameters, rotation, shift, i, jacobian)
         weight = 1.0 / (sigma[i] * sigma[i])
@@ -236,17 +199,6 @@ def _equations(
     for a in range(6):
         for b in range(a):
             normal[b, a] = normal[a, b]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _difference(
-    rotation: Array, shift: Array, from_r: Array, from_t: Array, wanted: bool, out: Array
-) -> None:
-    """Left perturbation (6,) that leads from one pose to another; untouched where not wanted."""
-    if wanted:
-        turn = between(rotation, from_r)
-        for a in range(3):
-            out[a], out[3 + a] = turn[a], shift[a] - from_t[a]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -281,7 +233,7 @@ def solve_spots(
     shift[0], shift[1] = translation_before[0] + x, translation_before[1] + y
     shift[2] = translation_before[2] + z
     used = adjust(
-        lens, doubts, some_arms, some_normals, some_discs, spots, sigma, np.zeros((6, 6)),
+        lens, doubts, some_arms, some_normals, some_discs, spots, sigma,
         rotation, shift, shares, residuals,
     )  # fmt: skip
     if used < 0 or used >= _ITERATIONS:
@@ -289,7 +241,9 @@ def solve_spots(
     x, y, z = turned(rotation, centre.reshape(1, 3), 0)
     translation[0], translation[1], translation[2] = shift[0] - x, shift[1] - y, shift[2] - z
     for covariance in shares:
-        for j in range(6):  # rows, then columns, as in `covariance_at_origin`
+        for j in range(
+            6
+        ):  # rows, then columns: a left rotation w moves the origin by −w × (R centre)
             a, b, c = covariance[0, j], covariance[1, j], covariance[2, j]
             covariance[3, j] += y * c - z * b
             covariance[4, j] += z * a - x * c
@@ -314,15 +268,6 @@ def _spans(arms: Array) -> bool:
             cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
             widest = max(widest, cx * cx + cy * cy + cz * cz)
     return widest > 1e-6 * longest * longest
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _prior_cost(prior: Array, offset: Array) -> float:
-    total = 0.0
-    for a in range(6):
-        for b in range(6):
-            total += offset[a] * prior[a, b] * offset[b]
-    return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

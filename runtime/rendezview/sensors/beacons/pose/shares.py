@@ -33,7 +33,7 @@ def whole_sigma(
 @njit(cache=True, nogil=True, error_model="numpy")
 def share_out(
     lens: Array, doubts: Array, arms: Array, normals: Array, discs: Array, noise: Array,
-    sigma: Array, prior: Array, rotation: Array, shift: Array, shares: Array,
+    sigma: Array, rotation: Array, shift: Array, shares: Array,
 ) -> None:  # fmt: skip
     """Fill the covariance of each cause; ``shares[0]`` holds the inverse normal matrix, N⁻¹.
 
@@ -43,7 +43,6 @@ def share_out(
     jacobian, pull = np.empty((2, 6)), np.empty((shares.shape[0], 6, 6))
     by_doubt, moved = np.zeros((doubts.shape[0], 6)), np.empty(2)
     pull[:], diameters, inverse = 0.0, discs[:, 0].copy(), shares[0].copy()
-    pull[0] = prior
     for i in range(arms.shape[0]):
         spot_slopes(lens, arms, normals, diameters, rotation, shift, i, jacobian)
         weight = 1.0 / (sigma[i] * sigma[i])
