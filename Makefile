@@ -10,11 +10,11 @@ demo: $(VENV)/.installed
 
 # In an order that is drawn anew; `make test PYTEST=--randomly-seed=SEED` repeats one.
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n auto --dist loadfile $(PYTEST)
+	$(BIN)/python -m pytest -n auto --dist loadfile --max-worker-restart 1 $(PYTEST)
 
 # Requirements, the tests that verify them, and their results; fails where one is not verified.
 evidence: $(VENV)/.installed-dev
-	-$(BIN)/python -m pytest -n auto --dist loadfile -m requirement --junit-xml build/evidence.xml
+	-$(BIN)/python -m pytest -n auto --dist loadfile --max-worker-restart 1 -m requirement --junit-xml build/evidence.xml
 	$(BIN)/python -m experiments evidence build/evidence.xml
 
 lint: $(VENV)/.installed-dev

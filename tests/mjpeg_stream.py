@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -15,7 +16,9 @@ import numpy.typing as npt
 
 
 @contextmanager
-def mjpeg_stream(pictures: list[npt.NDArray[np.uint8]], each: int) -> Iterator[str]:
+def mjpeg_stream(
+    pictures: list[npt.NDArray[np.uint8]], each: int, pause_s: float = 0.0
+) -> Iterator[str]:
     """Serve the pictures in turn, ``each`` a connection, and then break off; gives the address."""
     numbers = count()
 
@@ -30,6 +33,7 @@ def mjpeg_stream(pictures: list[npt.NDArray[np.uint8]], each: int) -> Iterator[s
                     f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(content)}\r\n\r\n"
                 )
                 self.wfile.write(head.encode() + content + b"\r\n")
+                time.sleep(pause_s)
 
         def log_message(self, *_: Any) -> None:
             pass

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 import socket
+import subprocess
+import threading
 import time
-from collections.abc import Callable
-from typing import TypeVar
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 MOST_S = 600.0  # A guard against hangs, where loops have to be compiled first too.
 _PAUSE_S, _MOST_PAUSE_S = 0.02, 0.2
@@ -29,6 +32,18 @@ def wait_until(happened: Callable[[], Value], said: Callable[[], object] = lambd
         assert waited_s < MOST_S, said()
         time.sleep(min(max(_PAUSE_S, _PAUSE_SHARE * waited_s), _MOST_PAUSE_S))
     return value
+
+
+@contextlib.contextmanager
+def ends_in_time(process: subprocess.Popen[Any]) -> Iterator[None]:
+    """Whoever reads the lines of a process inside reads their end: after `MOST_S` it is killed."""
+    timer = threading.Timer(MOST_S, process.kill)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def free_port() -> int:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import os
 import resource
 import socket
 import sys
+import threading
 from collections.abc import Awaitable, Callable
 from types import FrameType
 
@@ -22,6 +24,7 @@ from rendezview_service.settings import Settings
 
 _OTHER_FILES = 200  # files that are open beside connections. Source: a chosen limit
 _SHUTDOWN_S = 2  # s, for open requests. Source: chosen
+_LEAVE_S = 2.0  # s, for threads that are still at work at the end. Source: chosen
 _LOOK_S = 0.1  # s, between looks whether the service can track. Source: chosen
 
 
@@ -50,6 +53,13 @@ class _Server(uvicorn.Server):
     async def _tell(self, address: str) -> None:
         if await self.is_ready():
             self.on_ready(address)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().shutdown(sockets)
+        # Logs and checkpoints are complete. A thread that waits for a disk must not stay for ever.
+        end = threading.Timer(_LEAVE_S, os._exit, (0,))
+        end.daemon = True
+        end.start()
 
     def stop(self) -> None:
         """End the service in order."""

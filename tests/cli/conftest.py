@@ -21,7 +21,7 @@ from rendezview_ground.mesh.mesh import Mesh
 
 # What a command says of compiling depends on the cache of the machine: not here.
 _COMPILING = ("Compiling ", "Compiled ")
-PROGRAM = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
+PROGRAM = [sys.executable, "-m", "rendezview"]
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Spawned:
 
     def wait_for(self, happened: Callable[[], bool]) -> Spawned:
         wait_until(lambda: happened() or self.process.poll() is not None)
-        assert self.process.poll() is None, self.process.communicate()
+        assert self.process.poll() is None, self.process.communicate(timeout=MOST_S)
         return self
 
     def signal(self, number: int) -> Ran:
@@ -115,7 +115,7 @@ def spawn() -> Iterator[Callable[..., Spawned]]:
     yield start
     for spawned in started:
         spawned.process.kill()
-        spawned.process.communicate()
+        spawned.process.communicate(timeout=MOST_S)
 
 
 @pytest.fixture(scope="session")

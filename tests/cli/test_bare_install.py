@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.waiting import MOST_S
 
 GROUND = ("trimesh", "sklearn", "joblib", "matplotlib", "networkx", "lxml", "PIL", "pyrender",
           "OpenGL", "rendezview_ground")  # fmt: skip
@@ -30,6 +31,7 @@ def _bare(*arguments: object) -> subprocess.CompletedProcess[str]:
         capture_output=True,
         text=True,
         check=False,
+        timeout=MOST_S,
     )
 
 
@@ -53,6 +55,7 @@ def test_ground_commands_say_what_to_install():
         capture_output=True,
         text=True,
         check=False,
+        timeout=MOST_S,
     )
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
@@ -75,6 +78,7 @@ def test_recordings_say_which_package_they_need(tiny_model_path: Path, tmp_path:
             capture_output=True,
             text=True,
             check=False,
+            timeout=MOST_S,
         )
         assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
         assert f"pip install 'rendezview[{wanted}]'" in done.stderr
@@ -95,6 +99,7 @@ def test_without_a_place_for_compiled_loops_the_variable_is_named(tmp_path: Path
         capture_output=True,
         text=True,
         check=False,
+        timeout=MOST_S,
     )
     assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
     assert "set NUMBA_CACHE_DIR to a folder that can" in done.stderr
@@ -107,7 +112,7 @@ def test_without_a_place_for_compiled_loops_the_library_names_the_variable():
         "except rendezview.RendezviewError as error:\n    print(error)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=MOST_S
     )
     assert "NUMBA_CACHE_DIR" in done.stdout, done.stderr
 
@@ -123,7 +128,11 @@ def test_another_opencv_is_told_in_a_line(tmp_path: Path, name: str):
     )
     for path, lines in ((program, 1), (program.replace(str(tmp_path), "/none"), 0)):
         done = subprocess.run(
-            [sys.executable, "-c", path, "--help"], capture_output=True, text=True, check=False
+            [sys.executable, "-c", path, "--help"],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=MOST_S,
         )
         assert (done.returncode, done.stderr.count("\n")) == (0, lines)
         assert (f"pip uninstall {name}, then" in done.stderr) == bool(lines)

@@ -8,6 +8,7 @@ import sys
 
 import cv2
 from tests.sensors.appearance.sketch.test_search import hard_frame
+from tests.waiting import MOST_S
 
 from rendezview.cli import compiling
 from rendezview_ground.simulate.scene import SceneOptions, simulate
@@ -47,7 +48,7 @@ def test_every_loop_of_tracking_and_of_the_service_is_listed(
     hard, _ = hard_frame(bumpy_mesh, refining_model, camera, 3)
     cv2.imwrite(str(last), hard)
     command = [sys.executable, "-c", _TRACK, str(model), str(scene)]
-    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    run = subprocess.run(command, capture_output=True, text=True, check=True, timeout=MOST_S)
     called = {
         group: [(e["loop"], e["arguments"]) for e in entries]
         for group, entries in json.loads(run.stdout.splitlines()[-1]).items()

@@ -138,7 +138,7 @@ def test_processes_that_save_versions_of_one_loop_at_once_lose_none(tmp_path):
         )
         for some in (kinds[::2], kinds[1::2])
     ]  # fmt: skip
-    assert [worker.wait() for worker in workers] == [0, 0]
+    assert [worker.wait(MOST_S) for worker in workers] == [0, 0]
     (index,) = (tmp_path / "c").rglob("raced.twice*.nbi")
     with index.open("rb") as file:
         pickle.load(file)

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.plain_laboratory import rotation_of
+from tests.waiting import MOST_S
 
 from rendezview.calibration.laboratory_files import save_record
 from rendezview.geometry.pose import Pose
@@ -39,7 +40,7 @@ def rig(laboratory: Laboratory, tmp_path_factory: pytest.TempPathFactory) -> Pat
     done = subprocess.run(
         [sys.executable, "-c", RUN, *map(str, arguments)],
         capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    timeout=MOST_S)  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "resection" in done.stderr
     return folder / "rig.json"

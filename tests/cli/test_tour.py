@@ -12,6 +12,7 @@ from pathlib import Path
 
 import cv2
 import pytest
+from tests.waiting import MOST_S
 
 from rendezview.cli import main
 
@@ -137,6 +138,7 @@ def test_a_shell_completes_commands_and_their_options():
         ran = subprocess.run(
             [sys.executable, "-c", program + "main()"],
             env=environment, capture_output=True, text=True, check=False,
+            timeout=MOST_S,
         )  # fmt: skip
         return ran.stdout.split()
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -54,10 +56,22 @@ def test_a_pool_draws_anew_after_so_many_photographs(monkeypatch: pytest.MonkeyP
     assert len(drawn) == 6
 
 
+@pytest.fixture
+def threads_of_opencv() -> Iterator[None]:
+    """OpenCV's own threads, as many tests leave them; a child of a fork does not have them."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    cv2.GaussianBlur(np.zeros((2000, 2000), np.uint8), (0, 0), 3.0)
+    yield
+    cv2.setNumThreads(before)
+
+
 # Python 3.12 warns of any fork beside threads: the children use none of theirs.
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.usefixtures("threads_of_opencv")
 def test_processes_feed_different_batches_until_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sketch_feed, "LEAST_POOL", 4)
+    monkeypatch.setattr(sketch_feed, "MOST_S", 60.0)
     monkeypatch.setattr(sketch_feed, "LARGE_SHARE", 0.5)
     feed = sketch_feed.Feed(1, 4, 4.0, seed=3)
     shapes, sums = set(), set()
@@ -70,3 +84,5 @@ def test_processes_feed_different_batches_until_closed(monkeypatch: pytest.Monke
     assert len(sums) == 8
     feed.close()
     assert not any(process.is_alive() for process in feed._processes)
+    with pytest.raises(ChildProcessError, match="has ended or hangs"):
+        list(feed)

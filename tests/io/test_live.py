@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Iterator
 
 import cv2
@@ -28,7 +29,7 @@ def address() -> Iterator[str]:
 
 def test_a_stream_that_breaks_off_is_opened_again_and_its_times_rise(address):
     notes: list[str] = []
-    frames = live_frames(address, CAMERA, notes.append)
+    frames = live_frames(address, CAMERA, notes.append, every=True)
     taken = list(itertools.islice(frames, 12))
     greys = [float(frame.read().mean()) for frame in taken]
     assert greys == sorted(greys)
@@ -38,6 +39,29 @@ def test_a_stream_that_breaks_off_is_opened_again_and_its_times_rise(address):
     assert len(notes) == 1
     assert "broke off after" in notes[0]
     assert "word" not in notes[0] + taken[0].name
+
+
+def test_a_slow_reader_gets_the_newest_picture_and_numbers_count_all_that_came():
+    pictures = [np.full((48, 64), 10 * k, np.uint8) for k in range(1, 21)]
+    with mjpeg_stream(pictures, len(pictures), pause_s=0.05) as address:
+        frames = live_frames(address, CAMERA)
+        taken = []
+        for _ in range(4):
+            frame = next(frames)
+            taken.append((frame.im_id, frame.time_s, round(float(frame.read().mean()) / 10.0) - 1))
+            time.sleep(0.22)
+        frames.close()
+    assert [number for number, _, _ in taken] == [grey for _, _, grey in taken]
+    apart = np.diff([number for number, _, _ in taken])
+    assert np.all(apart >= 2)  # four each; waiting in a buffer they would be one apart
+    assert np.all(np.diff([time_s for _, time_s, _ in taken]) > 0.09)
+
+
+def test_the_last_picture_is_given_and_an_error_is_the_readers():
+    assert list(live._newest(iter([5])))[-1] == 5
+    given = live._newest(1 // k for k in (1, 0))
+    with pytest.raises(ZeroDivisionError):
+        list(given)
 
 
 def test_pictures_of_another_size_than_the_calibration_are_refused(address):

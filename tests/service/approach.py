@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.waiting import MOST_S
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_json_lines
@@ -30,7 +31,9 @@ class Outcome:
 
 def command(folder: Path, *words: object) -> None:
     start = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
-    done = subprocess.run([*start, *map(str, words)], cwd=folder, capture_output=True, text=True)
+    done = subprocess.run(
+        [*start, *map(str, words)], cwd=folder, capture_output=True, text=True, timeout=MOST_S
+    )
     if done.returncode:
         raise SystemExit(f"{words[0]}: {done.stderr}")
 

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from tests.made_once import made_once
 from tests.service import approach, page_feed
 from tests.service.browser import Stepwise
-from tests.waiting import MOST_S, wait_until
+from tests.waiting import MOST_S, ends_in_time, wait_until
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -86,7 +86,7 @@ class Served:
     def kill(self) -> None:
         """-9, workers included: as when the power of a process is gone."""
         os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()
+        self.process.wait(MOST_S)
 
     def stop(self) -> None:
         """As an operator ends it."""
@@ -131,13 +131,14 @@ def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) ->
         )
         served = Served(process, "", folder)
         assert process.stderr is not None
-        for line in process.stderr:
-            served.lines.append(line)
-            if "serves at" in line:
-                served.url = line.split("serves at ")[1].strip()
-                break
-        else:
-            pytest.fail("".join(served.lines))
+        with ends_in_time(process):
+            for line in process.stderr:
+                served.lines.append(line)
+                if "serves at" in line:
+                    served.url = line.split("serves at ")[1].strip()
+                    break
+            else:
+                pytest.fail("".join(served.lines))
 
         def drain() -> None:
             assert process.stderr is not None
@@ -151,7 +152,7 @@ def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) ->
     for served in started:
         if served.process.poll() is None:
             served.kill()
-        served.process.communicate()
+        served.process.communicate(timeout=MOST_S)
 
 
 @pytest.fixture(scope="session")
@@ -230,7 +231,7 @@ def browser() -> Iterator[Any]:
             browser.close()
     finally:
         loop.call_soon_threadsafe(loop.stop)
-        thread.join()
+        thread.join(MOST_S)
         loop.close()
 
 

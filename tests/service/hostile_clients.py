@@ -108,7 +108,7 @@ def many(url: str, count: int, once: Callable[[HTTPConnection, int], None], unti
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join()
+        thread.join(MOST_S)
 
 
 def attack(name: str, url: str, seconds: float) -> None:
@@ -196,7 +196,7 @@ class Innocent:
         thread.start()
         yield
         done.set()
-        thread.join()
+        thread.join(MOST_S)
 
     def _track(self, done: threading.Event) -> None:
         with Client(self._url, timeout_s=10.0) as client:

@@ -107,12 +107,12 @@ class Feed:
             while not self._done.wait(1.0 / self._rate_hz):
                 images = self.images
                 stream.send(images[k % len(images)], time_s)
-                stream.receive()
+                stream.receive(MOST_S)
                 k, time_s = k + 1, time_s + self.step_s
 
     def stop(self) -> None:
         self._done.set()
-        self._thread.join()
+        self._thread.join(MOST_S)
 
 
 class Sender(threading.Thread):

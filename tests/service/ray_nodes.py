@@ -11,6 +11,8 @@ import threading
 import time
 from pathlib import Path
 
+from tests.waiting import MOST_S, ends_in_time
+
 from rendezview.errors import RendezviewError
 from rendezview_service.client import Client
 
@@ -83,13 +85,14 @@ class Gateway:
         )
         assert self.process.stderr is not None
         said = []
-        for line in self.process.stderr:
-            said.append(line)
-            if "serves at" in line:
-                self.url = line.split("serves at")[1].strip()
-                break
-        else:
-            raise SystemExit("the gateway does not start: " + "".join(said))
+        with ends_in_time(self.process):
+            for line in self.process.stderr:
+                said.append(line)
+                if "serves at" in line:
+                    self.url = line.split("serves at")[1].strip()
+                    break
+            else:
+                raise SystemExit("the gateway does not start: " + "".join(said))
         self._reader = threading.Thread(target=self._pass_on, daemon=True)
         self._reader.start()
 
@@ -101,8 +104,8 @@ class Gateway:
 
     def kill(self) -> None:
         self.process.kill()
-        self.process.wait()
-        self._reader.join()
+        self.process.wait(MOST_S)
+        self._reader.join(MOST_S)
         assert self.process.stderr is not None
         self.process.stderr.close()
 

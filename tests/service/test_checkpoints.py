@@ -10,7 +10,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from tests.waiting import wait_until
+from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
 from rendezview_service.client import Client, ServiceError
@@ -19,20 +19,20 @@ from rendezview_service.hub import checkpoint
 from rendezview_service.hub.checkpoint import (
     Checkpoint,
     CheckpointKeeper,
-    Tracked,
     checkpoint_path,
     kept_in,
     lock_state,
     read_checkpoint,
     write_checkpoint,
 )
+from rendezview_service.hub.progress import Progress
 from rendezview_service.hub.service import Service
 from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.settings import Settings
 
 
 def _after(frames: int) -> Checkpoint:
-    tracked = Tracked(frames=frames, found=0, last=None, last_found=None, found_unix_s=None)
+    tracked = Progress(frames=frames)
     request = SessionRequest(id="run")
     about = {"log": "a", "log_base": None, "log_paths": [], "fused": False}
     return Checkpoint(request=request, model_sha256="b", tracked=tracked, **about)
@@ -75,7 +75,7 @@ def test_a_checkpoint_is_there_when_the_state_is_acknowledged(path, monkeypatch)
         for frames in range(1, 20):
             answered = asyncio.Event()
             keeper.keep(_after(frames), answered.set)
-            await answered.wait()
+            await asyncio.wait_for(answered.wait(), MOST_S)
             assert (_frames(path), keeper.reason) == (frames, None)
 
     asyncio.run(answers())
@@ -103,7 +103,7 @@ def test_a_disk_that_hangs_delays_one_state_and_gets_the_newest_checkpoint(path,
     answers, write = threading.Event(), checkpoint.write_checkpoint
 
     def hang(*about: object) -> None:
-        answers.wait()
+        answers.wait(MOST_S)
         write(*about)
 
     monkeypatch.setattr(checkpoint, "write_checkpoint", hang)
@@ -114,7 +114,7 @@ def test_a_disk_that_hangs_delays_one_state_and_gets_the_newest_checkpoint(path,
             answered = asyncio.Event()
             keeper.keep(_after(frames), answered.set)
             assert answered.is_set() == (frames > 0)
-            await answered.wait()
+            await asyncio.wait_for(answered.wait(), MOST_S)
 
     asyncio.run(states())
     wait_until(lambda: keeper.reason is not None)

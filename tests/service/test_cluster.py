@@ -130,7 +130,7 @@ def test_nodes_gateways_and_models_change_under_a_session(
     ended = threading.Thread(target=cluster.nodes.kill_only, args=(place,))
     ended.start()
     states += [_patient(cluster, 0, image, time_s) for time_s, _, image in tour[8:12]]
-    ended.join()
+    ended.join(MOST_S)
     place, before = cluster.node_of("run"), place
     assert place != before
 

@@ -18,12 +18,11 @@ from types import SimpleNamespace
 import httpx
 import pytest
 from tests.service.hostile_pictures import hostile
-from tests.waiting import MOST_S, wait_until
+from tests.waiting import MOST_S, ends_in_time, wait_until
 
 from rendezview_service.client import ServiceError
 from rendezview_service.hub.clock import SessionClock, Timer
-from rendezview_service.hub.lease import Lease, Taken
-from rendezview_service.hub.sessions import Session
+from rendezview_service.hub.inputs import Lease, Taken
 from rendezview_service.hub.worker_handle import WorkerHandle
 from rendezview_service.logs.replay import model_of, read_log
 
@@ -233,7 +232,7 @@ def test_a_decoder_that_takes_long_ends_its_process_and_bars_its_session_but_no_
         assert states[3]["status"] == "ok"
         # The spare process goes on with it: nobody waited for a new one to start.
         assert _writers(served, session, tmp_path / "logs") == {spare}
-        trouble.join()
+        trouble.join(MOST_S)
 
         refusals = []
         for send in (lambda: attacker.track(tour[4][2]), lambda: attacker.measure("laser", {})):
@@ -279,7 +278,7 @@ def test_a_worker_that_waits_for_a_processor_is_not_killed_for_it(
 ) -> None:
     """An input may take 5 s of its process's own processor time."""
     ended: list[bool] = []
-    handle: WorkerHandle[Session] = WorkerHandle(4096, 5.0)
+    handle: WorkerHandle = WorkerHandle(4096, 5.0)
     handle._process = SimpleNamespace(kill=lambda: ended.append(True))
     handle._sent_at_s = time.monotonic() - waited_s
     monkeypatch.setattr(WorkerHandle, "_wants_processor", wants_processor)
@@ -302,11 +301,11 @@ def _running(program: str) -> Iterator[subprocess.Popen[bytes]]:
         yield process
     finally:
         process.kill()
-        process.communicate()
+        process.communicate(timeout=MOST_S)
 
 
 def test_the_processor_time_of_a_worker_is_its_own() -> None:
-    handle: WorkerHandle[Session] = WorkerHandle(4096, 5.0)
+    handle: WorkerHandle = WorkerHandle(4096, 5.0)
     with _running("while True: pass") as handle._process:
         wait_until(lambda: handle._wants_processor)
         before_s, ours_s = handle._processor_s(), time.process_time()
@@ -315,7 +314,8 @@ def test_the_processor_time_of_a_worker_is_its_own() -> None:
         assert spent_s > time.process_time() - ours_s  # this process has only waited
     asleep = "import time; print(flush=True); time.sleep(600)"
     with _running(asleep) as handle._process:
-        handle._process.stdout.readline()
+        with ends_in_time(handle._process):
+            handle._process.stdout.readline()
         wait_until(lambda: not handle._wants_processor)
         before_s = handle._processor_s()
         time.sleep(0.2)
@@ -339,7 +339,7 @@ def test_who_sends_hostile_pictures_ends_no_process(service, client, camera, tou
 )  # fmt: skip
 def test_an_input_is_at_fault_for_its_decoder_and_not_for_what_others_kill(code, killed, barred):
     faults: list[bool] = []
-    handle: WorkerHandle[Session] = WorkerHandle(4096, 5.0)
+    handle: WorkerHandle = WorkerHandle(4096, 5.0)
     handle._process = SimpleNamespace(wait=lambda _: code, poll=lambda: code)
     handle._killed = killed
     handle._current = SimpleNamespace(lost=lambda _, at_fault: faults.append(at_fault)), None
@@ -366,7 +366,7 @@ def test_an_answer_that_came_in_a_pause_of_the_service_is_read_before_its_worker
             os.kill(worker, signal.SIGCONT)
             time.sleep(4.0)
             os.kill(served.process.pid, signal.SIGCONT)
-            sending.join()
+            sending.join(MOST_S)
             assert answers[-1]["frame"] == k
         assert b"worker_restarts_total 0.0" in client.fetch("GET", "/metrics")
     served.stop()

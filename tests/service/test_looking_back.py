@@ -142,7 +142,7 @@ def test_a_client_connects_again_when_the_service_starts_again(
         # Refused at first, then the new service says that it has no such session.
         with pytest.raises(RendezviewError):
             _send_all(stream, tour[1:4])
-        fresh.join()
+        fresh.join(MOST_S)
         assert client.sessions() == []
 
 

@@ -255,7 +255,9 @@ def test_a_source_is_tracked_to_its_last_frame(start_service, camera, tour, tmp_
     served.stop()
     assert served.process.returncode == 0
     command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "replay"]
-    done = subprocess.run([*command, str(place)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*command, str(place)], capture_output=True, text=True, check=False, timeout=MOST_S
+    )
     assert "8 frames" in done.stderr
     assert "bit for bit" in done.stderr
 

@@ -158,7 +158,11 @@ def test_another_run_is_not_taken_for_the_same(recorded, refining_model):
 def _replay(*arguments: object) -> str:
     command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "replay"]
     done = subprocess.run(
-        [*command, *map(str, arguments)], capture_output=True, text=True, check=False
+        [*command, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=MOST_S,
     )
     assert done.returncode == 0, done.stderr
     return done.stderr

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.waiting import free_port, wait_until
+from tests.waiting import MOST_S, ends_in_time, free_port, wait_until
 
 from rendezview.errors import RendezviewError
 from rendezview_service.hub.viewers import Viewers
@@ -63,7 +63,8 @@ def node(endpoint: str) -> Iterator[list[Any]]:
     ) as process:  # fmt: skip
         assert process.stdout is not None
         assert process.stdin is not None
-        assert process.stdout.readline() == "ready\n"
+        with ends_in_time(process):
+            assert process.stdout.readline() == "ready\n"
         lines: list[Any] = []
         output = process.stdout
         reader = threading.Thread(target=lambda: lines.extend(map(json.loads, output)))
@@ -72,7 +73,7 @@ def node(endpoint: str) -> Iterator[list[Any]]:
             yield lines
         finally:
             process.stdin.close()
-            reader.join()
+            reader.join(MOST_S)
 
 
 def test_a_node_receives_poses_and_frames(start_service, camera, tour) -> None:

@@ -157,7 +157,7 @@ def test_more_frames_than_may_wait_are_told_to_come_back(service, session, tour)
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join()
+        thread.join(MOST_S)
     busy = [answer for answer in statuses if answer.status_code == 429]
     assert len(statuses) == 24
     assert all(answer.headers["retry-after"] for answer in busy)

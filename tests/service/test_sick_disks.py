@@ -92,7 +92,7 @@ class Disk:
         return self.writev(file, pieces)
 
     def _fault(self, call: str) -> None:
-        self.answers.wait()
+        self.answers.wait(MOST_S)
         if self.failing[call] > 0:
             self.failing[call] -= 1
             raise self.error
@@ -290,7 +290,7 @@ def test_whatever_happens_each_state_is_there_once_or_told_as_lost(
         faults[rng.integers(len(faults))]()
         write(int(rng.integers(1, 6)))
         disk.failing = dict.fromkeys(disk.failing, 0)
-        disk.answers.wait()
+        disk.answers.wait(MOST_S)
     wait_until(lambda: writer.status.pending == 0)
     writer.close()
     found = Counter(_frames(logs, kept))

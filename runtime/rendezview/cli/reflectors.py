@@ -258,7 +258,7 @@ def _pairs(
     """The readings of pictures or of a live camera, and how many are wanted."""
     seen_by = load_camera(camera) if camera else None
     if len(places) == 1 and is_live(places[0]):
-        live = live_frames(places[0], seen_by, say)
+        live = live_frames(places[0], seen_by, say, every=True)
         return pair_up_live(live, mode or Mode.SINGLE, invert), readings
     sequences = [open_sequence(place, seen_by) for place in places]
     say_once(*(note for sequence in sequences for note in sequence.notes))

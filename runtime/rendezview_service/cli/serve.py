@@ -6,7 +6,7 @@ import functools
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -27,6 +27,14 @@ _OF_RAY = {
     "max_direct_call_object_size": "4000000",
     "task_rpc_inlined_bytes_limit": "8000000",
 }
+
+
+# Flags that are no settings, and those that have another name there.
+_OWN = ("model", "source", "speed", "check", "settings")
+_SETTINGS = {
+    "foxglove": "foxglove_port", "rerun": "rerun_port", "ros": "ros_endpoint",
+    "tokens": "tokens_file", "models": "models_folder", "state": "state_folder",
+}  # fmt: skip
 
 
 def serve(
@@ -115,6 +123,7 @@ def serve(
     \b
     Example: rendezview serve hubble.rvm --camera camera.yaml --record run.mcap
     """
+    given = locals()
     try:
         from rendezview_service.hub.service import Service
         from rendezview_service.json_logging import set_up_logging
@@ -127,28 +136,7 @@ def serve(
             f"`rendezview serve` needs {error.name}, which is not installed: "
             "pip install 'rendezview[service]'"
         ) from None
-    flags: dict[str, Any] = {
-        "camera": camera,
-        "target": target,
-        "approach": approach,
-        "plan": plan,
-        "record": record,
-        "record_images": record_images,
-        "sync": sync,
-        "host": host,
-        "port": port,
-        "foxglove_port": foxglove,
-        "rerun_port": rerun,
-        "ros_endpoint": ros,
-        "tokens_file": tokens,
-        "open_to_all": open_to_all,
-        "tls_certificate": tls_certificate,
-        "tls_key": tls_key,
-        "workers": workers,
-        "models_folder": models,
-        "cluster": cluster,
-        "state_folder": state,
-    }
+    flags = {_SETTINGS.get(flag, flag): value for flag, value in given.items() if flag not in _OWN}
     loaded = load_settings(settings, flags)
     if check:
         from rendezview_service.cli.check import check as is_well

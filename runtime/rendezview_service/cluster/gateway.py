@@ -25,9 +25,8 @@ from rendezview_service.cluster.tunnel import packed
 from rendezview_service.http.answers import KEY_HEADER, fault, fault_of
 from rendezview_service.http.app import page_files
 from rendezview_service.http.security import Guard, Right, Token
-from rendezview_service.hub.inputs import Full
+from rendezview_service.hub.inputs import NotReady, Refused
 from rendezview_service.hub.metrics import Metrics
-from rendezview_service.hub.worker_pool import NotReady
 from rendezview_service.messages.message_parts import BudgetUse
 from rendezview_service.settings import Settings
 
@@ -69,7 +68,7 @@ class Gateway:
             except ray.exceptions.RayActorError:
                 await fault(503, _NO_ORCHESTRATOR)(scope, receive, send)
                 return
-            except (NotReady, Full, RendezviewError, HTTPException) as error:
+            except (Refused, RendezviewError, HTTPException) as error:
                 response = fault_of(error.cause if hasattr(error, "cause") else error)
                 assert response is not None
                 await response(scope, receive, send)
@@ -269,7 +268,7 @@ class Gateway:
         for _ in range(_TRIES):
             try:
                 slot = await self._slot(name, dead)
-            except (NotReady, Full, RendezviewError, ray.exceptions.RayError):
+            except (Refused, RendezviewError, ray.exceptions.RayError):
                 break
             if slot is None:
                 await send({"type": "websocket.close", "code": 1008, "reason": "no such session"})

@@ -20,10 +20,9 @@ from rendezview_service.cluster.tunnel import exchange
 from rendezview_service.cluster.worker import Slot
 from rendezview_service.http.app import make_routes
 from rendezview_service.hub.checkpoint import SUFFIX, checkpoint_path, read_checkpoint
-from rendezview_service.hub.inputs import Full
+from rendezview_service.hub.inputs import Full, NotReady, Refused
 from rendezview_service.hub.model_store import BY_HASH
 from rendezview_service.hub.service import Service
-from rendezview_service.hub.worker_pool import NotReady
 from rendezview_service.json_logging import set_up_logging
 from rendezview_service.logs.log_folder import keep_logs
 from rendezview_service.messages.messages import SessionRequest
@@ -132,7 +131,7 @@ class Orchestrator:
         """Give a slot to a session that is open and has none."""
         try:
             await self.where(name, None)
-        except (Full, NotReady, RendezviewError) as error:
+        except (Refused, RendezviewError) as error:
             log.warning("a session waits", extra={"session": name, "reason": str(error)})
             await asyncio.sleep(_LOOK_S)
 
@@ -178,7 +177,7 @@ class Orchestrator:
     async def _move(self, name: str, slot: str) -> None:
         """Give another slot to a session whose slot does not answer; the old one is ended."""
         self._held.setdefault(name, slot)
-        with contextlib.suppress(Full, NotReady, RendezviewError):
+        with contextlib.suppress(Refused, RendezviewError):
             await self.where(name, slot)
 
     def _forget(self, slot: str) -> list[str]:

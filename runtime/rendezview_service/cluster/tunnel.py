@@ -70,6 +70,9 @@ class Sockets:
         finally:
             task.cancel()
             self._waiting.pop(key, None)
+            for queue in (inbox, outbox):  # who waits for room there need not any more
+                while not queue.empty():
+                    queue.get_nowait()
 
     async def give(self, key: str, message: Message) -> bool:
         """A message for the application; False if it has ended."""

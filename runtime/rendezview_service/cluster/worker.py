@@ -74,7 +74,7 @@ class Slot:
         """Read a model before a session uses it."""
         stored = self._service.models.know(name, Path(copy))
         await asyncio.to_thread(lambda: stored.model)
-        await self._service.warm(stored)
+        await self._service.workers.read(stored)
 
     async def expect(self, sessions: list[str]) -> None:
         """Be ready to continue one of these sessions."""
@@ -83,7 +83,7 @@ class Slot:
             kept = read_checkpoint(checkpoint_path(self._folder, name))
             if kept is not None:
                 sights.append(sight_of(kept.request, models / f"{kept.model_sha256}{RVM}"))
-        await self._service.expect(sights)
+        await self._service.workers.expect(sights)
 
     async def take(self, request: dict[str, Any], copy: str, resumes: bool) -> str:
         """Open a session, or continue one where its checkpoint says; its name.

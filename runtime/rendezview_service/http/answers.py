@@ -22,12 +22,10 @@ from starlette.responses import Response
 from rendezview.errors import RendezviewError
 from rendezview.io.files import write_error
 from rendezview_service.http.security import Right
-from rendezview_service.hub.inputs import Answer, Barred, Full
-from rendezview_service.hub.lease import Taken
+from rendezview_service.hub.inputs import Answer, NotReady, Refused
 from rendezview_service.hub.model_store import NameTaken
 from rendezview_service.hub.service import Service
 from rendezview_service.hub.sessions import Session
-from rendezview_service.hub.worker_pool import NotReady
 from rendezview_service.messages.frames import Bytes
 from rendezview_service.messages.message_parts import CAMERA, MOST_TIME_S, NAME_PATTERN, Fault
 
@@ -132,9 +130,7 @@ async def track(
     """The answer of the session's tracker to a frame.
 
     Raises:
-        Full: too many frames wait.
-        Taken: another sender has the session.
-        Barred: one of its inputs ended a process.
+        Refused: as `Session.queue`.
         RendezviewError: the key belongs to another request.
     """
 
@@ -149,8 +145,7 @@ async def measure(session: Session, sensor: str, content: bytes, key: str | None
     """The answer of the session's filter to lines of another sensor.
 
     Raises:
-        Full: too many wait.
-        Barred: as for frames.
+        Refused: as `Session.measure`.
         RendezviewError: the key belongs to another request.
     """
 
@@ -233,20 +228,11 @@ def fault_of(error: Exception) -> Response | None:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])
             return fault(422, f"{where}: {first['msg']}")
-        case NameTaken():
-            return fault(409, str(error))
         case RendezviewError():
-            return fault(422, str(error))
-        case Full():
-            return fault(
-                429, "too many requests wait, or too many sessions are open: try again later"
-            )
-        case Barred():
-            return fault(429, str(error), {"Retry-After": f"{math.ceil(error.left_s)}"})
-        case NotReady():
-            return fault(503, str(error))
-        case Taken():
-            return fault(409, str(error))
+            return fault(409 if isinstance(error, NameTaken) else 422, str(error))
+        case Refused():
+            again = {"Retry-After": f"{math.ceil(error.after_s)}"} if error.status != 409 else {}
+            return fault(error.status, str(error), again)
         case ClientDisconnect():
             return fault(400, "the request was cut off")
     return None
@@ -260,8 +246,6 @@ def answer_errors(app: FastAPI) -> None:
         assert answer is not None
         return answer
 
-    for kind in (
-        HTTPException, RequestValidationError, RendezviewError, Full, Barred, NotReady, Taken,
-        ClientDisconnect,
-    ):  # fmt: skip
+    known = HTTPException, RequestValidationError, RendezviewError, Refused, ClientDisconnect
+    for kind in known:
         app.add_exception_handler(kind, handler)

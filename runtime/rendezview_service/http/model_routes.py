@@ -94,7 +94,7 @@ async def delete_model(request: Request, name: str) -> None:
 async def list_jobs(request: Request) -> JobList:
     """All training jobs, newest first."""
     needs(request, Right.READ)
-    return JobList(jobs=[job.info() for job in service_of(request).jobs.list()])
+    return JobList(jobs=[*service_of(request).jobs.list()])
 
 
 @router.post("/jobs", status_code=201, openapi_extra=_BODY)
@@ -130,14 +130,14 @@ async def add_job(
             return service.jobs.add(model, file, mesh, options, camera).id
 
         job_id = await service.once.do(key_of(request), (model, file, length), added)
-    return _job(request, job_id).info()
+    return _job(request, job_id)
 
 
 @router.get("/jobs/{job_id}")
 async def get_job(request: Request, job_id: str) -> JobInfo:
     """A training job and its progress."""
     needs(request, Right.READ)
-    return _job(request, job_id).info()
+    return _job(request, job_id)
 
 
 @router.delete("/jobs/{job_id}")
@@ -146,7 +146,7 @@ async def cancel_job(request: Request, job_id: str) -> JobInfo:
     needs(request, Right.ADMIN)
     job = _job(request, job_id)
     await service_of(request).jobs.cancel(job)
-    return job.info()
+    return job
 
 
 def _job(request: Request, job_id: str) -> Job:

@@ -46,12 +46,7 @@ from rendezview_service.messages.messages import (
     State,
 )
 from rendezview_service.messages.model_messages import Geometry
-from rendezview_service.messages.ros import (
-    PoseWithCovarianceStamped,
-    TransformStamped,
-    pose_with_covariance_stamped,
-    transform_stamped,
-)
+from rendezview_service.messages.ros import pose_with_covariance_stamped, transform_stamped
 from rendezview_service.tracker.tracking import camera_of, contour_at, pose_of, shown_pose
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"], responses=FAULTS)
@@ -170,7 +165,7 @@ async def post_measurements(
 
 @router.get(
     "/{name}/state",
-    responses={200: {"model": State | PoseWithCovarianceStamped | TransformStamped}},
+    responses={200: {"model": State, "description": "or geometry_msgs, field for field"}},
 )
 async def get_state(
     request: Request,
@@ -190,7 +185,7 @@ async def get_state(
     message = convert(json.loads(last))
     if message is None:
         raise HTTPException(404, "the last frame gave no pose: its state has the reason")
-    return Response(message.model_dump_json(), 200, None, JSON)
+    return Response(json.dumps(message), 200, None, JSON)
 
 
 @router.get("/{name}/history", responses={200: {"model": History}})

@@ -27,11 +27,9 @@ from rendezview_service.http.answers import (
 )
 from rendezview_service.http.budgets import KEEP
 from rendezview_service.http.security import SUBPROTOCOL, Right
-from rendezview_service.hub.inputs import Answer, Barred, Full
-from rendezview_service.hub.lease import Taken
+from rendezview_service.hub.inputs import Answer, NotReady, Refused
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
-from rendezview_service.hub.worker_pool import NotReady
 from rendezview_service.messages.message_parts import MOST_TIME_S, Fault
 from rendezview_service.messages.messages import WatchEnd
 from rendezview_service.settings import Settings
@@ -76,12 +74,14 @@ async def stream(socket: WebSocket, name: str) -> None:
                 else:
                     text = Fault(error=result.error, status=result.status).model_dump_json()
                     await socket.send({"type": "websocket.send", "text": text})
-                    if result.status == 410:
-                        await socket.close(_GONE, result.error[:100])
-                        return
+                if result.ends:
+                    final = _GONE if result.status == 410 else _SOON
+                    await socket.close(final, result.error[:100])
+                    return
             room.set()
 
     sender = asyncio.create_task(send())
+    sender.add_done_callback(lambda _: room.set())  # who waits for room sees that it has ended
     try:
         while not sender.done():
             message = await socket.receive()
@@ -132,12 +132,9 @@ def _take(session: Session, content: bytes, answer: Answering, sender: str) -> N
         return
     try:
         session.replace(session.input([picture], time_s, answer, sender=sender))
-    except RendezviewError as error:
-        answer(Answer(422, b"", str(error)))
-    except Taken as taken:
-        answer(Answer(409, b"", str(taken)))
-    except Barred as barred:
-        answer(Answer(429, b"", str(barred)))
+    except (RendezviewError, Refused) as error:
+        status = error.status if isinstance(error, Refused) else 422
+        answer(Answer(status, b"", str(error)))
 
 
 def _take_lines(session: Session, settings: Settings, text: str, answer: Answering) -> None:
@@ -156,18 +153,11 @@ def _take_lines(session: Session, settings: Settings, text: str, answer: Answeri
         content = json.dumps(message["record"]).encode()
         if len(content) > most:
             raise HTTPException(413, f"the message is too long: send at most {most} bytes")
-    except RendezviewError as error:
-        answer(Answer(422, b"", str(error)))
-        return
+        session.measure(session.input([content], None, answer, sensor=sensor))
     except HTTPException as error:
         answer(Answer(error.status_code, b"", str(error.detail)))
-        return
-    try:
-        session.measure(session.input([content], None, answer, sensor=sensor))
-    except Full:
-        answer(Answer(429, b"", "too many lines wait or arrive per second: try again later"))
-    except Barred as barred:
-        answer(Answer(429, b"", str(barred)))
+    except (RendezviewError, Refused) as error:
+        answer(Answer(error.status if isinstance(error, Refused) else 422, b"", str(error)))
 
 
 @router.websocket("/{name}/watch")

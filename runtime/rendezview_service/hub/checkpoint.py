@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import atomic_write_text, make_folder, write_error
+from rendezview_service.hub.progress import Progress
 from rendezview_service.logs.log_lock import NO_LOCKS, lock
 from rendezview_service.messages.messages import SessionRequest
 
@@ -25,19 +26,6 @@ SUFFIX = ".session.json"
 _WAIT_S = 0.25  # s, that an answer waits for the disk. Source: chosen
 
 
-class Tracked(BaseModel):
-    """What a session has tracked."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    frames: int  # so far; the next one has this number
-    found: int  # of them, with a pose
-    last: str | None  # the last `State`, JSON
-    last_unix_s: float | None = None  # when it was answered
-    last_found: str | None  # the last one with a pose, JSON
-    found_unix_s: float | None  # when it was found
-
-
 class Checkpoint(BaseModel):
     """A session after its last acknowledged frame."""
 
@@ -45,7 +33,7 @@ class Checkpoint(BaseModel):
 
     request: SessionRequest
     model_sha256: str
-    tracked: Tracked
+    tracked: Progress
     log: str  # common to the parts of its log
     log_base: Path | None
     log_paths: list[Path]

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-_PAUSE_S = 0.5  # s, by which a timer is late after a pause of the service. Source: chosen
+PAUSE_S = 0.5  # s, by which a timer is late after a pause of the service. Source: chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +20,11 @@ class SessionClock:
     def started_now(cls) -> SessionClock:
         """The clock of a session that begins."""
         return cls(time.time() - time.monotonic())
+
+    @property
+    def now_unix_s(self) -> float:
+        """Seconds since 1970 now."""
+        return self.unix_s(time.monotonic())
 
     def unix_s(self, now_s: float) -> float:
         """Seconds since 1970 at a monotonic time, by the system's clock at the session's start."""
@@ -50,7 +55,7 @@ class Timer:
 
     def _come(self) -> None:
         late_s = time.monotonic() - self._due_s
-        if late_s > _PAUSE_S:
+        if late_s > PAUSE_S:
             self.paused_s += late_s
             self.start(self._delay_s)
         else:

@@ -8,8 +8,7 @@ import time
 from concurrent.futures import Future
 
 from rendezview.errors import RendezviewError
-from rendezview_service.hub.inputs import Answer
-from rendezview_service.hub.lease import SOURCE
+from rendezview_service.hub.inputs import SOURCE, Answer
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.sources import Source, SourceFrame
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import Protocol
 
 from rendezview_service.hub.history import Histories
@@ -54,21 +53,18 @@ def health_of(service: Observed, reasons: list[str]) -> Health:
 def budgets_of(service: Observed) -> dict[str, Callable[[], BudgetUse]]:
     """What is in use of the budgets of sessions; those of requests come from the guard."""
     sessions, settings = service.sessions, service.settings
-    used: dict[str, tuple[Callable[[], int], int]] = {
-        "history_bytes": (lambda: service.histories.held, settings.history_bytes),
-        "watchers": (lambda: service.watchers, settings.watchers),
-        "sessions": (lambda: len(sessions), settings.sessions),
-        "barred_sessions": (
-            lambda: sum(one.bar.left_s > 0.0 for one in sessions.values()),
-            settings.sessions,
+
+    def barred() -> int:
+        return sum(one.bar.left_s > 0.0 for one in sessions.values())
+
+    return {
+        "history_bytes": lambda: BudgetUse(
+            used=service.histories.held, most=settings.history_bytes
         ),
+        "watchers": lambda: BudgetUse(used=service.watchers, most=settings.watchers),
+        "sessions": lambda: BudgetUse(used=len(sessions), most=settings.sessions),
+        "barred_sessions": lambda: BudgetUse(used=barred(), most=settings.sessions),
     }
-
-    def use(name: str) -> BudgetUse:
-        count, most = used[name]
-        return BudgetUse(used=count(), most=most)
-
-    return {name: partial(use, name) for name in used}
 
 
 def troubles_of(sessions: list[Session]) -> tuple[int, list[str]]:

@@ -1,4 +1,4 @@
-"""Queues of a session's worker: frames, and lines of other sensors."""
+"""What comes to a session: frames and lines of other sensors, who may send them, and refusals."""
 
 from __future__ import annotations
 
@@ -6,20 +6,33 @@ import math
 import mmap
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 from rendezview_service.messages.frames import Bytes
+from rendezview_service.messages.wire import Header
 
+SOURCE = "the service's source"  # the sender of its frames
 _BARRED_S = 60.0  # s, after an input that ended a process. Source: chosen
 _ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
 
 
-class Full(Exception):
+class Refused(Exception):
+    """The service refuses something for now, with a reason."""
+
+    status = 429  # of HTTP
+    after_s = 1.0  # s, before it may be asked again
+
+
+class Full(Refused):
     """No room: too many frames wait, or there are too many sessions."""
 
+    def __str__(self) -> str:
+        return "too many requests or lines wait, or too many sessions are open: try again later"
 
-class Barred(Exception):
+
+class Barred(Refused):
     """An input of the session ended its worker's process: none is taken for a while."""
 
     def __init__(self, left_s: float) -> None:
@@ -27,7 +40,35 @@ class Barred(Exception):
             "a frame or a line of this session ended the tracker's process: nothing is taken from "
             f"it for another {left_s:.0f} s. Send frames that a common program has written"
         )
-        self.left_s = left_s
+        self.after_s = left_s
+
+
+class Taken(Refused):
+    """Another sender has the session."""
+
+    status = 409
+
+
+class NotReady(Refused):
+    """No worker is ready at the moment."""
+
+    status = 503
+
+    def __init__(self, reason: str = "no worker process is ready: try again in a moment") -> None:
+        super().__init__(reason)
+
+
+class Worker(Protocol):
+    """The process that tracks, as its sessions see it."""
+
+    def wake(self, session: Any) -> None:
+        """A session has an input waiting."""
+
+    def forget(self, session: Any) -> None:
+        """A session has ended."""
+
+    async def ask(self, header: Header) -> Header:
+        """A request other than an input, and its answer."""
 
 
 @dataclass(slots=True, eq=False)
@@ -55,6 +96,36 @@ class Bar:
         self.ended_at_s = [*(at_s for at_s in self.ended_at_s if now_s - at_s < _ENDED_S), now_s]
 
 
+class Lease:
+    """One sender a session: frames of two would mix to a motion that nobody made.
+
+    It has the session until it stops for a while or lets go.
+    """
+
+    def __init__(self, hold_s: float) -> None:
+        self._hold_s = hold_s
+        self._sender: str | None = None
+        self._until_s = -math.inf
+
+    def take(self, sender: str, now_s: float) -> None:
+        """Take or renew the lease, at a monotonic time.
+
+        Raises:
+            Taken: another sender holds it.
+        """
+        if self._sender not in (None, sender) and now_s < self._until_s:
+            raise Taken(
+                "another sender sends the frames of this session: open one of your own, or wait "
+                f"until it has been silent for {self._hold_s:g} s"
+            )
+        self._sender, self._until_s = sender, now_s + self._hold_s
+
+    def release(self, sender: str) -> None:
+        """Let go of the lease, if it is this sender's."""
+        if self._sender == sender:
+            self._sender = None
+
+
 @dataclass(slots=True, eq=False)
 class Answer:
     """The answer to a frame or to sensor lines, or the reason why there is none."""
@@ -62,6 +133,7 @@ class Answer:
     status: int  # HTTP status; 0: the frame was dropped
     body: bytes  # a `State` or a `Measured`, JSON
     error: str = ""
+    ends: bool = False  # no other follows: the session has ended here
 
 
 @dataclass(slots=True, eq=False)
@@ -104,21 +176,23 @@ class InputQueue:
     _inputs: deque[SessionInput] = field(default_factory=deque)
     _newest: SessionInput | None = None  # frame of a stream or a source
     shows_last: SessionInput | None = None  # is taken when nothing else waits
+    _closed: Answer | None = None  # to all that comes
 
     def __bool__(self) -> bool:
         return bool(self._inputs) or self._newest is not None or self.shows_last is not None
 
-    def __iter__(self) -> Iterator[SessionInput]:
-        yield from self._inputs
-        if self._newest is not None:
-            yield self._newest
-
     def append(self, waiting: SessionInput) -> None:
         """An input that waits for those before it."""
-        self._inputs.append(waiting)
+        if self._closed is None:
+            self._inputs.append(waiting)
+        else:
+            waiting.answer(self._closed)
 
     def replace(self, frame: SessionInput) -> SessionInput | None:
         """A frame of a stream; returns the frame that it drops."""
+        if self._closed is not None:
+            frame.answer(self._closed)
+            return None
         dropped, self._newest = self._newest, frame
         return dropped
 
@@ -139,7 +213,10 @@ class InputQueue:
         """Number of appended frames, or of messages with sensor lines."""
         return sum((waiting.sensor is None) is frames for waiting in self._inputs)
 
-    def clear(self) -> None:
-        """Remove all inputs."""
+    def close(self, answer: Answer) -> None:
+        """Answer all inputs, and those that come later: their bodies were still arriving."""
+        waiting = [*self._inputs, *([] if self._newest is None else [self._newest])]
         self._inputs.clear()
-        self._newest = self.shows_last = None
+        self._newest, self.shows_last, self._closed = None, None, answer
+        for one in waiting:
+            one.answer(answer)

@@ -7,7 +7,6 @@ import contextlib
 import json
 import logging
 import os
-import resource
 import secrets
 import shutil
 import signal
@@ -15,8 +14,9 @@ import sys
 import tempfile
 import time
 from collections import deque
-from dataclasses import dataclass, field
 from pathlib import Path
+
+from pydantic import PrivateAttr
 
 from rendezview.errors import RendezviewError
 from rendezview_service.hub.model_store import ModelStore
@@ -27,47 +27,36 @@ log = logging.getLogger("rendezview_service")
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".3mf", ".dae")
 _KEPT = 100  # finished jobs in the list. Source: a chosen limit
 _QUEUED = 16  # jobs that may wait. Source: a chosen limit
+# The training's process: little priority and bounded memory. It limits itself: Python between fork
+# and exec may wait for ever for a lock that another thread of the service held.
+_TRAIN = """
+import os, resource, sys
+os.nice(10)
+resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]),) * 2)
+resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+del sys.argv[1]
+from rendezview.cli.main import main
+main()
+"""
 
 
-@dataclass(slots=True, eq=False)
-class Job:
-    """One training job."""
+class Job(JobInfo):
+    """One training job, and its process."""
 
-    id: str
-    model: str
-    folder: Path
-    arguments: list[str]
-    state: JobState = JobState.QUEUED
-    stage: str | None = None
-    progress: float | None = None
-    reason: str | None = None
-    warnings: list[str] = field(default_factory=list)
-    created_unix_s: float = field(default_factory=time.time)
-    started_s: float | None = None
-    ended_s: float | None = None
-    process: asyncio.subprocess.Process | None = None
+    _folder: Path = Path()
+    _arguments: list[str] = PrivateAttr(default_factory=list)
+    _started_s: float | None = None
+    _process: asyncio.subprocess.Process | None = None
 
     @property
     def is_over(self) -> bool:
         """Whether it has finished, failed or been cancelled."""
         return self.state in (JobState.DONE, JobState.FAILED, JobState.CANCELLED)
 
-    def info(self) -> JobInfo:
-        """The job as a message."""
-        elapsed_s = None
-        if self.started_s is not None:
-            elapsed_s = (self.ended_s or time.monotonic()) - self.started_s
-        return JobInfo(
-            id=self.id,
-            model=self.model,
-            state=self.state,
-            stage=self.stage,
-            progress=self.progress,
-            reason=self.reason,
-            warnings=list(self.warnings),
-            created_unix_s=self.created_unix_s,
-            elapsed_s=elapsed_s,
-        )
+    def count_time(self) -> None:
+        """Note the time since its start, as long as it runs."""
+        if self._started_s is not None:
+            self.elapsed_s = time.monotonic() - self._started_s
 
 
 class Jobs:
@@ -86,15 +75,20 @@ class Jobs:
         self._at_once = at_once
         self._jobs: dict[str, Job] = {}
         self._waiting: deque[Job] = deque()
-        self._running: dict[Job, asyncio.Task[None]] = {}
+        self._running: dict[str, asyncio.Task[None]] = {}  # by id
 
     def list(self) -> list[Job]:
         """All jobs, newest first."""
+        for job in self._jobs.values():
+            job.count_time()
         return list(self._jobs.values())[::-1]
 
     def get(self, job_id: str) -> Job | None:
         """A job by its id."""
-        return self._jobs.get(job_id)
+        job = self._jobs.get(job_id)
+        if job is not None:
+            job.count_time()
+        return job
 
     def add(
         self,
@@ -137,7 +131,8 @@ class Jobs:
             options = options | {"camera": str(given)}
         for name, value in options.items():
             arguments += [f"--{name}", value]
-        job = Job(secrets.token_hex(6), model, folder, arguments)
+        job = Job(id=secrets.token_hex(6), model=model, created_unix_s=time.time())
+        job._folder, job._arguments = folder, arguments
         self._jobs[job.id] = job
         self._waiting.append(job)
         self._next()
@@ -148,7 +143,7 @@ class Jobs:
         if job in self._waiting:
             self._waiting.remove(job)
             self._over(job, JobState.CANCELLED)
-        task = self._running.get(job)
+        task = self._running.get(job.id)
         if task is not None:
             job.state = JobState.CANCELLED
             _kill(job)
@@ -163,41 +158,36 @@ class Jobs:
     def _next(self) -> None:
         while self._waiting and len(self._running) < self._at_once:
             job = self._waiting.popleft()
-            self._running[job] = asyncio.create_task(self._run(job))
+            self._running[job.id] = asyncio.create_task(self._run(job))
 
     async def _run(self, job: Job) -> None:
-        job.state, job.started_s = JobState.RUNNING, time.monotonic()
+        job.state, job._started_s = JobState.RUNNING, time.monotonic()
         last = ""
         try:
             # Its own process group: the processes that it starts end with it.
-            job.process = await asyncio.create_subprocess_exec(
-                sys.executable,
-                "-c",
-                "from rendezview.cli.main import main; main()",
-                "train",
-                *job.arguments,
+            job._process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-c", _TRAIN, str(self._most_bytes), "train", *job._arguments),
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=asyncio.subprocess.DEVNULL,
                 stderr=asyncio.subprocess.PIPE,
-                cwd=job.folder,
+                cwd=job._folder,
                 env=os.environ | {"RENDEZVIEW_PROGRESS": "json"},
                 start_new_session=True,
-                preexec_fn=self._limited,
             )
             if job.state is JobState.CANCELLED:  # while the process started
                 _kill(job)
-            assert job.process.stderr is not None
+            assert job._process.stderr is not None
             async with asyncio.timeout(self._most_s):
-                async for line in job.process.stderr:
+                async for line in job._process.stderr:
                     last = _progress(job, line.decode(errors="replace").strip()) or last
-                code = await job.process.wait()
+                code = await job._process.wait()
             if job.state is JobState.CANCELLED:
                 self._over(job, JobState.CANCELLED)
             elif code != 0:
                 job.reason = last or f"the training ended with code {code}"
                 self._over(job, JobState.FAILED)
             else:
-                made = job.folder / f"{job.model}.rvm"
+                made = job._folder / f"{job.model}.rvm"
                 await asyncio.to_thread(self._store.add, job.model, made)
                 self._over(job, JobState.DONE)
         except TimeoutError:
@@ -211,19 +201,14 @@ class Jobs:
             if not job.is_over:
                 _kill(job)
                 self._over(job, JobState.CANCELLED)
-            self._running.pop(job, None)
+            self._running.pop(job.id, None)
             self._next()
 
-    def _limited(self) -> None:
-        """In the training's process before it starts: little priority and bounded memory."""
-        os.nice(10)
-        resource.setrlimit(resource.RLIMIT_AS, (self._most_bytes, self._most_bytes))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
     def _over(self, job: Job, state: JobState) -> None:
-        job.state, job.ended_s = state, time.monotonic()
+        job.count_time()
+        job.state, job._started_s = state, None
         log.info("training", extra={"job": job.id, "state": str(state), "reason": job.reason})
-        shutil.rmtree(job.folder, ignore_errors=True)
+        shutil.rmtree(job._folder, ignore_errors=True)
         over = [j for j in self._jobs.values() if j.is_over]
         for old in over[:-_KEPT]:
             del self._jobs[old.id]
@@ -231,7 +216,7 @@ class Jobs:
 
 def _progress(job: Job, line: str) -> str:
     """Take a line of progress. Any other line is returned: it may be the reason of a failure."""
-    line = line.replace(str(job.folder) + os.sep, "")
+    line = line.replace(str(job._folder) + os.sep, "")
     try:
         progress = json.loads(line)
         if "doubt" in progress:
@@ -245,6 +230,6 @@ def _progress(job: Job, line: str) -> str:
 
 
 def _kill(job: Job) -> None:
-    if job.process is not None and job.process.returncode is None:
+    if job._process is not None and job._process.returncode is None:
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(job.process.pid, signal.SIGKILL)
+            os.killpg(job._process.pid, signal.SIGKILL)

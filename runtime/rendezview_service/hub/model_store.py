@@ -86,8 +86,8 @@ class StoredModel:
 
     @property
     def sha256(self) -> str:
-        """The hash of its content, hexadecimal. Errors as in `copy`."""
-        return self.copy.stem
+        """The hash of its content, hexadecimal. Errors as in `copy`, on first use only."""
+        return self._loaded()[1].stem
 
     def _loaded(self) -> tuple[ViewModel, Path]:
         with self._lock:

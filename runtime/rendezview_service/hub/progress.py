@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
-import time
-from dataclasses import dataclass, field
+
+from pydantic import BaseModel, ConfigDict, PrivateAttr
 
 from rendezview.errors import RendezviewError
-from rendezview_service.hub.checkpoint import Tracked
+from rendezview_service.hub.clock import SessionClock
 from rendezview_service.messages.message_parts import MOST_FIRST_S, MOST_JUMP_S, PoseMessage
 from rendezview_service.messages.messages import Phase
 from rendezview_service.messages.wire import Header
@@ -16,39 +15,56 @@ from rendezview_service.messages.wire import Header
 _PRIOR_S = 10.0  # s, for which a pose is the prior of another worker's tracker. Source: chosen
 
 
-@dataclass(slots=True)
-class Progress:
-    """Counts and last states; times ``…_at_s`` are monotonic."""
+class Progress(BaseModel):
+    """Counts and last states, as a checkpoint has them; what begins with _ stays here."""
+
+    model_config = ConfigDict(extra="forbid")
 
     frames: int = 0  # tracked; the next one has this number
     found: int = 0  # of them, with a pose
     last: bytes | None = None  # the last `State`, JSON
-    header: Header = field(default_factory=dict)  # of the last state
-    last_at_s: float | None = None
+    last_unix_s: float | None = None  # when it was answered, by a clock that never jumps
     last_found: bytes | None = None  # the last state with a pose, JSON
-    found_at_s: float = -math.inf
-    pose_s: float | None = None  # the frame's time of the last pose
-    phase: Phase = Phase.WAITING
+    found_unix_s: float | None = None
+    _header: Header = PrivateAttr(default_factory=dict)  # of the last state, here
+    _pose_s: float | None = None  # the frame's time of the last pose, here
+    _clock: SessionClock = PrivateAttr(default_factory=SessionClock.started_now)
 
     def add(self, header: Header, state: bytes) -> None:
         """A state has come."""
+        now_s = self._clock.now_unix_s
         self.frames += 1
-        self.last, self.header, self.last_at_s = state, header, time.monotonic()
-        self.phase = Phase(header["phase"])
+        self.last, self._header, self.last_unix_s = state, header, now_s
         if self.phase is Phase.TRACKING:
             self.found += 1
-            self.last_found, self.found_at_s = state, self.last_at_s
-            self.pose_s = header["time_s"]
+            self.last_found, self.found_unix_s = state, now_s
+            self._pose_s = header["time_s"]
+
+    @property
+    def phase(self) -> Phase:
+        """Of the last state."""
+        return Phase(self._header.get("phase", Phase.WAITING))
+
+    @property
+    def last_frame(self) -> int | None:
+        """Number of the last state here."""
+        return self._header.get("frame")
+
+    @property
+    def last_time_s(self) -> float | None:
+        """Time of the last frame here."""
+        return self._header.get("time_s")
 
     @property
     def prior(self) -> PoseMessage | None:
         """The last pose, else the last fused one; None if both are old."""
-        if self.last_found is None or time.monotonic() - self.found_at_s >= _PRIOR_S:
-            kept, age_s = self.handover, self.age_s
-            if kept is None or age_s is None or age_s >= _PRIOR_S:
-                return None
-            return PoseMessage.model_validate(kept["pose"])
-        return PoseMessage.model_validate(json.loads(self.last_found)["pose"])
+        found_age_s = self._age_s(self.found_unix_s)
+        if self.last_found is not None and found_age_s is not None and found_age_s < _PRIOR_S:
+            return PoseMessage.model_validate(json.loads(self.last_found)["pose"])
+        kept, age_s = self.handover, self.age_s
+        if kept is None or age_s is None or age_s >= _PRIOR_S:
+            return None
+        return PoseMessage.model_validate(kept["pose"])
 
     @property
     def handover(self) -> Header | None:
@@ -62,7 +78,7 @@ class Progress:
         Raises:
             RendezviewError: its time is far ahead of that of the last one.
         """
-        last_s = self.header.get("time_s")
+        last_s = self.last_time_s
         if last_s is None and self.last is not None:  # of another service
             last_s = json.loads(self.last)["time_s"]
         ahead_s = MOST_JUMP_S + (self.age_s or 0.0)
@@ -76,33 +92,12 @@ class Progress:
     @property
     def age_s(self) -> float | None:
         """Time since the last state."""
-        return None if self.last_at_s is None else time.monotonic() - self.last_at_s
+        return self._age_s(self.last_unix_s)
 
     @property
     def since_pose_s(self) -> float | None:
         """Time from the last pose to the last state, by the frames' times."""
-        return None if self.pose_s is None else float(self.header["time_s"] - self.pose_s)
+        return None if self._pose_s is None else float(self._header["time_s"] - self._pose_s)
 
-    def tracked(self) -> Tracked:
-        """What another service needs of it."""
-        last, found = self.last, self.last_found
-        age_s = time.monotonic() - self.found_at_s
-        return Tracked(
-            frames=self.frames,
-            found=self.found,
-            last=None if last is None else last.decode(),
-            last_unix_s=None if self.age_s is None else time.time() - self.age_s,
-            last_found=None if found is None else found.decode(),
-            found_unix_s=None if found is None else time.time() - age_s,
-        )
-
-    def resume(self, tracked: Tracked) -> None:
-        """Go on where another service was."""
-        self.frames, self.found = tracked.frames, tracked.found
-        if tracked.last is not None:
-            self.last = tracked.last.encode()
-            if tracked.last_unix_s is not None:
-                self.last_at_s = time.monotonic() - max(0.0, time.time() - tracked.last_unix_s)
-        if tracked.last_found is not None and tracked.found_unix_s is not None:
-            self.last_found = tracked.last_found.encode()
-            self.found_at_s = time.monotonic() - max(0.0, time.time() - tracked.found_unix_s)
+    def _age_s(self, unix_s: float | None) -> float | None:
+        return None if unix_s is None else max(0.0, self._clock.now_unix_s - unix_s)

@@ -59,10 +59,9 @@ class RosViewer:
         state = message["state"]
         pose, transform = pose_with_covariance_stamped(state), transform_stamped(state)
         if pose is not None:
-            self._send(f"{name}/target/pose", _POSE, _framed(pose.model_dump(), name))
+            self._send(f"{name}/target/pose", _POSE, _framed(pose, name))
         if transform is not None:
-            moved = _framed(transform.model_dump(), name)
-            self._send("tf", _TREE, {"transforms": [moved]})
+            self._send("tf", _TREE, {"transforms": [_framed(transform, name)]})
 
     def close(self) -> None:
         """End the connection."""

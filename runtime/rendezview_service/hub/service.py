@@ -26,7 +26,7 @@ from rendezview_service.hub.checkpoint import (
 from rendezview_service.hub.feeder import Feeder
 from rendezview_service.hub.health import budgets_of, health_of
 from rendezview_service.hub.history import Histories
-from rendezview_service.hub.inputs import Full
+from rendezview_service.hub.inputs import Full, NotReady, Refused
 from rendezview_service.hub.jobs import Jobs
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import ModelStore, StoredModel
@@ -37,8 +37,8 @@ from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.source_process import open_apart
 from rendezview_service.hub.sources import Source
 from rendezview_service.hub.viewers import Viewers
-from rendezview_service.hub.worker_handle import WorkerGone
-from rendezview_service.hub.worker_pool import NotReady, Worker, WorkerPool
+from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle
+from rendezview_service.hub.worker_pool import WorkerPool
 from rendezview_service.hub.worker_requests import open_request
 from rendezview_service.logs.log_folder import keep_logs
 from rendezview_service.logs.recordings import Recordings
@@ -107,7 +107,7 @@ class Service:
         self._viewers, self.histories = Viewers(settings), Histories(settings.history_bytes)
         self._speed = speed
         self.jobs = Jobs(self.models, settings.jobs, settings.job_s, settings.job_bytes)
-        self._workers = WorkerPool(settings, self.metrics, self._reopen)
+        self.workers = WorkerPool(settings, self.metrics, self._reopen)
         self._feeders: dict[str, Feeder] = {}
         self._opening: set[str] = set()
         self.budgets = budgets_of(self)
@@ -145,7 +145,7 @@ class Service:
         start_s = time.monotonic()
         model = self.given or await asyncio.to_thread(self.models.first_readable)
         viewers = asyncio.to_thread(self._viewers.start)
-        workers = self._workers.start(self.settings.workers or os.cpu_count() or 1, model)
+        workers = self.workers.start(self.settings.workers or os.cpu_count() or 1, model)
         await asyncio.gather(viewers, workers)
         if self._alone and self.settings.state_folder is not None:
             await self._go_on(self.settings.state_folder)
@@ -172,7 +172,7 @@ class Service:
             try:
                 stored = self.models.kept(name or "model", sha256)
                 await self._open(kept.request, resumed=kept, stored=stored)
-            except (RendezviewError, NotReady, Full) as error:
+            except (RendezviewError, Refused) as error:
                 about = {"session": kept.request.id, "reason": str(error)}
                 log.warning("a session does not go on", extra=about)
             self.resuming.discard(kept.request.id)
@@ -189,7 +189,7 @@ class Service:
     async def stop(self) -> None:
         """Complete the logs, notify the watchers, end the processes."""
         self.stopping = True
-        self._workers.stay_down()
+        self.workers.stay_down()
         for task in (*self._tasks, *([] if self._begun is None else [self._begun])):
             task.cancel()
         sessions = list(self.sessions.values())
@@ -197,14 +197,14 @@ class Service:
         for source in self._sources:
             await asyncio.to_thread(source.close)
         await self.jobs.stop()
-        await self._workers.stop()
+        await self.workers.stop()
         await asyncio.to_thread(self._viewers.close)
 
     def health(self) -> Health:
         """Whether frames can be tracked, and the reasons if not."""
-        reasons = self._workers.troubles
+        reasons = self.workers.troubles
         if self._begun is not None and not self._begun.done():
-            reasons = [f"starting: {self._workers.progress}"]
+            reasons = [f"starting: {self.workers.progress}"]
         return health_of(self, reasons)
 
     # Sessions
@@ -225,7 +225,7 @@ class Service:
             try:
                 await asyncio.wait_for(asyncio.shield(self._begun), _START_WAIT_S)
             except TimeoutError:
-                raise NotReady(f"starting: {self._workers.progress}") from None
+                raise NotReady(f"starting: {self.workers.progress}") from None
         return await self._open(request, resumed=resumed)
 
     async def _open(
@@ -243,7 +243,7 @@ class Service:
         stored = stored or self.model_named(request.model)
         self._opening.add(name)
         try:
-            await self._workers.warmed(stored)
+            await self.workers.warmed(stored)
             request = await asyncio.to_thread(self.defaults.filled, request, name, stored)
             of = None if source is None else source.name
             about = self.settings, self.metrics, of, self.histories
@@ -270,7 +270,7 @@ class Service:
                 await self.close(session, "it has no checkpoint")
                 raise RendezviewError(f"session {name} cannot be opened: {keeper.reason}")
         self.metrics.sessions.set(len(self.sessions))
-        self._spawn(self._workers.prepare(list(self.sessions.values())))
+        self._spawn(self.workers.prepare(list(self.sessions.values())))
         if self._viewers.any:
             self._spawn(self._viewers.follow(session))
         log.info("session", extra={"session": name, "model": stored.name, "state": "opened"})
@@ -308,19 +308,11 @@ class Service:
         self.release()
         log.info("session", extra={"session": session.id, "state": "closed", "reason": reason})
 
-    async def warm(self, stored: StoredModel) -> None:
-        """Have the workers read a model before a session uses it."""
-        await self._workers.read(stored)
-
-    async def expect(self, sights: list[dict[str, Any]]) -> None:
-        """Have the workers ready for sessions of other services; see `sight_of`."""
-        await self._workers.expect(sights)
-
     def release(self) -> None:
         """A session, or a name, does not need a model any more."""
         if not self.stopping:
             self.models.prune({session.stored.sha256 for session in self.sessions.values()})
-            self._spawn(self._workers.prepare(list(self.sessions.values())))
+            self._spawn(self.workers.prepare(list(self.sessions.values())))
 
     def uses(self, stored: StoredModel) -> bool:
         """Whether a session uses a model."""
@@ -339,10 +331,10 @@ class Service:
             raise RendezviewError(f"{said} (there are: {known})")
         return stored
 
-    async def _place(self, session: Session, worker: Worker | None = None) -> None:
+    async def _place(self, session: Session, worker: WorkerHandle | None = None) -> None:
         """Give a session to a worker; None: the one with the fewest sessions."""
         if worker is None or not worker.ready:
-            worker = self._workers.least_busy()
+            worker = self.workers.least_busy()
         worker.sessions.add(session)
         if session.request_now.record and session.log.base is None:
             session.log.base = self._log_path(session.id)
@@ -359,7 +351,7 @@ class Service:
         if session.has_waiting:
             worker.wake(session)
 
-    async def _reopen(self, orphans: list[Session], worker: Worker | None) -> list[Session]:
+    async def _reopen(self, orphans: list[Session], worker: WorkerHandle | None) -> list[Session]:
         """Continue the sessions of a worker that ended with another one, or end them.
 
         Returns:
@@ -381,7 +373,7 @@ class Service:
                 left.append(session)
             except WorkerGone:
                 pass  # its sessions, this one too, come here again
-            except RendezviewError as error:
+            except (RendezviewError, OSError) as error:
                 await self.close(session, f"its tracker cannot be restarted: {error}")
         return left
 

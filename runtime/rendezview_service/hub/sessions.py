@@ -9,11 +9,11 @@ from functools import partial
 
 from pydantic_core import to_json
 
+from rendezview_service.hub import inputs
 from rendezview_service.hub.checkpoint import Checkpoint, CheckpointKeeper
 from rendezview_service.hub.clock import SessionClock
 from rendezview_service.hub.history import Histories, Past
-from rendezview_service.hub.inputs import Answer, Bar, Full, InputQueue, SessionInput
-from rendezview_service.hub.lease import SOURCE, Lease
+from rendezview_service.hub.inputs import Answer, InputQueue, SessionInput
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.hub.once import Once
@@ -22,7 +22,6 @@ from rendezview_service.hub.rate_limit import TokenBucket
 from rendezview_service.hub.session_events import SessionEvents
 from rendezview_service.hub.session_log import SessionLog
 from rendezview_service.hub.watching import Watchers
-from rendezview_service.hub.worker_handle import WorkerHandle
 from rendezview_service.messages.approach_messages import Level
 from rendezview_service.messages.frames import Bytes, longest_frame
 from rendezview_service.messages.messages import Recording, SensorHealth, SessionRequest
@@ -59,13 +58,13 @@ class Session:
         self.request = request
         self.request_now = request  # of the present worker: its prior is the last pose
         self.handover: Header | None = None  # the `Fused` state that its filter goes on from
-        self.bar = Bar()
+        self.bar = inputs.Bar()
         self.settings = settings
         assert request.camera is not None
         longest = longest_frame(request.camera.width, request.camera.height)
         self.frame_bytes = min(settings.frame_bytes, longest)
         self.source = source
-        self.worker: WorkerHandle[Session] | None = None
+        self.worker: inputs.Worker | None = None
         self.created_unix_s = time.time()
         self.log = SessionLog(name)
         rates_hz = settings.history_rate_hz, settings.history_image_hz
@@ -80,14 +79,15 @@ class Session:
         self.once: Once[Answer] = Once(_REMEMBERED)
         self._last_key: str | None = None  # of the last frame's request
         self.clock = SessionClock.started_now()
-        self.lease = Lease(settings.sender_hold_s if source is None else math.inf)
+        self.lease = inputs.Lease(settings.sender_hold_s if source is None else math.inf)
         if source is not None:
-            self.lease.take(SOURCE, self.used_s)
-        self._metrics = metrics.of_session(name)
+            self.lease.take(inputs.SOURCE, self.used_s)
+        self._metrics = metrics
+        metrics.begin(name)
         self._queue = InputQueue()
         self.frame_base = 0  # number of frames before the present worker
         self.drops = 0
-        self.events = SessionEvents(name, lambda: self.clock.unix_s(time.monotonic()))
+        self.events = SessionEvents(name, lambda: self.clock.now_unix_s)
         for note in request.notes:
             self.events.add("session", Level.WARNING, note)
         self._arrivals = Arrivals()
@@ -95,7 +95,7 @@ class Session:
         self._lines = TokenBucket.full(settings.measurements_per_s, time.monotonic())
         self._last_fault: str | None = None
         self._refused_since_s: float | None = None  # no frame has been usable since
-        self.was_fused = False  # at another service
+        self._was_fused = False
         self.keeper: CheckpointKeeper | None = None
 
     # Inputs
@@ -135,7 +135,7 @@ class Session:
         """
         self._admit(waiting)
         if self._queue.count(frames=True) >= self.settings.waiting:
-            raise Full
+            raise inputs.Full
         self._arrived(waiting)
         self._queue.append(waiting)
         self._wake()
@@ -151,7 +151,7 @@ class Session:
         too_fast = self._lines.refill(waiting.received_s) < 0.0
         waiting_now = self._queue.count(frames=False)
         if too_fast or waiting_now >= self.settings.measurements_waiting:
-            raise Full
+            raise inputs.Full
         waiting.waited_s = max(0.0, waiting.received_s - self.used_s)
         self.used_s = waiting.received_s
         self._queue.append(waiting)
@@ -168,7 +168,7 @@ class Session:
         dropped = self._queue.replace(waiting)
         if dropped is not None:
             self.drops += 1
-            self._metrics.drops.inc()
+            self._metrics.dropped(self.id)
             dropped.answer(Answer(0, b""))
         self._wake()
 
@@ -180,8 +180,8 @@ class Session:
 
     @property
     def is_fused(self) -> bool:
-        """Whether another sensor has sent lines."""
-        return self._others.is_fused
+        """Whether another sensor has sent lines, here or at another service."""
+        return self._was_fused or self._others.is_fused
 
     @property
     def has_waiting(self) -> bool:
@@ -254,7 +254,8 @@ class Session:
         self.events.fault(None)
         self.recorded(header)
         self._others.tracked(waiting.received_s, waiting.received_unix_s, header)
-        self._metrics.tracked(header["status"], header["track_ms"], now_s - waiting.received_s)
+        latency_s = now_s - waiting.received_s
+        self._metrics.tracked(self.id, header["status"], header["track_ms"], latency_s)
         answer = partial(waiting.answer, Answer(200, state))
         if self.keeper is None:
             answer()
@@ -269,7 +270,7 @@ class Session:
         self._lines.spend(header["lines"])
         self._others.received(waiting.sensor, waiting.received_s, waiting.received_unix_s, header)
         self.recorded(header)
-        self._metrics.measured(waiting.sensor, header["lines"], header["accepted"])
+        self._metrics.measured(self.id, waiting.sensor, header["lines"], header["accepted"])
         waiting.answer(Answer(200, answer))
 
     def add_extras(self, header: Header, picture: bytes) -> None:
@@ -289,7 +290,7 @@ class Session:
         if "recording" in header:
             self.log.update(header["log_paths"], Recording.model_validate(header["recording"]))
             self.events.recording(self.log.recording)
-            self._metrics.recording(self.log.recording)
+            self._metrics.recording(self.id, self.log.recording)
 
     def refused(self, waiting: SessionInput, error: str, internal: bool = False) -> None:
         """The worker could not use a frame or sensor lines."""
@@ -298,7 +299,7 @@ class Session:
         if waiting.sensor is None:
             self.watchers.wait()
             self._last_fault = error
-            self._metrics.refused.inc()
+            self._metrics.refused(self.id)
             self._refused_since_s = self._refused_since_s or time.monotonic()
             self.events.fault(error)
         else:
@@ -334,18 +335,18 @@ class Session:
         return Checkpoint(
             request=self.request,
             model_sha256=self.stored.sha256,
-            tracked=self.progress.tracked(),
+            tracked=self.progress.model_copy(),  # another thread writes it
             log=self.log.id,
             log_base=self.log.base,
             log_paths=[part.path for part in self.log.parts],
-            fused=self.is_fused or self.was_fused,
+            fused=self.is_fused,
             last_key=self._last_key,
         )
 
     def resume(self, kept: Checkpoint) -> None:
         """Continue a session of another service; the tracker starts at its last pose."""
-        self.was_fused = kept.fused
-        self.progress.resume(kept.tracked)
+        self._was_fused = kept.fused
+        self.progress = kept.tracked
         if kept.last_key is not None and self.progress.last is not None:
             self.once.know(kept.last_key, Answer(200, self.progress.last))
         self.log.resume(kept.log, kept.log_base, kept.log_paths)
@@ -358,7 +359,7 @@ class Session:
         """A frame of the source could not be read."""
         self._last_fault = error
         self.events.fault(error)
-        self._metrics.refused.inc()
+        self._metrics.refused(self.id)
 
     def source_ended(self, reason: str | None) -> None:
         """The source has ended, or failed for a reason."""
@@ -367,13 +368,11 @@ class Session:
         self.events.add("source", Level.WARNING if reason else Level.INFO, said)
 
     def end(self, reason: str, status: int = 410) -> None:
-        """Answer everything that waits; nothing follows here."""
-        for waiting in self._queue:
-            waiting.answer(Answer(status, b"", reason))
-        self._queue.clear()
+        """Answer everything that waits, or comes later; nothing follows here."""
+        self._queue.close(Answer(status, b"", reason, ends=True))
         self._histories.leave(self.past)
         self.watchers.end(reason)
-        self._metrics.remove()
+        self._metrics.end(self.id)
 
     # Information
 

@@ -25,6 +25,7 @@ from rendezview_service.messages.wire import Header, pack, receive
 
 _OPEN_S = 120.0  # s, to open a source; a bag may have to be indexed. Source: a chosen limit
 _SILENT_S = 60.0  # s, for the next frame of a file. Source: a chosen limit
+_END_S = 2.0  # s, for the end of the process. Source: a chosen limit
 _MOST_BYTES = 8_000_000_000  # of addresses of the process. Source: a chosen limit
 
 
@@ -80,8 +81,12 @@ class _Reader:
         return None
 
     def _end(self) -> str:
-        """Why the process has ended."""
-        code = self._process.wait()
+        """Why the process has ended; one that cannot end is ended."""
+        try:
+            code = self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            code = -signal.SIGKILL
         if code == -signal.SIGKILL:
             return "its decoder did not answer"
         if code < 0:
@@ -98,7 +103,8 @@ class _Reader:
             self._connection.shutdown(socket.SHUT_RDWR)
         self._connection.close()
         self._process.kill()
-        self._process.wait()
+        with contextlib.suppress(subprocess.TimeoutExpired):  # a driver may keep it for ever
+            self._process.wait(_END_S)
 
     def frames(self, stop: threading.Event) -> Iterator[SourceFrame | RendezviewError]:
         """Frames and faults.

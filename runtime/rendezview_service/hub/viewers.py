@@ -32,6 +32,7 @@ from rendezview_service.tracker.tracking import camera_of
 log = logging.getLogger("rendezview_service")
 
 _SERVER_START_S = 30.0  # s; a program that is read from the disk. Source: a chosen limit
+_SERVER_END_S = 3.0  # s, for a program to end, then it is killed. Source: chosen
 _RATE_HZ, _WIDTH_PX = 15.0, 640  # of what is sent. Source: chosen
 _AXES_M = 1.0  # of the fused pose. Source: chosen
 _CONTOUR_RGBA = (0.35, 0.88, 1.0, 1.0)  # as on the page. Source: chosen
@@ -326,7 +327,10 @@ def _rerun_program() -> Path:
 
 def _end(program: subprocess.Popen[bytes]) -> None:
     program.terminate()
-    program.wait()
+    try:
+        program.wait(_SERVER_END_S)
+    except subprocess.TimeoutExpired:
+        program.kill()
 
 
 def _await_listener(server: subprocess.Popen[bytes], host: str, port: int) -> None:

@@ -55,6 +55,13 @@ class Watchers(set[Watcher]):
         self._missed: set[Watcher] = set()  # they have not seen the last frame
         self._show_last = show_last
         self._timer: asyncio.TimerHandle | None = None
+        self._ended: str | None = None  # the reason
+
+    def add(self, watcher: Watcher) -> None:
+        """One more; the session may have ended while it came."""
+        super().add(watcher)
+        if self._ended is not None:
+            watcher.end(self._ended)
 
     def extras(self, now_s: float, history_px: int) -> dict[str, Any] | None:
         """The parts that the worker adds to the next state, for due watchers and the history.
@@ -149,6 +156,7 @@ class Watchers(set[Watcher]):
 
     def end(self, reason: str) -> None:
         """The session ends."""
+        self._ended = reason
         self._stop_waiting()
         for watcher in self:
             watcher.end(reason)

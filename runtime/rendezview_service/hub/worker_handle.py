@@ -16,10 +16,10 @@ from collections import deque
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
 
-from rendezview_service.hub.clock import Timer
+from rendezview_service.hub.clock import PAUSE_S, Timer
 from rendezview_service.hub.inputs import SessionInput
+from rendezview_service.hub.sessions import Session
 from rendezview_service.messages.wire import Header, Unpacker, mapped, pack, shared_memory
 
 log = logging.getLogger("rendezview_service")
@@ -35,61 +35,26 @@ _END_S = 1.0  # s, from the end of a process's connection to its own. Source: ch
 _KEPT = 4_000_000  # bytes of shared memory that stay for the next input. Source: chosen
 _GIVE_BACK: int | None = getattr(mmap, "MADV_REMOVE", None)  # absent on macOS
 _START_S = 120.0  # s; the first start on a machine compiles. Source: a chosen limit
+# s without an answer, in which a process must have worked for so long. Source: chosen limits
+_IDLE_S, _LEAST_WORK_S = 60.0, 0.5
 
 
 class WorkerGone(Exception):
     """The worker's process ended before it answered."""
 
 
-class WorkerClient(Protocol):
-    """The data of a session that a worker needs."""
-
-    id: str
-
-    @property
-    def has_waiting(self) -> bool:
-        """Whether an input waits."""
-
-    def take(self) -> SessionInput | None:
-        """The next input."""
-
-    def header_of(self, waiting: SessionInput) -> Header:
-        """The request that goes to the process with an input."""
-
-    def tracked(self, waiting: SessionInput, header: Header, state: bytes) -> None:
-        """A frame's state has come."""
-
-    def add_extras(self, header: Header, picture: bytes) -> None:
-        """The contours and pictures of the last state have come."""
-
-    def measured(self, waiting: SessionInput, header: Header, answer: bytes) -> None:
-        """The answer to sensor lines has come."""
-
-    def recorded(self, header: Header) -> None:
-        """How recording goes."""
-
-    def refused(self, waiting: SessionInput, error: str, internal: bool) -> None:
-        """The process could not use an input."""
-
-    def lost(self, waiting: SessionInput, at_fault: bool) -> None:
-        """The process ended over an input, which is perhaps at fault."""
-
-
-ClientT = TypeVar("ClientT", bound=WorkerClient)
-
-
-class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
+class WorkerHandle(asyncio.Protocol):
     """Starts one worker process, sends it inputs, and gives its answers to the sessions."""
 
     def __init__(self, memory_bytes: int, frame_timeout_s: float) -> None:
         self._memory_bytes = memory_bytes
         self._frame_timeout_s = frame_timeout_s
-        self.sessions: set[ClientT] = set()
-        self.on_gone: Callable[[WorkerHandle[ClientT]], None] = lambda worker: None
+        self.sessions: set[Session] = set()
+        self.on_gone: Callable[[WorkerHandle], None] = lambda worker: None
         self.on_progress: Callable[[int], None] = lambda loops: None  # compiled so far
         self.ready = False
-        self._turns: deque[ClientT] = deque()  # sessions with an input waiting
-        self._current: tuple[ClientT, SessionInput] | None = None
+        self._turns: deque[Session] = deque()  # sessions with an input waiting
+        self._current: tuple[Session, SessionInput] | None = None
         self._answers: deque[tuple[Header, asyncio.Future[Header]]] = deque()
         self._timer: Timer | None = None
         self._sent_at_s = self._spent_before_s = 0.0  # of the input, its own processor's clock
@@ -124,28 +89,43 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         ours.setblocking(False)
         transport, _ = await loop.create_connection(lambda: self, sock=ours)
         self._transport = transport
-        await asyncio.wait_for(self._started, _START_S)
+        try:
+            await asyncio.wait_for(self._started, _START_S)
+        except TimeoutError:
+            self._kill()
+            raise
 
     async def ask(self, header: Header) -> Header:
         """A request other than an input, and its answer.
 
         Raises:
-            WorkerGone: the process ended first.
+            WorkerGone: the process ended first, or hangs and is killed.
         """
         if self._transport is None:
             raise WorkerGone
         future: asyncio.Future[Header] = asyncio.get_running_loop().create_future()
         self._answers.append((header, future))
         self._transport.write(pack(header))
-        return await future
+        while True:
+            began_s, before_s = time.monotonic(), self._processor_s()
+            try:
+                return await asyncio.wait_for(asyncio.shield(future), _IDLE_S)
+            except TimeoutError:  # compiling takes minutes, but works
+                idle = sys.platform == "linux" and self._processor_s() - before_s < _LEAST_WORK_S
+                # After a pause of this process, the answer may have come and is not read yet.
+                if idle and time.monotonic() - began_s < _IDLE_S + PAUSE_S:
+                    self._kill()
+            except asyncio.CancelledError:
+                future.cancel()
+                raise
 
-    def wake(self, session: ClientT) -> None:
+    def wake(self, session: Session) -> None:
         """A session has an input waiting."""
         if session not in self._turns:
             self._turns.append(session)
         self._next()
 
-    def forget(self, session: ClientT) -> None:
+    def forget(self, session: Session) -> None:
         """A session has ended."""
         self.sessions.discard(session)
         if session in self._turns:
@@ -176,7 +156,15 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         try:
             await asyncio.wait_for(asyncio.to_thread(process.wait), timeout_s)
         except TimeoutError:
-            process.kill()
+            self._kill()
+
+    def _kill(self) -> None:
+        """End the process. Its connection may outlive it, as long as a disk keeps one thread."""
+        log.error("a worker does not answer and is killed")
+        if self._process is not None:
+            self._process.kill()
+        if self._transport is not None:
+            self._transport.abort()
 
     def _next(self) -> None:
         while self._current is None and self._turns and self._transport is not None:
@@ -214,9 +202,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
             self._timer.start(left_s)
             return
         self._killed = True
-        log.error("a worker does not answer and is killed", extra={"waited_s": round(waited_s, 1)})
-        if self._process is not None:
-            self._process.kill()
+        self._kill()
 
     def _exit_code(self) -> int | None:
         """How the process ended; None if it has not."""
@@ -269,7 +255,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
                     session.recorded(header)
         elif self._current is not None:
             session, waiting = self._current
-            try:
+            try:  # after an error too, the input has its answer, and the next one its turn
                 if kind == "state":
                     session.tracked(waiting, header, content)
                 elif kind == "extras":
@@ -278,9 +264,11 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
                     session.measured(waiting, header, content)
                 else:
                     session.refused(waiting, header["error"], header.get("internal", False))
-            finally:  # after an error too, the next input must not wait for ever
-                if header.get("done", True):
-                    self._done()
+            except Exception:
+                log.exception("an answer of a worker failed")
+                session.refused(waiting, "the service has an internal error: see its log", True)
+            if header.get("done", True):
+                self._done()
 
     def _answered(self, header: Header) -> None:
         closed = header["kind"] == "closed" or header.get("of") == "close"

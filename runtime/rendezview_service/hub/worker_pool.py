@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from typing import Any
 
 from rendezview.errors import RendezviewError
+from rendezview_service.hub.inputs import NotReady
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.hub.sessions import Session
@@ -19,21 +20,12 @@ from rendezview_service.settings import Settings
 
 log = logging.getLogger("rendezview_service")
 
-Worker = WorkerHandle[Session]
-
 COMPILING = "loops are being compiled, which takes minutes, once: /readyz reports when it is done"
 _MOST_PREPARED = 4  # recognizers, 90 MB each, that the spare worker has ready. Source: chosen
 _SPARE_PAUSE_S = 1.0  # s, in which moved sessions have the processor alone. Source: chosen
 _RESTART_PAUSE_S = 1.0  # s, between attempts to replace a worker. Source: chosen
 _WARM_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
 _STOP_S = 3.0  # s, for a process to end, then it is killed. Source: chosen
-
-
-class NotReady(Exception):
-    """No worker is ready at the moment."""
-
-    def __init__(self, reason: str = "no worker process is ready: try again in a moment") -> None:
-        super().__init__(reason)
 
 
 class WorkerPool:
@@ -46,7 +38,7 @@ class WorkerPool:
         self,
         settings: Settings,
         metrics: Metrics,
-        orphaned: Callable[[list[Session], Worker | None], Awaitable[list[Session]]],
+        orphaned: Callable[[list[Session], WorkerHandle | None], Awaitable[list[Session]]],
     ) -> None:
         """A pool whose workers are not started yet.
 
@@ -57,8 +49,8 @@ class WorkerPool:
         self._settings = settings
         self._metrics = metrics
         self._orphaned = orphaned
-        self._workers: list[Worker] = []
-        self._spare: Worker | None = None
+        self._workers: list[WorkerHandle] = []
+        self._spare: WorkerHandle | None = None
         self._sights: list[Header] = []  # what the spare worker has ready
         self._warm_with: StoredModel | None = None  # model for the warm-up
         self._warming: asyncio.Task[None] | None = None
@@ -111,7 +103,7 @@ class WorkerPool:
         compiling = self._warming is not None and not self._warming.done()
         return ["no worker process is ready"] * self.none_ready + [COMPILING] * compiling
 
-    def least_busy(self) -> Worker:
+    def least_busy(self) -> WorkerHandle:
         """The worker with the fewest sessions.
 
         Raises:
@@ -135,19 +127,19 @@ class WorkerPool:
                 await self._spare.ask(prepare_request(self._sights))
 
     async def expect(self, sights: list[Header]) -> None:
-        """Have all workers ready for sessions that may come."""
-        for worker in self._workers:
-            if worker.ready:
-                with contextlib.suppress(WorkerGone):
-                    await worker.ask(prepare_request(sights[-_MOST_PREPARED:]))
+        """Have all workers ready for sessions that may come; see `sight_of`."""
+        await self._ask_all(prepare_request(sights[-_MOST_PREPARED:]))
 
     async def read(self, model: StoredModel) -> None:
-        """Have all workers read a model."""
+        """Have all workers read a model, before a session uses it."""
         await self.warmed(model)
+        await self._ask_all(warm_request(model))
+
+    async def _ask_all(self, request: Header) -> None:
         for worker in self._workers:
             if worker.ready:
                 with contextlib.suppress(WorkerGone):
-                    await worker.ask(warm_request(model))
+                    await worker.ask(request)
 
     async def warmed(self, model: StoredModel) -> None:
         """Warm the workers up with a model, if there was none at the start.
@@ -166,8 +158,8 @@ class WorkerPool:
         except TimeoutError:
             raise NotReady(COMPILING) from None
 
-    def _new(self) -> Worker:
-        worker = Worker(self._settings.frame_bytes, self._settings.frame_timeout_s)
+    def _new(self) -> WorkerHandle:
+        worker = WorkerHandle(self._settings.frame_bytes, self._settings.frame_timeout_s)
         worker.on_gone = self._gone
         worker.on_progress = self._compiled
         return worker
@@ -177,13 +169,13 @@ class WorkerPool:
         self.progress = f"{loops} loops compiled so far; this takes minutes, once a machine"
         log.info("compiling", extra={"loops": loops})
 
-    async def _start_one(self, worker: Worker) -> None:
+    async def _start_one(self, worker: WorkerHandle) -> None:
         """Start a worker and warm it up."""
         await worker.start()
         if self._warm_with is not None:
             await self._warm(worker, self._warm_with)
 
-    async def _warm(self, worker: Worker, model: StoredModel) -> None:
+    async def _warm(self, worker: WorkerHandle, model: StoredModel) -> None:
         """Have a worker compile its loops; if it did, restart it to read them from the cache."""
         request = warm_request(model)
         answer = await worker.ask(request)
@@ -205,7 +197,7 @@ class WorkerPool:
         except (WorkerGone, TimeoutError, OSError):
             pass  # its replacement warms up
 
-    def _gone(self, worker: Worker) -> None:
+    def _gone(self, worker: WorkerHandle) -> None:
         known = worker is self._spare or worker in self._workers
         if self._stopping or not known:  # who starts another one sees its end
             return
@@ -226,7 +218,10 @@ class WorkerPool:
             self._spawn(self._replace(worker, orphans))
 
     async def _replace(
-        self, gone: Worker | None, orphans: list[Session], takes_over: Worker | None = None
+        self,
+        gone: WorkerHandle | None,
+        orphans: list[Session],
+        takes_over: WorkerHandle | None = None,
     ) -> None:
         """Start a worker in place of one that ended, or as the spare one.
 

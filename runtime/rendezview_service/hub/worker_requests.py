@@ -22,7 +22,7 @@ def open_request(session: Session, settings: Settings) -> Header:
         "sight": sight_of(session.request, session.stored.copy),
         "model_file": session.stored.path.name,
         "sensors": settings.sensors,
-        "forgotten": session.is_fused or session.was_fused,
+        "forgotten": session.is_fused,
         "handover": session.handover,
         "first_frame": session.frame_base,
         "log": session.log.id,

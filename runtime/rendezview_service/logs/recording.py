@@ -383,13 +383,13 @@ class LogWriter:
             rescued = self._kept.put_back()
             lost = part.states - (part.safe_states if there else 0) - rescued
             self._lost += lost
-            if part.safe_states or not there or isinstance(error, Gone):
-                self._leave(part)
-                part.give_up()
-            else:  # nothing is in it
+            empty = there and not part.safe_states and not isinstance(error, Gone)
+            if empty:
                 self._part = None
                 self._paths.remove(part.path)
-                part.remove()
+            else:
+                self._leave(part)
+        (part.remove if empty else part.give_up)()  # a disk that hangs holds nobody else up
         return f"{why}; states lost with it: {lost}, written again from memory: {rescued}"
 
 

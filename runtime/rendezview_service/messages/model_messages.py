@@ -97,13 +97,13 @@ class JobInfo(Message):
 
     id: str
     model: str = Field(description="name that the model will have")
-    state: JobState
-    stage: str | None = Field(description="present stage")
-    progress: float | None = Field(description="of the stage, 0 … 1")
-    reason: str | None = Field(description="if it failed")
+    state: JobState = JobState.QUEUED
+    stage: str | None = Field(default=None, description="present stage")
+    progress: float | None = Field(default=None, description="of the stage, 0 … 1")
+    reason: str | None = Field(default=None, description="if it failed")
     warnings: list[str] = Field(default=[], description="what is odd about mesh and camera")
     created_unix_s: float
-    elapsed_s: float | None
+    elapsed_s: float | None = None
 
 
 class JobList(Message):

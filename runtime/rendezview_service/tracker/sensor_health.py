@@ -99,8 +99,7 @@ class OtherSensors:
         known = self._by_filter.get(sensor)
         if known is None:
             return None
-        names = SensorTrust.model_fields
-        return SensorTrust(**{name: known[name] for name in names})
+        return SensorTrust(**{name: known[name] for name in SensorTrust.model_fields})
 
     def health(
         self, now_s: float, frames: Arrivals, reason: str | None, tracked: int, drops: int
@@ -129,7 +128,7 @@ class OtherSensors:
         for name, arrivals in self._arrivals.items():
             if name == CAMERA:
                 continue
-            known = self._by_filter.get(name)
+            known = self._by_filter.get(name, {"kind": "pose", "lines": 0})
             trust = self.trust_of(name)
             silent_s = now_s - arrivals.times_s[-1]
             reason = None
@@ -142,10 +141,10 @@ class OtherSensors:
             found.append(
                 SensorHealth(
                     name=name,
-                    kind="pose" if known is None else known["kind"],
+                    kind=known["kind"],
                     healthy=reason is None,
                     reason=reason,
-                    frames=0 if known is None else known["lines"],
+                    frames=known["lines"],
                     drops=0,
                     rate_hz=arrivals.rate_hz(now_s),
                     last_unix_s=arrivals.last_unix_s,

@@ -297,48 +297,40 @@ class SessionFilter:
     def _state(self, time_s: float) -> Json:
         """The `Fused` state at a time."""
         at_s = time_s if math.isfinite(time_s) else 0.0
-        estimate: Estimate | None
-        reason: str | None
+        estimate = Estimate(at_s, Status.LOST, None, None, None, None)
+        status, reason = "lost", None
         try:
             with np.errstate(all="ignore"):
-                estimate = self._fusion.state_at(at_s)
-            if estimate.covariance is not None and not np.isfinite(estimate.covariance).all():
+                found = self._fusion.state_at(at_s)
+            if found.covariance is not None and not np.isfinite(found.covariance).all():
                 raise ArithmeticError("the covariance is not finite")
         except ValueError as error:
-            estimate, status, reason = None, "late", str(error)
+            status, reason = "late", str(error)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
-            estimate, status, reason = None, "lost", str(error)
+            reason = str(error)
         else:
-            status, reason = str(estimate.status), estimate.reason
+            estimate, status, reason = found, str(found.status), found.reason
         if status == "tracking":
             self._note = None
         elif self._note is not None:
             reason = f"the filter was restarted: {self._note}; {reason}"
-        pose, rates, covariance, ring_covariance = None, None, None, None
-        if estimate is not None and estimate.pose is not None:
-            pose = estimate.pose.as_dict()
-        if estimate is not None and estimate.rates is not None:
+        rates = None
+        if estimate.rates is not None:
             both = estimate.rates.tolist()
             rates = {"angular_rad_s": both[:3], "linear_m_s": both[3:]}
-        if estimate is not None and estimate.covariance is not None:
-            covariance = estimate.covariance.tolist()
-        if estimate is not None and estimate.ring_covariance is not None:
-            ring_covariance = estimate.ring_covariance.tolist()
         return {
             "time_s": at_s,
             "status": status,
             "reason": reason,
-            "pose": pose,
+            "pose": None if estimate.pose is None else estimate.pose.as_dict(),
             "rates": rates,
-            "covariance": covariance,
-            "ring_radius": None if estimate is None else estimate.ring_radius,
-            "ring_depth_m": None if estimate is None else estimate.ring_depth_m,
-            "ring_covariance": ring_covariance,
-            "protection": None
-            if estimate is None or estimate.protection is None
-            else json_value(estimate.protection.record()),
+            "covariance": _listed(estimate.covariance),
+            "ring_radius": estimate.ring_radius,
+            "ring_depth_m": estimate.ring_depth_m,
+            "ring_covariance": _listed(estimate.ring_covariance),
+            "protection": json_value(estimate.protection and estimate.protection.record()),
             "starts": self._fusion.starts,
-            "note": None if estimate is None else estimate.note,
+            "note": estimate.note,
         }
 
     def _check_clock(
@@ -354,6 +346,10 @@ class SessionFilter:
                 f"{'after' if apart_s > 0.0 else 'before'} the session's own ({now_s:.6g}): "
                 "all sensors of a session need one clock"
             )
+
+
+def _listed(matrix: Array | None) -> Json | None:
+    return None if matrix is None else matrix.tolist()
 
 
 def _finite(value: float) -> float | None:

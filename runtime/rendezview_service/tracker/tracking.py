@@ -62,19 +62,8 @@ def camera_of(message: CameraMessage) -> Camera:
 
 def camera_message(camera: Camera, *, checked: bool = False) -> CameraMessage:
     """A camera as a message; ``checked``: what is odd about it is known."""
-    return CameraMessage(
-        width=camera.width,
-        height=camera.height,
-        fx=camera.fx,
-        fy=camera.fy,
-        cx=camera.cx,
-        cy=camera.cy,
-        distortion=list(camera.distortion),
-        lens_model=camera.lens_model,
-        bit_depth=camera.bit_depth,
-        covariance=None if camera.covariance is None else [list(c) for c in camera.covariance],
-        checked=checked,
-    )
+    keys = {name: getattr(camera, name) for name in CameraMessage.model_fields if name != "checked"}
+    return CameraMessage.model_validate(keys | {"checked": checked})
 
 
 def pose_of(message: PoseMessage) -> Pose:

@@ -80,10 +80,11 @@ class WorkerProcess:
         """Answer until the service ends or asks to quit."""
         gc.freeze()
         self._send({"kind": "ready"})
+        coming = select.poll()  # `select.select` takes no descriptor above 1023
+        coming.register(self._connection, select.POLLIN)
         try:
             while True:
-                pause_s = _LOOK_ENDING_S if self._ending else _LOOK_S
-                if select.select([self._connection], [], [], pause_s)[0]:
+                if coming.poll(1e3 * (_LOOK_ENDING_S if self._ending else _LOOK_S)):
                     message = receive(self._connection)
                     if message is None or not self._answer(message[0]):
                         break

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,7 +16,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
-from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.sky import Sky
 from rendezview_ground.evaluate.assessment import pose_error, second_earlier
 from rendezview_ground.learn.jobs.open_executor import open_executor
@@ -46,7 +47,7 @@ def features_of(found: Found, truth: Pose, model: ViewModel) -> Record:
     """What confidence is computed from, and how far off the best pose is."""
     return {
         "features": found.features.tolist(),
-        "looked": found.shading is not None,
+        "looked": found.best.shading is not None,
         "best_deg": float(np.rad2deg(angle_between(found.best.pose, truth, model.symmetries))),
     }
 
@@ -66,8 +67,9 @@ def single_searches(recognizer: Recognizer, image: Array, truth: Pose, prior: Po
     refined = refiner.refine(image, sky, prior)
     if refined is None:
         return []
-    shadings = (None, recognizer.search.whole.shading.of(image, sky, refined.pose))
-    looks = [Found(refined, 0.0, 1.0, sky.dark, True, shading=shading) for shading in shadings]
+    shade = recognizer.search.levels.whole.shading.of(image, sky, refined.pose)
+    shadings = (None, None if shade is None else shade.agreement)
+    looks = [Found(replace(refined, shading=s), 1.0, sky.dark, True) for s in shadings]
     return [{"mode": "lone"} | features_of(look, truth, recognizer.model) for look in looks]
 
 

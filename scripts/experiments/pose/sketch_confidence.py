@@ -36,8 +36,6 @@ from rendezview.sensors.appearance.judge.sketch_choice import (
     POSE_FEATURES,
     RIVAL_RAD,
     Passes,
-    SketchChoice,
-    chosen,
     opinion_features,
     packaged,
 )
@@ -121,22 +119,18 @@ class Searched:
     centre_m: Array  # (3,) of the views
     symmetries: tuple[Symmetry, ...]
     prior: bool
-    cut: bool
     best: Pose
-    pose: Pose  # the one given: the mean of those that the best leads to
-    spread_deg: float
+    given: Pose  # the mean of those that the best leads to
     nees: float | None
     target: int  # which of the targets
     second: Searched | None = None  # of the frame upside down
 
     @property
-    def choice(self) -> SketchChoice:
-        """What the present merit chooses; where that is the same, with the mean that was given."""
-        now = chosen(self.passes, self.symmetries, prior=self.prior, cut=self.cut)
+    def pose(self) -> Pose:
+        """What the present merit chooses; where that is the same, the one that was given."""
+        now = self.passes.chosen()
         assert now is not None  # a frame without any pose is none of those searched
-        if now.best.pose is self.best:
-            return replace(now, pose=self.pose, spread_deg=self.spread_deg)
-        return replace(now, spread_deg=self.spread_deg)
+        return self.given if now[0].pose is self.best else now[0].pose
 
     def error_deg(self, pose: Pose) -> float:
         return float(np.rad2deg(angle_between(pose, self.truth, self.symmetries)))
@@ -178,15 +172,16 @@ def _searched(
         choice = search.anywhere(picture, sky, turned=turned)
     else:
         choice = search.near(picture, sky, prior, np.deg2rad(SEARCH_DEG))
-    if choice is None:
+    chosen = None if choice is None or choice.passes is None else choice.passes.chosen()
+    if choice is None or choice.passes is None or chosen is None:
         return None
-    squared, best, model = None, choice.pose, search.model
-    error = error_of(best, truth)
-    if np.rad2deg(np.linalg.norm(error[:3])) < NEES_DEG and choice.covariance is not None:
-        squared = nees(error, choice.covariance)
+    squared, best, model = None, choice.best, search.model
+    error = error_of(best.pose, truth)
+    if np.rad2deg(np.linalg.norm(error[:3])) < NEES_DEG and best.covariance is not None:
+        squared = nees(error, best.covariance)
     return Searched(
-        choice.passes, truth, model.centre_m, model.symmetries, prior is not None, choice.cut,
-        choice.best.pose, choice.pose, choice.spread_deg, squared, target,
+        choice.passes, truth, model.centre_m, model.symmetries, prior is not None,
+        chosen[0].pose, best.pose, squared, target,
     )  # fmt: skip
 
 
@@ -201,7 +196,7 @@ def fitted_merit(searches: list[Searched]) -> np.ndarray:
         clear = [p for p in poses if search.right(p.pose) or search.error_deg(p.pose) > WRONG_DEG]
         good = np.array([search.right(p.pose) for p in clear], dtype=bool)
         if good.any() and not good.all():
-            groups.append((np.array([p.features for p in clear]), good))
+            groups.append((np.array([p.sketch for p in clear]), good))
 
     def unlikely(weights: np.ndarray) -> tuple[float, np.ndarray]:
         loss, slope = RIDGE * weights @ weights, 2.0 * RIDGE * weights
@@ -259,7 +254,7 @@ def with_second_opinions(
     for k, one in enumerate(some):
         if one.second is None or not DOUBT[0] <= first[k] < DOUBT[1]:
             continue
-        pose, other = one.choice.pose, one.second.choice.pose
+        pose, other = one.pose, one.second.pose
         apart = angle_between(pose, other, one.symmetries)
         low, high = sorted((first[k], second[k]))
         which.append(k)
@@ -312,15 +307,12 @@ def run(
     arrays: dict[str, np.ndarray] = {}
     for kind, prior in (("anywhere", False), ("near", True)):
         some = [s for s in searches if s.prior == prior]
-        choices = [s.choice for s in some]
-        features = np.array([c.features for c in choices])
-        pairs = list(zip(some, choices, strict=True))
-        good = np.array([s.right(c.pose) for s, c in pairs])
-        wrong = np.array([s.error_deg(c.pose) > WRONG_DEG for s, c in pairs])
+        features = np.array([s.passes.features for s in some])
+        good = np.array([s.right(s.pose) for s in some])
+        wrong = np.array([s.error_deg(s.pose) > WRONG_DEG for s in some])
         asked = [features]
         if not prior:
-            both = [c if s.second is None else s.second.choice for s, c in pairs]
-            asked.append(np.array([c.features for c in both]))
+            asked.append(np.array([(s.second or s).passes.features for s in some]))
         folds = np.array([s.target for s in some]) % FOLDS
         found = probabilities(asked, good, folds)
         trees = fitted_trees(features, good)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import mmap
 import multiprocessing
+import multiprocessing.connection
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -46,6 +47,7 @@ MOST_OTHERS = 2
 POOL, LEAST_POOL = 160, 16  # drawings of SIDE_PX; there are a quarter as many large ones
 DRAWINGS_A_BACKGROUND = 3
 SLOTS = 3  # batches for each process
+MOST_S = 600.0  # s, for the next batch; with more, the processes hang. Source: a chosen limit
 
 Grey = npt.NDArray[np.float16]  # (N, S, S) grey levels
 Maps = npt.NDArray[np.uint8]  # (N, MAPS, S, S) of ``sketch_maps``, 0 … 255
@@ -123,7 +125,11 @@ class Feed:
     """Processes that make batches until ``close``; iterate over it for batches."""
 
     def __init__(self, workers: int, batch: int, reuse: float, seed: int) -> None:
-        """``batch``: pictures of SIDE_PX; of larger ones there are as many pixels."""
+        """``batch``: pictures of SIDE_PX; of larger ones there are as many pixels.
+
+        OpenCV's own threads end here: a child of a fork would wait for them for ever.
+        """
+        cv2.setNumThreads(1)
         self._batch = batch
         # Children of a fork have all compiled loops at once.
         context = multiprocessing.get_context("fork")
@@ -156,8 +162,16 @@ class Feed:
             self._full.put((slot, larger))
 
     def __iter__(self) -> Iterator[tuple[Grey, Maps]]:
-        """Batches; each is overwritten after the next one was asked for."""
+        """Batches; each is overwritten after the next one was asked for.
+
+        Raises:
+            ChildProcessError: a process has ended, or none makes a batch.
+        """
+        ends = [process.sentinel for process in self._processes]
         while True:
+            ready = multiprocessing.connection.wait([self._full._reader, *ends], MOST_S)
+            if self._full._reader not in ready:
+                raise ChildProcessError("a process that makes batches has ended or hangs")
             slot, larger = self._full.get()
             count, side = self._batch // larger**2, larger * SIDE_PX
             yield (

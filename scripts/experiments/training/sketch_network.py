@@ -68,7 +68,8 @@ def run(
     if batch < LARGE**2 or batch % LARGE**2:
         sys.exit(f"--batch must be a multiple of {LARGE**2}, not {batch}")
     workers = workers or max(1, (os.cpu_count() or 2) - 1)
-    part((seed, 0), (1, 0))  # compiles the drawing, before all processes do so
+    # Compiles the drawing before all processes do so, and ends OpenCV's threads: see `Feed`.
+    part((seed, 0), (1, 0))
     with multiprocessing.get_context("fork").Pool(workers) as pool:
         held = parts(pool, HELD_SEED, HELD_PARTS, (HELD, LARGE_HELD))
         shown = parts(pool, SHOWN_SEED, SHOWN_PARTS, (SHOWN, LARGE_SHOWN))

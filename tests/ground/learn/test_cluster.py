@@ -97,11 +97,13 @@ def _kill_group(leader: int) -> None:
 
 def _address(place: Path) -> str:
     """The scheduler's address from its file, which stands there a moment before it is written."""
-    while True:
-        try:
+
+    def address() -> str | None:
+        with suppress(FileNotFoundError, json.JSONDecodeError):
             return json.loads(place.read_text())["address"]
-        except (FileNotFoundError, json.JSONDecodeError):
-            time.sleep(0.05)
+        return None
+
+    return wait_until(address)
 
 
 @pytest.fixture(scope="module")
@@ -267,7 +269,12 @@ print(faults() - before)
 """
     environment = dict(os.environ, MALLOC_TRIM_THRESHOLD_="65536")  # as Dask's nannies set it
     printed = subprocess.run(
-        [sys.executable, "-c", faults], env=environment, check=True, capture_output=True, text=True
+        [sys.executable, "-c", faults],
+        env=environment,
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=MOST_S,
     )
     assert int(printed.stdout) < 2000  # of 20,000 pages
 
@@ -321,7 +328,11 @@ def test_the_command_says_in_one_line_why_there_is_no_cluster(tmp_path, before, 
     # Refused at once; a port where nobody listens is tried for ten seconds.
     command = ["train", "scole", "-o", str(tmp_path / "m.rvm"), "--dask", "ftp://x:1"]
     done = subprocess.run(
-        [sys.executable, "-c", program, *command], capture_output=True, text=True, check=False
+        [sys.executable, "-c", program, *command],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=MOST_S,
     )
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1

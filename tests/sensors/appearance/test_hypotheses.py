@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.sensors.appearance.model.shadowed_silhouettes import READING_UNIT, SHADOWED_BINS
 from rendezview.sensors.appearance.model.signature import Signature, rebinning
-from rendezview.sensors.appearance.outline.retrieval import Retrieval, least
+from rendezview.sensors.appearance.outline.retrieval import Retrieval
+from rendezview.sensors.appearance.outline.similarity import least
 
 _RNG = np.random.default_rng(5)
 _VALUES = {

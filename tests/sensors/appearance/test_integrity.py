@@ -17,7 +17,7 @@ from rendezview.geometry import so3
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import json_line
 from rendezview.sensors.appearance import AppearanceObservation
-from rendezview.sensors.appearance.edges.refinement import Refined
+from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.integrity.evidence import Evidence, Other, Second
 from rendezview.sensors.appearance.integrity.model import (
     FRAME_FEATURES,
@@ -31,8 +31,7 @@ from rendezview.sensors.appearance.integrity.model import (
     track_features,
 )
 from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
-from rendezview.sensors.appearance.judge.confidence import Found
-from rendezview.sensors.appearance.judge.rivals import Weighed
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.outline.reading import OutlineReading
 from rendezview.sensors.observation import Status
 from rendezview.sensors.protection import Levels, Protection
@@ -324,9 +323,9 @@ def test_evidence_is_that_of_the_observation_and_its_prediction():
     pose = Pose(so3.exp(turn), np.array([0.1, 0.0, 10.0]))
     away = np.add(pose.translation_m, [0.3, 0.0, 0.4])
     rival = Pose(so3.exp(np.array([0.0, 0.0, 1.0])) @ pose.rotation, away)
-    best = Refined(pose, np.eye(6), 0.9, 0.8, 1.0, 0.2, 0.7)
-    other = Refined(rival, np.eye(6), 0.5, 0.4, 1.0, 0.6, 0.7)
-    found = Found(best, 0.05, 0.2, True, True, other, single=True)
+    best = Hypothesis(pose, np.eye(6), 0.9, 0.8, 1.0, 0.2, 0.7, overshoot=0.05)
+    other = Hypothesis(rival, np.eye(6), 0.5, 0.4, 1.0, 0.6, 0.7)
+    found = Found(best, 0.2, True, True, other, single=True)
     seen = AppearanceObservation(
         Status.OK,
         pose=pose,
@@ -343,8 +342,7 @@ def test_evidence_is_that_of_the_observation_and_its_prediction():
     assert (made.outline, made.margin, made.trees, made.followed) == (0.9, 0.2, 1.5, True)
     assert np.isnan(made.shading)
     assert made.others == ()
-    sun = np.array([0.0, 0.0, -1.0])
-    weighed = tuple(Weighed(p, 9.0, 0.1, sun, w) for p, w in ((pose, 0.97), (rival, 0.03)))
+    weighed = tuple(Hypothesis(p, probability=w) for p, w in ((pose, 0.97), (rival, 0.03)))
     beside = dataclasses.replace(seen, found=dataclasses.replace(found, weighed=weighed))
     made = Evidence.of(beside, 2.0, predicted, centre_m)
     assert made is not None

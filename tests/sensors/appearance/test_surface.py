@@ -92,7 +92,7 @@ def test_a_model_without_its_surface_finds_poses_by_edges_alone(
     )
     assert observation.status is Status.OK
     assert observation.found is not None
-    assert observation.found.shading is None
+    assert observation.found.best.shading is None
     assert observation.pose is not None
     assert observation.pose.angle_to(pose) < np.deg2rad(1.0)
 
@@ -114,7 +114,7 @@ def test_a_pose_that_a_search_bore_out_is_kept_with_less_support_for_a_while(
     image = shaded(bumpy_mesh, camera, pose, 5, 10.0)
     recognizer = Recognizer(refining_model, camera)
     assert recognizer.search is not None
-    recognizer.search.whole.options = SearchOptions(inlier_ratio=2.0)  # no single pose is confident
+    recognizer.search.options = SearchOptions(inlier_ratio=2.0)  # no single pose is confident
     tracker = Tracker(recognizer, pose, TrackerOptions(confirmed_frames=3))
     observations = [tracker.update(float(k), image) for k in range(9)]
     assert [s.found.single for s in observations] == [*2 * [False, True, True, True], False]

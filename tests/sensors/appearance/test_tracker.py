@@ -233,6 +233,7 @@ class Rivals(Script):
             found = SimpleNamespace(
                 best=SimpleNamespace(pose=both[0], inlier_ratio=0.8),
                 single=False,
+                on_sketch=False,
                 rival=SimpleNamespace(pose=both[1]),
                 margin=0.0,
                 confidence=0.9,
@@ -243,6 +244,7 @@ class Rivals(Script):
         found = SimpleNamespace(
             best=SimpleNamespace(pose=pose, inlier_ratio=0.8),
             single=False,
+            on_sketch=False,
             rival=None,
             margin=1.0,
             merit=self.merits[key].pop(0),

@@ -10,14 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
-from rendezview.sensors.appearance.edges.refinement import Refined
-from rendezview.sensors.appearance.judge.confidence import Found
-from rendezview.sensors.appearance.judge.rivals import Weighed
-from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.hypothesis import Hypothesis
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.search.starts import within
 from rendezview.sensors.appearance.verdict import Near
-
-SUN = np.array([0.0, 0.0, -1.0])
 
 
 def turned(angle_deg: float) -> Pose:
@@ -25,16 +21,17 @@ def turned(angle_deg: float) -> Pose:
     return Pose(rotation, np.array([0.0, 0.0, 9.0]))
 
 
-def found(pose: Pose, sigma_deg: float = 0.1, weighed: tuple[Weighed, ...] = ()) -> Found:
+def found(pose: Pose, sigma_deg: float = 0.1, probability: float | None = None) -> Found:
     covariance = np.diag([np.deg2rad(sigma_deg) ** 2] * 3 + [1e-4] * 3)
-    refined = Refined(
+    refined = Hypothesis(
         pose, covariance, outline=0.8, inner=0.6, visible=1.0, residual_px=0.3, light=0.5
     )
-    return Found(refined, 0.0, 0.5, dark=True, prior=False, weighed=weighed)
+    return Found(refined, 0.5, dark=True, prior=False, probability=probability)
 
 
-def beside(pose: Pose, probability: float, on_sketch: Pose | None = None) -> Weighed:
-    return Weighed(pose, 10.0, 0.1, SUN, probability, on_sketch)
+def beside(pose: Pose, probability: float, on_sketch: Pose | None = None) -> Hypothesis:
+    led = None if on_sketch is None else Hypothesis(on_sketch)
+    return Hypothesis(pose, probability=probability, on_sketch=led)
 
 
 @pytest.mark.parametrize(
@@ -59,9 +56,8 @@ def test_the_range_of_a_prior_is_as_right_as_its_attitude_a_quarter_at_most(shar
     assert within(prior, np.deg2rad(error_deg), centre_m)(moved) == near
 
 
-def sketched(pose: Pose, probability: float) -> SketchFound:
-    best = found(pose).best
-    return SketchFound(best, 0.0, 0.5, dark=True, prior=False, probability=probability)
+def sketched(pose: Pose, probability: float) -> Found:
+    return found(pose, probability=probability)
 
 
 def odds(probability: float) -> float:

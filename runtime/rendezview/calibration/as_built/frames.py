@@ -17,7 +17,6 @@ from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.network import Sketch
 from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
-from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.model.contours import NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.recognizer import Recognizer
@@ -67,7 +66,7 @@ def posed(
         if seen.pose is None:
             continue
         sketch = None
-        if isinstance(seen.found, SketchFound) and recognizer.sketch is not None:
+        if seen.found and seen.found.on_sketch and recognizer.sketch is not None:
             sketch = recognizer.sketch.closer_sketch(frame, seen.pose)
         range_m = float(np.linalg.norm(seen.pose.apply(model.centre_m)))
         times = times_smaller(camera, model.target_radius_m, range_m, FINEST_RADIUS_PX)

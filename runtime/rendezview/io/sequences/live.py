@@ -7,10 +7,13 @@ import math
 import re
 import socket
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 from urllib.parse import urlsplit
 
 import cv2
@@ -20,6 +23,8 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 from rendezview.io.sequences.quiet import quiet_opencv
+
+T = TypeVar("T")
 
 _STREAM = re.compile(r"(rtsp|rtsps|http|https|udp|tcp)://.+")
 _TIMED = re.compile(r"(rtsp|rtsps|udp)://.+")  # pictures come with the sender's times
@@ -41,9 +46,16 @@ def is_live(source: str) -> bool:
 
 
 def live_frames(
-    source: str, camera: Camera | None, note: Callable[[str], None] = lambda _: None
-) -> Iterator[Frame]:
+    source: str,
+    camera: Camera | None,
+    note: Callable[[str], None] = lambda _: None,
+    *,
+    every: bool = False,
+) -> Generator[Frame, None, None]:
     """Frames of a camera for as long as they come; times in seconds from the first.
+
+    Each is the newest: those that come while its reader is busy are left out, else they would wait
+    in the camera's buffers and be answered late. Their numbers count all that came.
 
     A network stream that breaks off is opened again. Its times are the sender's where the
     protocol has them (RTSP, MPEG over UDP), so that a reading that takes long does not change
@@ -53,6 +65,8 @@ def live_frames(
         source: of `is_live`.
         camera: its calibration.
         note: is given a line when a stream breaks off.
+        every: no frame is left out, as from a stored video at a network address: pictures that
+            belong in pairs want that.
 
     Raises:
         RendezviewError: no calibration, the camera cannot be opened, its pictures are not the
@@ -70,7 +84,7 @@ def live_frames(
     if not _STREAM.fullmatch(source):
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, camera.width)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, camera.height)
-    return _frames(capture, source, camera, note)
+    return _frames(capture, source, camera, note, every)
 
 
 def _opened(source: str) -> cv2.VideoCapture:
@@ -136,35 +150,80 @@ def without_password(address: str) -> str:
 
 
 def _frames(
-    capture: cv2.VideoCapture, source: str, camera: Camera, note: Callable[[str], None]
-) -> Iterator[Frame]:
-    name, start_s, last_s, number = without_password(source), time.monotonic(), -1.0, 0
+    capture: cv2.VideoCapture,
+    source: str,
+    camera: Camera,
+    note: Callable[[str], None],
+    every: bool,
+) -> Generator[Frame, None, None]:
+    name, start_s, last_s, first = without_password(source), time.monotonic(), -1.0, 0
     try:
         while True:
             # A stored video at a network address ends.
             ends = bool(_STREAM.fullmatch(source)) and capture.get(cv2.CAP_PROP_FRAME_COUNT) > 0
-            for image, time_s in _pictures(capture, bool(_TIMED.fullmatch(source)), start_s):
-                _check_size(image, camera, name)
-                last_s = max(time_s, last_s + 1e-6)
-                yield Frame(
-                    number, f"{name}, frame {number}", last_s, camera, None, 1, _Taken(image)
-                )
-                number += 1
+            pictures = _pictures(capture, bool(_TIMED.fullmatch(source)), start_s, first)
+            with closing(pictures if every or ends else _newest(pictures)) as taken:
+                for number, (image, time_s) in taken:
+                    grey = _grey(image)
+                    _check_size(grey, camera, name)
+                    last_s, first = max(time_s, last_s + 1e-6), number + 1
+                    yield Frame(
+                        number, f"{name}, frame {number}", last_s, camera, None, 1, _Taken(grey)
+                    )
             if ends:
                 return
             capture.release()
             if not _STREAM.fullmatch(source):
                 raise RendezviewError(f"{name}: no more pictures come from this camera")
-            note(f"{name}: broke off after {number} pictures; opening it again")
+            note(f"{name}: broke off after {first} pictures; opening it again")
             capture = _again(source)
     finally:
         capture.release()
 
 
+def _newest(pictures: Iterator[T]) -> Generator[T, None, None]:
+    """The newest picture whenever one is asked for; the last one in any case."""
+    come = threading.Condition()
+    newest: list[T] = []
+    failed: list[BaseException] = []
+    more = wanted = True
+
+    def take() -> None:
+        nonlocal more
+        try:
+            for picture in pictures:
+                with come:
+                    newest[:] = [picture]
+                    come.notify()
+                    if not wanted:
+                        break
+        except BaseException as error:  # it belongs to the reader
+            failed.append(error)
+        with come:
+            more = False
+            come.notify()
+
+    thread = threading.Thread(target=take, daemon=True)
+    thread.start()
+    try:
+        while True:
+            with come:
+                come.wait_for(lambda: newest or not more)
+                if not newest:
+                    break
+                picture = newest.pop()
+            yield picture
+    finally:
+        wanted = False
+        thread.join()  # a camera that is still read must not be closed
+    if failed:
+        raise failed[0]
+
+
 def _pictures(
-    capture: cv2.VideoCapture, timed: bool, start_s: float
-) -> Iterator[tuple[GreyImage, float]]:
-    """Pictures and their times, s after ``start_s`` (monotonic), until no more come."""
+    capture: cv2.VideoCapture, timed: bool, start_s: float, number: int
+) -> Generator[tuple[int, tuple[cv2.typing.MatLike, float]], None, None]:
+    """Numbered pictures and their times, s after ``start_s`` (monotonic), until none comes."""
     missed, stale, first_s, first_ms, last_ms = 0, 0, 0.0, math.nan, -1.0
     while missed < _TRIES:
         good, image = capture.read()
@@ -181,8 +240,13 @@ def _pictures(
                 first_s, first_ms = time_s, sent_ms
             stale, last_ms = 0, sent_ms
             time_s = first_s + 1e-3 * (sent_ms - first_ms)
-        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        yield np.asarray(grey, dtype=np.uint8), time_s
+        yield number, (image, time_s)
+        number += 1
+
+
+def _grey(image: cv2.typing.MatLike) -> GreyImage:
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return np.asarray(grey, dtype=np.uint8)
 
 
 def _again(source: str) -> cv2.VideoCapture:

@@ -250,15 +250,13 @@ class OutlineRecognition:
             found = self._voted.find(signature, prior, error_rad)
         if found is None or signature is None:
             return None
-        match = self.matcher.at(signature, found.pose)
+        match = self.matcher.at(signature, found[0])
         if match is not None:
             points_m = node_points(self.model, match, signature)
             reading = replace(
                 reading, active_nodes=match.active_nodes, weights=match.weights, points_m=points_m
             )
-        return AppearanceObservation(
-            Status.OK, pose=found.pose, covariance=found.covariance, outline=reading
-        )
+        return AppearanceObservation(Status.OK, pose=found[0], covariance=found[1], outline=reading)
 
     def _doubt(self, signature: Signature, pose: Pose) -> Missing | None:
         """Why the forest doubts a pose; None where they do not, or the model has none."""

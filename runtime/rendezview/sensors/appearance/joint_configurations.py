@@ -7,11 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from rendezview.estimation.hypotheses import choose
 from rendezview.estimation.motion import rates_between
 from rendezview.geometry.joint import Joint, apart
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
-from rendezview.sensors.appearance.edges.refinement import Refined
+from rendezview.sensors.appearance.hypothesis import Hypothesis
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
@@ -36,35 +38,29 @@ def best_of(
         models: the configurations.
         confident: gives or refuses the pose of an observation by its margin.
     """
-    found = [k for k, observation in enumerate(observations) if observation.found is not None]
-    if not found:
+    seen = [(one, one.found) for one in observations if one.found is not None]
+    seen.sort(key=lambda pair: -pair[1].merit)
+    model, merits = models[0], [found.merit for _, found in seen]
+    choice = choose(merits, lambda k, known: not _another(seen[k][1], seen[known][1], model))
+    if choice is None:
         return observations[0]
-    found.sort(key=lambda k: -_merit(observations[k]))
-    best, joints = observations[found[0]], models[0].joints
-    assert best.found is not None
-    margin = best.found.margin
-    for k in found[1:]:
-        if _another(best, observations[k], models[0], joints):
-            margin = min(margin, _merit(best) - _merit(observations[k]))
-            break
-    best_pose = _spread(best.found.best, [observations[k] for k in found[1:]], _merit(best), joints)
-    return confident(replace(best, found=replace(best.found, margin=margin, best=best_pose)))
+    best, found = seen[choice.best]
+    pose = _spread(found, [other for _, other in seen[1:]], model.joints)
+    margin = min(found.margin, choice.margin)
+    return confident(replace(best, found=replace(found, margin=margin, best=pose)))
 
 
-def _spread(
-    best: Refined, others: Sequence[AppearanceObservation], merit: float, joints: Sequence[Joint]
-) -> Refined:
+def _spread(found: Found, others: Sequence[Found], joints: Sequence[Joint]) -> Hypothesis:
     """The best pose, its covariance widened to the nearby ones that fit as well.
 
     A plate seen edge-on fits at two angles.
     """
-    covariance = best.joint_covariance
+    best, covariance = found.best, found.best.joint_covariance
     if covariance is None or best.angles_rad is None:
         return best
-    for observation in others:
-        assert observation.found is not None
-        other = observation.found.best
-        if other.angles_rad is None or merit - observation.found.merit > _AS_GOOD:
+    for one in others:
+        other = one.best
+        if other.angles_rad is None or found.merit - one.merit > _AS_GOOD:
             continue
         if best.pose.angle_to(other.pose) > _OTHER_RAD:
             continue
@@ -86,20 +82,12 @@ def around(joints: Sequence[Joint], angles_rad: Array) -> list[Array]:
     return found
 
 
-def _merit(observation: AppearanceObservation) -> float:
-    assert observation.found is not None
-    return observation.found.merit
-
-
-def _another(
-    a: AppearanceObservation, b: AppearanceObservation, model: ViewModel, joints: Sequence[Joint]
-) -> bool:
-    """Whether two observations are different answers."""
-    assert a.found is not None
-    assert b.found is not None
-    one, other = a.found.best, b.found.best
+def _another(a: Found, b: Found, model: ViewModel) -> bool:
+    """Whether two configurations give different answers."""
+    one, other = a.best, b.best
     if angle_between(one.pose, other.pose, model.symmetries) > _OTHER_RAD:
         return True
     if one.angles_rad is None or other.angles_rad is None:
         return False
-    return bool(np.abs(apart(joints, one.angles_rad, other.angles_rad)).max() > _OTHER_RAD)
+    angles = apart(model.joints, one.angles_rad, other.angles_rad)
+    return bool(np.abs(angles).max() > _OTHER_RAD)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import DockingRing
-from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.model.joint_angles import JointAngles
 from rendezview.sensors.appearance.model.signature import Signature
 from rendezview.sensors.appearance.outline.reading import LateReading, OutlineReading
@@ -129,7 +129,7 @@ class AppearanceObservation(Observation):
             "inner": best.inner,
             "seen": best.visible,
             "residual_px": best.residual_px,
-            "excess": self.found.overshoot,
+            "excess": best.overshoot,
             "margin": self.found.margin,
         }
 

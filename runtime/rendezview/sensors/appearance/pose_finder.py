@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy.typing as npt
 
+from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
@@ -16,9 +17,8 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
 from rendezview.sensors.appearance.edges.contour_at import NOWHERE, target_box
-from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.found import NEAR_RAD, Found
 from rendezview.sensors.appearance.judge.rivals import Rivals
-from rendezview.sensors.appearance.judge.sketch_found import NEAR_RAD, SketchFound
 from rendezview.sensors.appearance.model.joint_angles import JointAngles
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import (
@@ -30,7 +30,7 @@ from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
 from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search.close import CloseSearch
-from rendezview.sensors.appearance.search.levels import LevelSearch
+from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.search.windows import SAME_BODY, overlap
 from rendezview.sensors.appearance.sky import Sky
@@ -80,7 +80,7 @@ class PoseFinder:
         self.trees = trees
         self.region: Region | None = None
         self.least_confidence = least_confidence
-        self.search = LevelSearch(model, camera) if refine and model.contours is not None else None
+        self.search = PoseSearch(model, camera) if refine and model.contours is not None else None
         # Refinement has its own.
         self._rivals = None
         if self.search is None and model.shape is not None:
@@ -148,18 +148,18 @@ class PoseFinder:
         return close or self._near(search, frame, sky, near, clock)
 
     def _anywhere(
-        self, search: LevelSearch, frame: Picture, sky: Sky, clock: StageClock
+        self, search: PoseSearch, frame: Picture, sky: Sky, clock: StageClock
     ) -> AppearanceObservation:
         """Without a prior: by the outline, then on a sketch, then by the outline thoroughly."""
         traced = self.outline.trace(frame, None, clock, bright_sky=not sky.dark)
-        by_outline = partial(search.anywhere, frame, sky, traced.outlines, sky.sun_camera)
+        by_outline = partial(search.anywhere, frame, sky, traced.outlines)
         found, sketched = None, None
         if traced.outlines:
             found = by_outline(give_up=0.0 if self.sketch is None else _LEAST_CONFIDENT)
             clock.lap("refine")
         best = found if self._confident(found) else None
         if best is None and self.sketch is not None:
-            sketched = SketchFound.of(self.sketch.best(frame, sky), dark=sky.dark)
+            sketched = self.sketch.best(frame, sky)
             clock.lap("sketch")
             doubtful = found is None or found.confidence < _LEAST_CONFIDENT
             answers = [] if found is None or doubtful else found.answers
@@ -203,25 +203,25 @@ class PoseFinder:
             looks.append(region.in_frame(self.looking_at(region).find(part)))
         clock.lap("windows")  # with all looks
         seen.stage_ms.update(clock.stage_ms)
-        given = [look for look in looks if look.pose is not None]
-        if not given:
+        given = [(look, look.pose) for look in looks if look.pose is not None]
+
+        def same(k: int, known: int) -> bool:
+            apart = angle_between(given[k][1], given[known][1], self.model.symmetries)
+            return bool(apart <= NEAR_RAD)
+
+        choice = choose([look.score for look, _ in given], same)
+        if choice is None:
             return seen
-        symmetries, best = self.model.symmetries, max(given, key=lambda look: look.score)
-        assert best.pose is not None
+        if choice.rivals:
+            reason = f"{len(given)} bodies look like the target: say where it is (roi)"
+            return replace(seen, status=Status.RIVALS, reason=reason)
+        best = given[choice.best][0]
         best.stage_ms.clear()
         best.stage_ms.update(seen.stage_ms)
-        for look in given:
-            assert look.pose is not None
-            if angle_between(look.pose, best.pose, symmetries) > NEAR_RAD:
-                return replace(
-                    seen,
-                    status=Status.RIVALS,
-                    reason=f"{len(given)} bodies look like the target: say where it is (roi)",
-                )
         return best
 
     def _next_to(
-        self, search: LevelSearch, frame: Picture, sky: Sky, near: Near, enough_inliers: float,
+        self, search: PoseSearch, frame: Picture, sky: Sky, near: Near, enough_inliers: float,
         clock: StageClock,
     ) -> AppearanceObservation | None:  # fmt: skip
         """The pose next to a prior; None unless it is confident at once."""
@@ -241,7 +241,7 @@ class PoseFinder:
         return self._given(seen, found)
 
     def _near(
-        self, search: LevelSearch, frame: Picture, sky: Sky, near: Near, clock: StageClock
+        self, search: PoseSearch, frame: Picture, sky: Sky, near: Near, clock: StageClock
     ) -> AppearanceObservation:
         """Within the error of a prior: by outline and rotations of it, then on a sketch."""
         prior, error_rad = near.prior, near.error_rad
@@ -256,8 +256,7 @@ class PoseFinder:
             return self._given(view, found)
         sketched = None
         if self.sketch is not None:
-            sketched = SketchFound.of(self.sketch.near(frame, sky, prior, error_rad), dark=sky.dark)
-            sketched = near.bounds(sketched)
+            sketched = near.bounds(self.sketch.near(frame, sky, prior, error_rad))
             clock.lap("sketch")
             best = near.bounds(self._likelier(search, frame, sky, found, sketched))
             clock.lap("refine")
@@ -266,8 +265,8 @@ class PoseFinder:
         return refused(view, self._refusable(found, sketched))
 
     def _likelier(
-        self, search: LevelSearch, frame: Picture, sky: Sky, found: Found | None,
-        sketched: SketchFound | None,
+        self, search: PoseSearch, frame: Picture, sky: Sky, found: Found | None,
+        sketched: Found | None,
     ) -> Found | None:  # fmt: skip
         """What grey edges found, or else a sketch; None where neither is confident."""
         if self._confident(found):
@@ -278,13 +277,13 @@ class PoseFinder:
         # Grey edges are the finer ones, where they are seen.
         return search.at(frame, sky, sketched.best.pose, NEAR_RAD) or sketched
 
-    def _beside(self, found: Found | None, sketched: SketchFound | None) -> SketchFound | None:
+    def _beside(self, found: Found | None, sketched: Found | None) -> Found | None:
         """What a sketch shows, beside the look-alikes that were weighed with it."""
         if sketched is None or found is None or not found.weighed:
             return sketched
         return sketched.beside(found.weighed, self.model.symmetries)
 
-    def _refusable(self, found: Found | None, sketched: SketchFound | None) -> Found | None:
+    def _refusable(self, found: Found | None, sketched: Found | None) -> Found | None:
         """What is the reason for no pose: the more confident of both."""
         sketched = self._beside(found, sketched)
         if sketched is None or (found is not None and found.confidence >= sketched.confidence):

@@ -18,14 +18,14 @@ from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
 from rendezview.sensors.appearance.integrity.evidence import Second
 from rendezview.sensors.appearance.joint_configurations import around, best_of
-from rendezview.sensors.appearance.judge.sketch_found import NEAR_RAD
+from rendezview.sensors.appearance.judge.found import NEAR_RAD
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation, StageClock
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
 from rendezview.sensors.appearance.pose_finder import PoseFinder, Request
 from rendezview.sensors.appearance.region import Region
-from rendezview.sensors.appearance.search.levels import LevelSearch
+from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.arguments import check_prior, check_types
@@ -80,7 +80,7 @@ class Recognizer:
         self._lock = threading.Lock()
 
     @property
-    def search(self) -> LevelSearch | None:
+    def search(self) -> PoseSearch | None:
         """By grey edges; None where poses are not refined."""
         return self._finder.search
 
@@ -215,7 +215,7 @@ class Recognizer:
             choice = self.sketch.anywhere(frame, Sky.of(frame))
         if choice is None:
             return None
-        other = nearest_alike(choice.pose, pose, self.model.symmetries)
+        other = nearest_alike(choice.best.pose, pose, self.model.symmetries)
         return Second(other.angle_to(pose), choice.confidence)
 
 
@@ -228,10 +228,10 @@ def _likely(
     merits, observations = [], []
     for one in searched:
         assert one.search is not None
-        one.search.start_at(one.model.angles_rad)
+        one.search.levels.start_at(one.model.angles_rad)
         found = None
         if traced.outlines:
-            found = one.search.anywhere(frame, sky, traced.outlines, sky.sun_camera, brief=True)
+            found = one.search.anywhere(frame, sky, traced.outlines, brief=True)
         merits.append(-np.inf if found is None else found.merit)
         observations.append(AppearanceObservation(Status.LOST, found=found))
     order = np.argsort(-np.array(merits), kind="stable")
@@ -244,5 +244,5 @@ def _turned_to(
 ) -> AppearanceObservation:
     """The observation of a configuration, with the joints starting at some angles (J,)."""
     assert finder.search is not None
-    finder.search.start_at(angles_rad, tracked=tracked)
+    finder.search.levels.start_at(angles_rad, tracked=tracked)
     return finder.find(request)

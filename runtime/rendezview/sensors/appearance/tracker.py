@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.estimation.hypotheses import choose
 from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between, nearest_alike
 from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
 from rendezview.sensors.appearance.joints import JointFilter
-from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.arguments import check_prior, check_recognizer, check_time
@@ -337,32 +337,31 @@ class Tracker:
 
     def _decide(self, frame: _Frame) -> AppearanceObservation:
         """Compare all rivals with the next frame; a pose is given when one leads."""
-        looks = []
+        seen, poses, merits = [], [], []
         for pose, merit in self._rivals:
             observation = self._seen(frame, pose)
-            found = observation.found
-            if found is not None:
-                looks.append((merit + found.merit, observation, found.best.pose))
-        looks.sort(key=lambda look: -look[0])
-        # Rivals that converge to one pose are one.
-        symmetries = self.recognizer.model.symmetries
-        for k in range(len(looks) - 1, 0, -1):
-            pose = looks[k][2]
-            if any(angle_between(pose, look[2], symmetries) < _SAME_RAD for look in looks[:k]):
-                del looks[k]
-        if not looks:
-            self._rivals = []
+            if observation.found is not None:
+                seen.append(observation)
+                poses.append(observation.found.best.pose)
+                merits.append(merit + observation.found.merit)
+
+        def same(k: int, known: int) -> bool:
+            """Whether rivals converge to one pose."""
+            symmetries = self.recognizer.model.symmetries
+            return bool(angle_between(poses[k], poses[known], symmetries) < _SAME_RAD)
+
+        self._rivals = []
+        choice = choose(merits, same, most=len(merits))
+        if choice is None:
             return self._seen(frame, thorough=self._motion is None)
-        best = looks[0]
-        lead = best[0] - looks[1][0] if len(looks) > 1 else np.inf
-        if lead >= self.options.decisive_lead and best[1].pose is not None:
-            self._rivals = []
-            return best[1]
-        self._rivals = [(pose, merit) for merit, _, pose in looks]
+        best = seen[choice.best]
+        if choice.margin >= self.options.decisive_lead and best.pose is not None:
+            return best
+        self._rivals = [(poses[k], merits[k]) for k in choice.answers]
         return replace(
-            best[1],
+            best,
             status=Status.AMBIGUOUS,
-            reason=f"{len(looks)} poses still fit; they are followed until one leads",
+            reason=f"{len(self._rivals)} poses still fit; they are followed until one leads",
             pose=None,
             covariance=None,
         )
@@ -377,7 +376,7 @@ class Tracker:
         self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s)
         self._misses, self._rivals, self._jump = 0, [], None
         found = observation.found
-        if found is None or isinstance(found, SketchFound):  # its inlier ratio is another
+        if found is None or found.on_sketch:  # its inlier ratio is another
             self._confirmed = (0.0, 0)
         elif found.single:  # no search: the confirmation grows older
             self._confirmed = (self._confirmed[0], self._confirmed[1] + 1)

@@ -5,20 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
-from rendezview.sensors.appearance.edges.refinement import Refined
-from rendezview.sensors.appearance.judge.confidence import Found
-from rendezview.sensors.appearance.judge.rivals import Weighed
-from rendezview.sensors.appearance.judge.sketch_found import NEAR_RAD, SketchFound
+from rendezview.sensors.appearance.hypothesis import Hypothesis
+from rendezview.sensors.appearance.judge.found import NEAR_RAD, Found
 from rendezview.sensors.appearance.observation import CLOSE_MARGIN, AppearanceObservation
 from rendezview.sensors.observation import Status
-
-F = TypeVar("F", bound=Found)
 
 # Of the outline: it was whole, and refinement says why there is no pose.
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
@@ -37,18 +32,20 @@ class Near:
     prior: Pose  # camera_from_target
     error_rad: float
 
-    def bounds(self, found: F | None) -> F | None:
+    def bounds(self, found: Found | None) -> Found | None:
         """What was found, unless it is farther off than the error and three σ of the pose."""
-        if found is None:
+        if found is None or found.best.covariance is None:
             return None
         sigma_rad = math.sqrt(float(np.linalg.eigvalsh(found.best.covariance[:3, :3])[-1]))
         apart = found.best.pose.angle_to(self.prior)
         return found if apart <= self.error_rad + _SIGMAS * sigma_rad else None
 
 
-def is_known(refined: Refined) -> bool:
+def is_known(refined: Hypothesis) -> bool:
     """Whether the edges of the frame determine the pose at all: σ of attitude and of range."""
     covariance, place_m = refined.covariance, refined.pose.translation_m
+    if covariance is None:
+        return False
     range_m = float(np.linalg.norm(place_m))
     along_m2 = float(place_m @ covariance[3:, 3:] @ place_m) / max(range_m, 1e-9) ** 2
     turn_rad2 = float(np.trace(covariance[:3, :3]))
@@ -56,7 +53,7 @@ def is_known(refined: Refined) -> bool:
 
 
 def beside_look_alikes(
-    seen: AppearanceObservation, weighed: Sequence[Weighed], symmetries: Sequence[Symmetry]
+    seen: AppearanceObservation, weighed: Sequence[Hypothesis], symmetries: Sequence[Symmetry]
 ) -> AppearanceObservation:
     """An observation of the trees alone with its probability; without its pose if others have more.
 
@@ -90,7 +87,7 @@ def refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObser
     if found is None:
         if status in _WHOLE_OUTLINE:
             status, reason = Status.UNRECOGNIZED, "no pose of the target fits the edges"
-    elif isinstance(found, SketchFound) and status not in _WHOLE_OUTLINE:
+    elif found.on_sketch and status not in _WHOLE_OUTLINE:
         pass  # the outline says why
     elif len(found.weighed) > 1 and found.posterior < LEAST_POSTERIOR:
         first, second = found.weighed[:2]

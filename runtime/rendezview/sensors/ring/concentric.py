@@ -8,8 +8,6 @@ poses misfits, because circles of one plane have centres that only the true tilt
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 from numba import njit
@@ -43,15 +41,6 @@ _MOST = 5  # edges. Source: by construction, a bound of time
 _MISFIT = 4.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class JointPose:
-    """A pose fitted to several edges."""
-
-    pose: CirclePose
-    chi2: float  # of the misfit, with
-    freedom: int  # degrees of freedom
-
-
 def fit_joint(
     camera: Camera,
     ellipses: list[Ellipse],
@@ -59,8 +48,8 @@ def fit_joint(
     *,
     radius_share: float = RADIUS_SHARE,
     plane_share: float = PLANE_SHARE,
-) -> JointPose | None:
-    """The pose that explains all edges; None where it does not converge.
+) -> tuple[CirclePose, float] | None:
+    """The pose that explains all edges, and the misfit χ²; None where it does not converge.
 
     Args:
         camera: only its matrix is used.
@@ -98,7 +87,7 @@ def fit_joint(
             covariance[:, k] /= np.sqrt(overshoot)
     covariance[:3, :3] += radius_share**2 * np.outer(centre, centre)
     pose = CirclePose(centre, axis, start.radius_m, 0.5 * (covariance + covariance.T))
-    return JointPose(pose, float(chi2), 4 * (len(used) - 1))
+    return pose, float(chi2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -235,11 +224,11 @@ def joint_poses(
         if len(used) == _MOST:
             break
         fits = [fit_joint(camera, [*used, ellipse], pose) for pose in poses]
-        best = min((fit.chi2 for fit in fits if fit is not None), default=np.inf)
+        best = min((fit[1] for fit in fits if fit is not None), default=np.inf)
         if best > _MISFIT * 4 * len(used):
             continue
         used.append(ellipse)
         # Where only one pose can be fitted, the other is as wrong as can be said.
-        poses = tuple(p if f is None else f.pose for p, f in zip(poses, fits, strict=True))
-        misfits = tuple(best + 1e6 if fit is None else fit.chi2 for fit in fits)
+        poses = tuple(p if f is None else f[0] for p, f in zip(poses, fits, strict=True))
+        misfits = tuple(best + 1e6 if fit is None else fit[1] for fit in fits)
     return poses, misfits

@@ -12,19 +12,13 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.estimation.least_squares import tukey_weight
-from rendezview.estimation.linear_algebra import copy_into, largest_size
+from rendezview.estimation.linear_algebra import copy_into
 from rendezview.sensors.ring.samples import (
     ARC,
     CONTRAST,
-    NX,
-    NY,
     OFFSET,
-    U0,
-    U1,
     WEIGHT,
-    add_equation,
-    solve_equations,
+    update_shape,
 )
 from rendezview.sensors.ring.spread import (
     covariance_of,
@@ -62,7 +56,7 @@ def fit_lip(
     """
     pair, normal = np.zeros(6), np.empty((6, 6))
     copy_into(shape, pair)
-    if _update(samples, used, 2.0, pair, normal) < 0.0:
+    if update_shape(samples, used, 2.0, pair, normal) < 0.0:
         return False
     if abs(pair[5]) * 0.5 * (pair[2] + pair[4]) < 0.5 * _GAP_PX[0]:
         return False  # one edge whose surroundings change
@@ -80,7 +74,7 @@ def fit_lip(
             samples[first : first + half],
         )  # fmt: skip
         scale = scale_of(samples, first + second)
-        moved = _update(samples, first + second, scale, pair, normal)
+        moved = update_shape(samples, first + second, scale, pair, normal)
         if moved < 0.0:
             return False
         if moved < 0.02:
@@ -94,7 +88,7 @@ def fit_lip(
         return False
     found = trim(rising, first, scale), trim(falling, second, scale)
     spread = max(spread_of(rising, first), spread_of(falling, second))
-    if _update(samples, first + second, 3.0 * scale, pair, normal) < 0.0:
+    if update_shape(samples, first + second, 3.0 * scale, pair, normal) < 0.0:
         return False
     whole = np.empty((6, 6))
     if not covariance_of(normal, spread, whole):
@@ -142,47 +136,6 @@ def arcs_of_senses(samples: Array, n: int, scale: float) -> tuple[float, float]:
             else:
                 darker += samples[i, ARC]
     return brighter, darker
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _update(samples: Array, n: int, scale: float, shape: Array, normal: Array) -> float:
-    """One robust Gauss–Newton step of a pair (6,); ``normal`` (6, 6) gets the normal equations.
-
-    The pair is a shape (5,) and ε: the edge that gets brighter outwards is larger than the shape by
-    1 + ε/2, the other one smaller. Offsets are from the edge of a sample's sense.
-    Returns the largest change, px; a negative number where there is no solution.
-    """
-    normal[:] = 0.0
-    right, step = np.zeros(6), np.empty(6)
-    row = np.empty(6)
-    for i in range(n):
-        s = samples[i]
-        if s[WEIGHT] <= 0.0:
-            continue
-        w = s[WEIGHT] * tukey_weight(s[OFFSET], scale)
-        if w == 0.0:
-            continue
-        sense = 1.0 if s[CONTRAST] > 0.0 else -1.0
-        share = 1.0 + 0.5 * sense * shape[5]
-        row[0], row[1] = s[NX], s[NY]
-        row[2], row[4] = share * s[NX] * s[U0], share * s[NY] * s[U1]
-        row[3] = share * (s[NX] * s[U1] + s[NY] * s[U0])
-        row[5] = 0.5 * sense * (
-            s[NX] * (shape[2] * s[U0] + shape[3] * s[U1])
-            + s[NY] * (shape[3] * s[U0] + shape[4] * s[U1])
-        )  # fmt: skip
-        add_equation(row, w, s[OFFSET], normal, right)
-    if not solve_equations(normal, right, 1e-9, step):
-        return -1.0
-    size = 0.5 * (shape[2] + shape[4])
-    largest = float(max(largest_size(step[:5]), size * abs(step[5])))
-    if not largest < 0.25 * size:
-        return -1.0
-    for j in range(6):
-        shape[j] += step[j]
-    if not (shape[2] > 0.0 and shape[2] * shape[4] - shape[3] * shape[3] > 0.0):
-        return -1.0
-    return largest
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

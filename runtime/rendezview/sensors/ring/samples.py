@@ -1,8 +1,8 @@
 """Samples of the edge along an ellipse, and the Gauss–Newton step that moves the ellipse onto them.
 
 `sample_gradients` searches a few pixels to either side: fast, for rough ellipses. `update_shape`
-solves for the five numbers of the ellipse, from these samples or from those of `steps`. The ellipse
-is in pixels without lens distortion; every place that is read goes through the lens model.
+solves for the numbers of one or two ellipses, from these samples or from those of `steps`. They are
+in pixels without lens distortion; every place that is read goes through the lens model.
 """
 
 from __future__ import annotations
@@ -159,14 +159,22 @@ def solve_equations(normal: Array, right: Array, damping: float, step: Array) ->
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_shape(samples: Array, count: int, scale_px: float, shape: Array, normal: Array) -> float:
-    """One robust Gauss–Newton step to the offsets; ``normal`` (5, 5) gets the normal equations.
+    """One robust Gauss–Newton step of a shape to the offsets, in place.
 
     Weights are WEIGHT times Tukey's of OFFSET / ``scale_px``. Returns the largest change, px;
     a negative number where there is no solution.
+
+    Args:
+        shape: (5,) of an ellipse; or (6,) of a pair, a shape and ε: the edge that gets brighter
+            outwards is larger than the shape by 1 + ε/2, the other one smaller. Offsets are then
+            from the edge of a sample's sense.
+        normal: (N, N) gets the normal equations.
     """
     normal[:] = 0.0
-    right, step = np.zeros(5), np.empty(5)
-    row = np.empty(5)
+    unknowns = shape.shape[0]
+    pair = unknowns == 6
+    right, step, row = np.zeros(unknowns), np.empty(unknowns), np.empty(unknowns)
+    share = 1.0
     for i in range(count):
         s = samples[i]
         if s[WEIGHT] <= 0.0:
@@ -174,17 +182,25 @@ def update_shape(samples: Array, count: int, scale_px: float, shape: Array, norm
         w = s[WEIGHT] * tukey_weight(s[OFFSET], scale_px)
         if w == 0.0:
             continue
+        if pair:
+            sense = 1.0 if s[CONTRAST] > 0.0 else -1.0
+            share = 1.0 + 0.5 * sense * shape[5]
+            row[5] = 0.5 * sense * (
+                s[NX] * (shape[2] * s[U0] + shape[3] * s[U1])
+                + s[NY] * (shape[3] * s[U0] + shape[4] * s[U1])
+            )  # fmt: skip
         row[0], row[1] = s[NX], s[NY]
-        row[2], row[4] = s[NX] * s[U0], s[NY] * s[U1]
-        row[3] = s[NX] * s[U1] + s[NY] * s[U0]
+        row[2], row[4] = share * s[NX] * s[U0], share * s[NY] * s[U1]
+        row[3] = share * (s[NX] * s[U1] + s[NY] * s[U0])
         add_equation(row, w, s[OFFSET], normal, right)
-    if not solve_equations(normal, right, 1e-7, step):
+    if not solve_equations(normal, right, 1e-9 if pair else 1e-7, step):
         return -1.0
-    largest = float(largest_size(step))
-    limit = 0.25 * (shape[2] + shape[4])
+    largest, limit = float(largest_size(step[:5])), 0.25 * (shape[2] + shape[4])
+    if pair:
+        largest, limit = max(largest, 2.0 * limit * abs(step[5])), 0.5 * limit
     if not largest < limit:
         return -1.0
-    for j in range(5):
+    for j in range(unknowns):
         shape[j] += step[j]
     if not (shape[2] > 0.0 and shape[2] * shape[4] - shape[3] * shape[3] > 0.0):
         return -1.0

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.circle_pose import (
@@ -209,41 +210,39 @@ def _decided(
     by: str,
 ) -> Which:  # fmt: skip
     """The least cost, and whose that is little more and whose ring lies elsewhere."""
-    order = np.argsort(cost, kind="stable")
-    best = int(order[0])
+    best = int(np.argmin(cost))
     twin = best ^ 1  # the other pose of the same circle
     place, axis = found.centre_m[best], found.axis[best]
     ranges = found.range_m
     expected = {
         j: shape_of_circle(camera, place + h * axis, axis, r) for j, (h, r) in known.every_circle
     }
-    rivals: list[tuple[int, int]] = []
-    named = [best]
-    for i in order[1:].tolist():
+
+    def same(i: int, known: int) -> bool:
         k, j = int(found.edge[i]), int(found.circle[i])
-        if cost[i] > cost[best] + RIVAL_COST or len(rivals) == _MOST_RIVALS:
-            break
-        if (k, j) == (found.edge[best], found.circle[best]) or (k, j) in rivals:
-            continue
-        apart = np.linalg.norm(found.centre_m[named] - found.centre_m[i], axis=1)
-        if (apart < _SAME_RANGE * ranges[best]).any():
-            continue
+        if (k, j) == (found.edge[known], found.circle[known]):
+            return True
+        apart_m = float(np.linalg.norm(found.centre_m[known] - found.centre_m[i]))
+        if apart_m < _SAME_RANGE * ranges[best]:
+            return True
         # Where it should lie if the best is right: the same reading of the frame, less exact.
-        if k != found.edge[best] and _miss(expected[j], edges[k].ellipse.shape) < 1.0:
-            continue
-        rivals.append((k, j))
-        named.append(i)
+        of_best = known == best and k != found.edge[best]
+        return of_best and _miss(expected[j], edges[k].ellipse.shape) < 1.0
+
+    choice = choose(-cost, same, within=RIVAL_COST, most=_MOST_RIVALS)
+    assert choice is not None
+    rivals = tuple((int(found.edge[i]), int(found.circle[i])) for i in choice.rivals)
     doubtful = bool(cost[best] > -RIVAL_COST) and bool(known.circles or known.memory)
     reason = ""
     if rivals:
-        places = " or ".join(_words(found, i, ranges, known) for i in named)
+        places = " or ".join(_words(found, i, ranges, known) for i in choice.answers)
         reason = f"{by} does not tell which circle is the ring: ellipse {places}"
     elif doubtful:
         reason = f"{by} does not tell whether {_words(found, best, ranges, known)} is the ring"
     elif not known.circles and _is_alone(edges, int(found.edge[best])) and known.memory is None:
         doubtful, reason = True, _ALONE
     return Which(
-        int(found.edge[best]), tuple(rivals), reason, int(found.circle[best]),
+        int(found.edge[best]), rivals, reason, int(found.circle[best]),
         doubtful=doubtful, centre_m=place, axis=axis, other_cost=float(cost[twin] - cost[best]),
     )  # fmt: skip
 
@@ -296,21 +295,20 @@ def _by_score(camera: Camera, edges: Sequence[RingEdge], radius_m: float) -> Whi
     ranges = [float(np.linalg.norm(pose[0].centre_m)) if pose else math.inf for pose in poses]
     best, first = edges[0], widened(camera, poses[0][0], edges[0].systematic_px)
     tilt = first.tilt_rad - first.axis_sigma_rad
-    rivals = []
-    for k in range(1, len(edges)):
-        edge = edges[k]
-        one_plane = edge.group == best.group and tilt > _PLANE_TILT_RAD
-        weak = edge.score < _RIVAL_SCORE * best.score
-        same = abs(ranges[k] / ranges[0] - 1.0) < _SAME_RANGE
-        if not (one_plane or weak or same):
-            rivals.append(k)
-    if not rivals:
+
+    def same(k: int, known: int) -> bool:
+        one_plane = edges[k].group == best.group and tilt > _PLANE_TILT_RAD
+        weak = edges[k].score < _RIVAL_SCORE * best.score
+        as_far = abs(ranges[k] / ranges[0] - 1.0) < _SAME_RANGE
+        return known == 0 and (one_plane or weak or as_far)
+
+    choice = choose(-np.arange(len(edges)), same, most=_MOST_RIVALS)  # in the detector's order
+    if choice is None or not choice.rivals:
         alone = sum(edge.group == best.group for edge in edges) == 1
         return Which(0, (), _ALONE if alone else "", by_score=True, doubtful=alone)
-    rivals = rivals[:_MOST_RIVALS]
-    places = " or ".join(f"{k} (then at {ranges[k]:.2f} m)" for k in (0, *rivals))
+    places = " or ".join(f"{k} (then at {ranges[k]:.2f} m)" for k in choice.answers)
     reason = f"no range is given to tell which circle is the ring: ellipse {places}"
-    return Which(0, tuple((k, RING) for k in rivals), reason, by_score=True)
+    return Which(0, tuple((k, RING) for k in choice.rivals), reason, by_score=True)
 
 
 def ring_of_circle(pose: CirclePose, height_m: float, radius_m: float) -> CirclePose:

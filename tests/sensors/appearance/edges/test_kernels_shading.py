@@ -18,7 +18,7 @@ from rendezview.sensors.appearance.judge.shading import (
     visible_points,
 )
 from rendezview.sensors.appearance.model.view_tables import through_lens
-from rendezview.sensors.appearance.outline.retrieval import _spread, _squared_distances
+from rendezview.sensors.appearance.outline.similarity import _squared_distances, spread_out
 
 PINHOLE = Camera(400, 300, 520.0, 530.0, 199.0, 151.0)
 BENT = Camera(400, 300, 520.0, 530.0, 199.0, 151.0, (-0.2, 0.1, 0.001, -0.002, 0.0))
@@ -213,7 +213,7 @@ def test_views_near_one_before_at_the_same_roll_are_left_out():
             chosen.append(k)
     assert 60 < len(chosen) < 350
     for most in (50, 400):
-        found = _spread(views, shifts, directions, cosine, 90, most)
+        found = spread_out(views, shifts, directions, cosine, 90, most)
         assert found.tolist() == chosen[:most]
 
 

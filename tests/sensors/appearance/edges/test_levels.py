@@ -15,7 +15,6 @@ from rendezview.sensors.appearance.search.levels import (
     shrunk_sky,
     times_smaller,
 )
-from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 
@@ -80,5 +79,4 @@ def test_a_large_target_is_found_at_its_level(refining_model, bumpy_mesh, draw):
         found += first.pose is not None and first.pose.angle_to(truth) < np.deg2rad(0.5)
     assert found >= 3
     assert recognizer.search is not None
-    assert isinstance(recognizer.search.whole, PoseSearch)
-    assert sorted(recognizer.search._levels) == [1, 2]
+    assert sorted(recognizer.search.levels._levels) == [1, 2]

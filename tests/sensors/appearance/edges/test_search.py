@@ -9,7 +9,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.observation import StageClock
-from rendezview.sensors.appearance.search.levels import LevelSearch
+from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.starts import half_turns
 from rendezview.sensors.appearance.sky import Sky
 
@@ -32,7 +32,7 @@ def turned(pose: Pose, turn: np.ndarray, centre_m: np.ndarray) -> Pose:
 def test_a_proposal_that_is_half_a_turn_off_leads_to_the_pose(
     refining_model, bumpy_mesh, camera, draw, truth, axis
 ):
-    search = LevelSearch(refining_model, camera)
+    search = PoseSearch(refining_model, camera)
     frame = draw(bumpy_mesh, truth, camera)
     wrong = turned(truth, half_turns(refining_model)[axis], refining_model.centre_m)
     found = search.proposed(frame, Sky.of(frame), [wrong], [])
@@ -45,7 +45,7 @@ def test_a_proposal_that_is_half_a_turn_off_leads_to_the_pose(
 def test_half_turns_are_left_out_where_the_witness_has_ruled_them_out(
     refining_model, bumpy_mesh, camera, draw, truth
 ):
-    search = LevelSearch(refining_model, camera)
+    search = PoseSearch(refining_model, camera)
     frame = draw(bumpy_mesh, truth, camera)
     wrong = turned(truth, half_turns(refining_model)[0], refining_model.centre_m)
     found = search.proposed(frame, Sky.of(frame), [wrong], [], half_turns=False)
@@ -91,7 +91,7 @@ def test_beside_a_sketch_right_poses_are_found_as_without_and_others_given_up(
 
 
 def test_of_several_proposals_the_edges_choose(refining_model, bumpy_mesh, camera, draw, truth):
-    search = LevelSearch(refining_model, camera)
+    search = PoseSearch(refining_model, camera)
     frame = draw(bumpy_mesh, truth, camera)
     aside = Pose(truth.rotation, truth.translation_m).perturbed([0.03, -0.02, 0.02, 0.0, 0.0, 0.0])
     quarter = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -104,5 +104,5 @@ def test_of_several_proposals_the_edges_choose(refining_model, bumpy_mesh, camer
 def test_an_empty_frame_bears_no_proposal_out(refining_model, camera, truth):
     frame = np.random.default_rng(1).normal(8.0, 2.0, (camera.height, camera.width))
     frame = np.clip(frame, 0, 255).astype(np.uint8)
-    found = LevelSearch(refining_model, camera).proposed(frame, Sky.of(frame), [truth], [])
+    found = PoseSearch(refining_model, camera).proposed(frame, Sky.of(frame), [truth], [])
     assert found is None or found.confidence < 0.5

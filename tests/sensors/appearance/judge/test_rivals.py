@@ -12,13 +12,10 @@ from tests.sensors.appearance.judge.near_symmetric import twelve_sides
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.judge.drawn import DrawnEvidence
 from rendezview.sensors.appearance.judge.rivals import Rivals, edge_scores
-from rendezview.sensors.appearance.judge.sketch_choice import (
-    POSE_FEATURES,
-    SketchPose,
-    packaged,
-)
+from rendezview.sensors.appearance.judge.sketch_choice import packaged, sketch_merit
 from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
@@ -73,6 +70,11 @@ def aside(pose: Pose, angle_deg: float) -> Pose:
     return Pose(pose.rotation @ turn, pose.translation_m)
 
 
+def under(poses: list[Pose]) -> list[Hypothesis]:
+    """Poses under the Sun."""
+    return [Hypothesis(pose, sun_camera=SUN) for pose in poses]
+
+
 def test_the_true_pose_under_the_true_sun_explains_the_frame(model: ViewModel, drum: Mesh) -> None:
     frame = picture(drum, SIDE)
     evidence = DrawnEvidence(model.shape, model, CAMERA)
@@ -106,7 +108,7 @@ def test_a_sun_that_is_known_is_used(model: ViewModel, drum: Mesh) -> None:
     frame, known = picture(drum, SIDE), np.array([0.0, 0.0, -1.0])
     poses = [SIDE, aside(SIDE, 60.0)]
     weighed = Rivals(model, CAMERA).weigh(
-        frame, Sky.of(frame, known), poses, np.full(2, 18.0), [SUN, SUN]
+        frame, Sky.of(frame, known), under(poses), np.full(2, 18.0)
     )
     for one in weighed:
         np.testing.assert_array_equal(one.sun_camera, known)
@@ -187,7 +189,7 @@ def test_from_afar_look_alikes_have_the_outline_of_the_pose(model: ViewModel) ->
 def test_the_frame_tells_turns_by_sixty_degrees_apart(model: ViewModel, drum: Mesh) -> None:
     frame = picture(drum, SIDE)
     poses = [aside(SIDE, angle) for angle in (120.0, 0.0, 60.0)]
-    weighed = Rivals(model, CAMERA).weigh(frame, Sky.of(frame), poses, np.full(3, 18.0), [SUN] * 3)
+    weighed = Rivals(model, CAMERA).weigh(frame, Sky.of(frame), under(poses), np.full(3, 18.0))
     assert weighed[0].pose is poses[1]
     assert weighed[0].probability > 0.99
     assert sum(one.probability for one in weighed) == pytest.approx(1.0)
@@ -198,14 +200,14 @@ def test_where_box_and_stub_are_hidden_no_pose_is_sure(model: ViewModel, drum: M
     below = seen(Rotation.from_euler("xyz", [0.0, 0.0, 3.0], degrees=True))
     frame = picture(drum, below)
     poses = [aside(below, angle) for angle in (90.0, 180.0, 270.0)]
-    weighed = Rivals(model, CAMERA).weigh(frame, Sky.of(frame), poses, np.full(3, 18.0), [SUN] * 3)
+    weighed = Rivals(model, CAMERA).weigh(frame, Sky.of(frame), under(poses), np.full(3, 18.0))
     assert weighed[0].probability < 0.9
 
 
 def test_a_pose_alone_is_not_drawn(model: ViewModel) -> None:
     frame = np.zeros((320, 320), np.uint8)
     alone = Rivals(model, CAMERA).weigh(
-        frame, Sky(0.0, 1.0, dark=True), [SIDE], np.array([18.0]), [SUN]
+        frame, Sky(0.0, 1.0, dark=True), under([SIDE]), np.array([18.0])
     )
     assert alone[0].probability == 1.0
     assert np.isnan(alone[0].cost)
@@ -215,16 +217,15 @@ def test_poses_that_no_frame_shows_are_not_weighed(model: ViewModel) -> None:
     frame = np.zeros((320, 320), np.uint8)
     tiny = [Pose(SIDE.rotation, np.array([0.0, 0.0, z])) for z in (900.0, 950.0)]
     weighed = Rivals(model, CAMERA).weigh(
-        frame, Sky(0.0, 1.0, dark=True), tiny, np.full(2, 18.0), [SUN, SUN]
+        frame, Sky(0.0, 1.0, dark=True), under(tiny), np.full(2, 18.0)
     )
     assert weighed == []
 
 
-def on_a_sketch(pose: Pose, merit: float) -> SketchPose:
+def on_a_sketch(pose: Pose, merit: float) -> Hypothesis:
     """A pose on a sketch whose merit is some figure: that of one feature alone."""
-    weight = dict(zip(POSE_FEATURES, packaged().merit, strict=True))["outline"]
-    others = dict.fromkeys(POSE_FEATURES, 0.0)
-    return SketchPose(pose, **(others | {"outline": merit / weight}))
+    weights = packaged().merit
+    return Hypothesis(pose, sketch=np.append(merit / weights[0], np.zeros(len(weights) - 1)))
 
 
 def test_a_sketch_speaks_beside_grey_edges_and_no_hold_counts_as_the_worst() -> None:
@@ -244,12 +245,14 @@ def test_a_sketch_tells_look_alikes_apart_where_the_picture_does_not(
     frame = picture(drum, below)
     poses = [aside(below, angle) for angle in (90.0, 180.0, 270.0)]
     sketch = [on_a_sketch(pose, merit) for pose, merit in zip(poses, (5.0, 15.0, 5.0), strict=True)]
-    edges = edge_scores(np.ones(3), np.array([one.merit for one in sketch]))
-    weighed = Rivals(model, CAMERA).weigh(
-        frame, Sky.of(frame), poses, edges, [SUN] * 3, list(sketch)
-    )
+    edges = edge_scores(np.ones(3), np.array([sketch_merit(one) for one in sketch]))
+    led = [
+        dataclasses.replace(one, on_sketch=there)
+        for one, there in zip(under(poses), sketch, strict=True)
+    ]
+    weighed = Rivals(model, CAMERA).weigh(frame, Sky.of(frame), led, edges, beside_sketch=True)
     assert weighed[0].pose is poses[1]
-    assert weighed[0].on_sketch is poses[1]
+    assert weighed[0].on_sketch is sketch[1]
     assert weighed[0].probability > 0.95
 
 

@@ -213,9 +213,9 @@ def test_votes_find_the_attitude_of_a_sunlit_part(refining_model):
         found = finder.find(signature)
         if found is not None:
             true = Rotation.from_quat(lit.quat_wxyz[entry][[1, 2, 3, 0]])
-            turn = Rotation.from_matrix(found.pose.rotation) * true.inv()
+            turn = Rotation.from_matrix(found[0].rotation) * true.inv()
             off.append(np.rad2deg(turn.magnitude()))
-            assert np.all(np.linalg.eigvalsh(found.covariance) > 0.0)
+            assert np.all(np.linalg.eigvalsh(found[1]) > 0.0)
     assert len(off) >= 10
     assert np.mean(np.array(off) < 20.0) > 0.9
 

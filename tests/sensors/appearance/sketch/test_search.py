@@ -14,16 +14,16 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.edges.contour_at import target_box
-from rendezview.sensors.appearance.judge import sketch_choice as choice_module
+from rendezview.sensors.appearance.hypothesis import Hypothesis
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.sketch_choice import (
     CHOICE_FEATURES,
     PACKAGED,
     POSE_FEATURES,
     Passes,
-    SketchPose,
-    chosen,
     distinct,
     packaged,
+    sketch_merit,
 )
 from rendezview.sensors.appearance.model.sketches import (
     EDGE,
@@ -34,6 +34,7 @@ from rendezview.sensors.appearance.model.sketches import (
     centroid,
     on_grid,
 )
+from rendezview.sensors.appearance.search import sketch_search as search_module
 from rendezview.sensors.appearance.search.by_sketch import PartialViews
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch, _last, _lines
 from rendezview.sensors.appearance.sky import Sky
@@ -41,6 +42,8 @@ from rendezview.sensors.observation import Status
 from rendezview_ground.learn.options import ViewGeometry
 from rendezview_ground.learn.views.sketch_maps import sketched_view
 from rendezview_ground.simulate.scene import SceneOptions, render_frame
+
+LIGHT = slice(POSE_FEATURES.index("shading"), None)  # … and tones
 
 
 @pytest.fixture(scope="module")
@@ -139,16 +142,16 @@ def test_poses_are_found_before_a_sky_where_no_threshold_holds(
     for seed in range(8):
         frame, truth = hard_frame(bumpy_mesh, refining_model, camera, seed)
         choice = search.anywhere(frame, Sky.of(frame))
-        errors.append(180.0 if choice is None else np.rad2deg(choice.pose.angle_to(truth)))
+        errors.append(180.0 if choice is None else np.rad2deg(choice.best.pose.angle_to(truth)))
         start = truth.perturbed([0.05, -0.06, 0.04, 0.05, -0.05, 0.2])
         near = search.near(frame, Sky.of(frame), start, np.deg2rad(10.0))
         assert near is not None
         assert near.prior
-        assert near.pose.angle_to(start) < np.deg2rad(20.0)
+        assert near.best.pose.angle_to(start) < np.deg2rad(20.0)
         # The pose converges on the finer sketch from that of every second contour point.
-        apart_deg = np.rad2deg(near.pose.angle_to(near.best.pose))
-        assert 0.0 < apart_deg < 2.0 * near.spread_deg + 0.5
-        assert np.linalg.eigvalsh(near.covariance).min() > 0.0
+        apart_deg = np.rad2deg(near.best.pose.angle_to(near.passes.chosen()[0].pose))
+        assert 0.0 < apart_deg < 2.0 * near.passes.spread_deg + 0.5
+        assert np.linalg.eigvalsh(near.best.covariance).min() > 0.0
     assert np.sum(np.array(errors) < 10.0) >= 5, errors
 
 
@@ -172,7 +175,7 @@ def test_light_on_the_surface_tells_a_pose_from_others(bumpy_mesh, refining_mode
                 search.aligned(search.read(seen, sky), pose.rotation[None].copy(), at[None].copy())
                 for seen in (sketch, turned)
             )
-            told += [(lit[0].shading, lit[0].tones, unlit[0].tones)] if lit else []
+            told += [(*lit[0].sketch[LIGHT], unlit[0].sketch[LIGHT][1])] if lit else []
     shading, tones, elsewhere = np.array(told).T
     assert len(told) >= 8
     assert np.median(shading) > 0.1
@@ -186,8 +189,8 @@ def test_a_model_without_a_surface_knows_no_light(bumpy_mesh, refining_model, ca
     frame = lit_frame(bumpy_mesh, pose, camera)
     sky = Sky.of(frame)
     known, unknown = (one.near(frame, sky, pose, 0.1).best for one in (search, bare))
-    assert min(known.shading, known.tones) > 0.0
-    assert (unknown.shading, unknown.tones) == (0.0, 0.0)
+    assert known.sketch[LIGHT].min() > 0.0
+    assert not unknown.sketch[LIGHT].any()
 
 
 def test_lines_are_explained_alike_in_a_finer_sketch(bumpy_mesh, refining_model, camera, search):
@@ -206,7 +209,7 @@ def test_lines_are_explained_alike_in_a_finer_sketch(bumpy_mesh, refining_model,
         poses = search.aligned(
             search.read(sketch, sky), pose.rotation[None].copy(), at[None].copy()
         )
-        shares.append(poses[0].explained)
+        shares.append(poses[0].sketch[POSE_FEATURES.index("explained")])
     assert shares[0] > 0.5
     assert shares[1] == pytest.approx(shares[0], abs=0.2)
 
@@ -215,29 +218,27 @@ def test_a_pose_in_doubt_gets_a_second_opinion(
     bumpy_mesh, refining_model, camera, search, monkeypatch
 ):
     frame, _ = hard_frame(bumpy_mesh, refining_model, camera, 2)
-    monkeypatch.setattr(choice_module, "DOUBT", (0.0, 1.01))
+    monkeypatch.setattr(search_module, "DOUBT", (0.0, 1.01))
     sky = Sky.of(frame)
     asked = search.best(frame, sky)
     alone = [search.anywhere(frame, sky, turned=t) for t in (False, True)]
     better = max(alone, key=lambda choice: choice.confidence)
-    assert np.array_equal(asked.pose.rotation, better.pose.rotation)
-    assert asked.other == min(choice.confidence for choice in alone)
-    assert asked.agree == (alone[0].pose.angle_to(alone[1].pose) < np.deg2rad(8.0))
-    monkeypatch.setattr(choice_module, "DOUBT", (0.0, 0.0))
-    assert search.best(frame, sky).other is None
+    assert np.array_equal(asked.best.pose.rotation, better.best.pose.rotation)
+    assert asked.confidence == alone[0].with_opinion(alone[1], ()).confidence
+    assert asked.confidence != better.confidence
+    monkeypatch.setattr(search_module, "DOUBT", (0.0, 0.0))
+    assert search.best(frame, sky).confidence == alone[0].confidence
 
 
 def test_an_opinion_is_surer_where_the_other_agrees():
-    poses = [some_pose(0.5, 0.0), some_pose(0.3, 60.0)]
-    one = chosen(passes(poses), (), prior=False, cut=False)
-    same = one.beside(one, ())
-    assert (same.other, same.agree) == (one.confidence, True)
-    elsewhere = replace(one, pose=some_pose(0.5, 30.0).pose)
-    apart = one.beside(elsewhere, ())
-    assert not apart.agree
+    one = Found(some_pose(0.5, 0.0), 1.0, dark=True, prior=False, probability=0.5)
+    elsewhere = replace(one, best=some_pose(0.5, 30.0), probability=0.4)
+    near = replace(elsewhere, best=some_pose(0.5, 7.0))
+    same, apart = (one.with_opinion(other, ()) for other in (near, elsewhere))
+    assert same.best is apart.best is elsewhere.with_opinion(one, ()).best is one.best
     assert same.confidence > apart.confidence
     half_turn = Symmetry("discrete", np.array([0.0, 1.0, 0.0]), np.deg2rad(30.0))
-    assert one.beside(elsewhere, [half_turn]).agree
+    assert one.with_opinion(elsewhere, [half_turn]).confidence == same.confidence
 
 
 def test_lengths_of_the_last_alignment_grow_with_the_sketch(search, refining_model, camera):
@@ -277,34 +278,35 @@ def test_an_empty_sky_gives_no_pose(refining_model, camera, search):
     assert search.near(frame, Sky.of(frame), behind, 0.1) is None
 
 
-def some_pose(merit: float, turn_deg: float) -> SketchPose:
+def some_pose(merit: float, turn_deg: float) -> Hypothesis:
     rotation = Rotation.from_rotvec([0.0, np.deg2rad(turn_deg), 0.0]).as_matrix()
-    return SketchPose(Pose(rotation, [0.0, 0.0, 5.0]), merit, 0.2, 0.5, 1.0, 0.5, 0.5, 0.5)
+    features = np.array([merit, 0.2, 0.5, 1.0, 0.5, 0.5, 0.5])
+    return Hypothesis(Pose(rotation, [0.0, 0.0, 5.0]), sketch=features)
 
 
-def passes(poses: list[SketchPose]) -> Passes:
+def passes(poses: list[Hypothesis]) -> Passes:
     """A first pass at some poses, and a closer one at the same."""
     return Passes(poses, poses[:2], poses[2:])
 
 
 def test_the_choice_names_the_best_and_its_rival():
     poses = [some_pose(0.5, 0.0), some_pose(0.48, 2.0), some_pose(0.4, 40.0)]
-    choice = chosen(passes(poses), (), prior=False, cut=False)
-    assert choice.best is poses[0]
-    assert choice.rival is poses[2]  # 2° away is the same answer
-    assert choice.margin == pytest.approx(poses[0].merit - poses[2].merit)
-    assert 0.0 < choice.confidence < 1.0
-    clearer = chosen(passes(poses[:2]), (), prior=False, cut=False)
-    assert clearer.rival is None
-    assert clearer.confidence > choice.confidence
-    assert chosen(passes([]), (), prior=False, cut=False) is None
+    seen, clearer = passes(poses), passes(poses[:2])
+    best, rival, margin = seen.chosen()
+    assert best is poses[0]
+    assert rival is poses[2]  # 2° away is the same answer
+    assert margin == pytest.approx(sketch_merit(poses[0]) - sketch_merit(poses[2]))
+    assert 0.0 < seen.probability < 1.0
+    assert clearer.chosen()[1] is None
+    assert clearer.probability > seen.probability
+    assert passes([]).chosen() is None
     assert distinct(poses, 5, np.deg2rad(4.0)) == [poses[0], poses[2]]
 
 
 def test_what_leads_to_the_best_pose_makes_it_more_probable():
     best, near, far = some_pose(0.5, 0.0), some_pose(0.45, 1.0), some_pose(0.3, 50.0)
     clear = Passes([best, near, near, far], [best, near, near], [far])
-    assert clear.lead(best.pose) == pytest.approx(min(best.merit - far.merit, 4.0))
+    assert clear.lead(best.pose) == pytest.approx(min(sketch_merit(best) - sketch_merit(far), 4.0))
     assert clear.basin(best.pose) == 0.75
     assert clear.scattered(best.pose) == pytest.approx((1.0, 1.0))
     better = some_pose(0.7, 50.0)  # in the first pass only
@@ -313,9 +315,8 @@ def test_what_leads_to_the_best_pose_makes_it_more_probable():
     assert unclear.basin(best.pose) == 0.25
     assert unclear.scattered(best.pose) == pytest.approx((0.5, 10.0))
     assert Passes([best], [], []).scattered(best.pose) == (0.0, 10.0)
-    sure, doubtful = (chosen(seen, (), prior=False, cut=False) for seen in (clear, unclear))
-    assert sure.best is doubtful.best
-    assert sure.confidence > doubtful.confidence
+    assert clear.chosen()[0] is unclear.chosen()[0]
+    assert clear.probability > unclear.probability
 
 
 def test_the_fitted_file_names_every_feature_and_its_data():

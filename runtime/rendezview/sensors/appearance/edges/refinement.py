@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
@@ -46,6 +46,7 @@ from rendezview.sensors.appearance.edges.stages import (
     THOROUGH,
 )
 from rendezview.sensors.appearance.edges.strain import StrainMoves
+from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.model.contours import Contours
 from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.near_views import NearSphere
@@ -84,30 +85,6 @@ class RefineOptions:
     def __post_init__(self) -> None:
         if not 0.3 <= self.blur_px <= 5.0:
             raise ValueError(f"blur_px must be 0.3 to 5: {self.blur_px}")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Refined:
-    """A pose on the edges of a frame."""
-
-    pose: Pose  # camera_from_target
-    covariance: Array  # (6, 6) rotation vector, translation; camera frame, left
-    outline: float  # inlier ratio of the outline: share of its points with an edge in place
-    inner: float  # inlier ratio of creases and steps
-    visible: float  # share of the outline that lies in the picture
-    residual_px: float  # root mean square over the inliers
-    light: float  # share of the grey levels beside the edges that one light explains
-    edge_variance_px2: float = 0.0  # σ² of an edge, with all inflation
-    strain_covariance: Array | None = None  # (6, 6) the share of the mesh in the covariance
-    angles_rad: Array | None = None  # (J,) of the joints; None: a rigid target
-    joint_support: float = 1.0  # least share of a joint's visible points with an edge in place
-    joint_covariance: Array | None = None  # (6 + J, 6 + J) as ``covariance``, then the angles
-    points: int = 0  # of a near part: lit contour points in the picture
-
-    @property
-    def inlier_ratio(self) -> float:
-        """0 … 1: two thirds the outline's, one third the inner edges'."""
-        return (2.0 * self.outline + self.inner) / 3.0
 
 
 class Refiner:
@@ -162,7 +139,7 @@ class Refiner:
 
     def refine(
         self, image: Picture, sky: Sky, start: Pose, *, closely: bool = False, least: float = 0.0
-    ) -> Refined | None:
+    ) -> Hypothesis | None:
         """The pose next to ``start`` that fits the edges; None where it finds no hold.
 
         Args:
@@ -211,7 +188,7 @@ class Refiner:
         *,
         thorough: bool = False,
         least: float = 0.0,
-    ) -> list[Refined]:
+    ) -> list[Hypothesis]:
         """Align starting poses coarsely, refine the ``keep`` best; by inlier ratio, best first.
 
         Args:
@@ -229,10 +206,15 @@ class Refiner:
             survivors, ratios,
         )  # fmt: skip
         merit = (2.0 * ratios[:, 0] + ratios[:, 1]) / 3.0
-        chosen = self._distinct(np.argsort(-merit, kind="stable"), merit, rotations, centres, keep)
+
+        def same(k: int, known: int) -> bool:
+            cosine = 0.5 * (np.sum(rotations[k] * rotations[known]) - 1.0)
+            return bool(cosine >= _SAME_COSINE)
+
+        choice = choose(merit, same, most=keep - 1)
         found = []
-        for k in chosen:
-            if merit[k] < least:
+        for k in () if choice is None else choice.answers:
+            if merit[k] <= 0.0 or merit[k] < least:
                 continue
             refined = self._refined(image, frame, self._stages, rotations[k], centres[k])
             if refined is not None:
@@ -241,7 +223,7 @@ class Refiner:
 
     def _refined(
         self, image: Picture, frame: Array, stages: Array, rotation: Array, centre: Array
-    ) -> Refined | None:
+    ) -> Hypothesis | None:
         """The pose (changed in place) moved onto the edges; None where it finds no hold."""
         edges = np.zeros((self._rows, COLUMNS))
         if self.articulation is not None:
@@ -254,7 +236,7 @@ class Refiner:
     def _turned(
         self, articulation: Articulation, image: Picture, frame: Array, stages: Array,
         rotation: Array, centre: Array, edges: Array,
-    ) -> Refined | None:  # fmt: skip
+    ) -> Hypothesis | None:  # fmt: skip
         """The pose and the angles of the joints, in turns; None where they find no hold.
 
         As the pose, the angles are found on edges further away first, and then on near ones.
@@ -282,8 +264,8 @@ class Refiner:
         return self._with_angles(refined, angles, step, rotation) if step else None
 
     def _with_angles(
-        self, refined: Refined, angles: Array, step: JointStep, rotation: Array
-    ) -> Refined:
+        self, refined: Hypothesis, angles: Array, step: JointStep, rotation: Array
+    ) -> Hypothesis:
         """The pose with the angles and the covariance of all of them.
 
         The edges give both; what the strain of the mesh does to the pose is added. An angle whose
@@ -312,19 +294,6 @@ class Refiner:
             covariance=joint[:6, :6],
         )
 
-    def _distinct(
-        self, order: npt.NDArray[np.intp], merit: Array, rotations: Array, centres: Array, most: int
-    ) -> list[int]:
-        """The first of the aligned poses, in order, that are not the same again."""
-        chosen: list[int] = []
-        for k in order:
-            if merit[k] <= 0.0 or len(chosen) == most:
-                break
-            cosines = [0.5 * (np.sum(rotations[k] * rotations[j]) - 1.0) for j in chosen]
-            if all(cosine < _SAME_COSINE for cosine in cosines):
-                chosen.append(int(k))
-        return chosen
-
     def _centred(self, pose: Pose) -> tuple[Array, Array]:
         """Rotation and view centre of a pose, fresh arrays."""
         return pose.rotation.copy(), pose.apply(self.centre_m)
@@ -337,7 +306,7 @@ class Refiner:
         centre: Array,
         light: float,
         edges: Array,
-    ) -> Refined:
+    ) -> Hypothesis:
         """The pose with its covariance and inlier ratios; ``edges`` are those last measured."""
         arm = rotation @ self.centre_m
         covariance, spread_px = covariance_of(
@@ -368,7 +337,7 @@ class Refiner:
         if self.sphere is not None:
             inflation *= _NEAR_INFLATION
         pose = Pose(rotation, centre - arm)
-        return Refined(
+        return Hypothesis(
             pose,
             inflation * covariance + strained,
             outline,

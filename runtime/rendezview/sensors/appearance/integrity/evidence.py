@@ -11,8 +11,7 @@ import numpy as np
 
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.judge.confidence import Found
-from rendezview.sensors.appearance.judge.sketch_found import NEAR_RAD, SketchFound
+from rendezview.sensors.appearance.judge.found import NEAR_RAD, Found
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
 
@@ -95,15 +94,15 @@ class Evidence:
             confidence=found.confidence,
             prior=found.prior,
             followed=found.single,
-            sketched=isinstance(found, SketchFound),
+            sketched=found.on_sketch,
             outline=best.outline,
             inner=best.inner,
             visible=best.visible,
             residual_px=best.residual_px,
             light=best.light,
-            overshoot=found.overshoot,
+            overshoot=best.overshoot,
             dark=found.dark,
-            shading=np.nan if found.shading is None else found.shading,
+            shading=np.nan if best.shading is None else best.shading,
             votes=np.nan if found.votes is None else found.votes,
             trees=float(observation.weights.sum()),
             margin=found.margin,

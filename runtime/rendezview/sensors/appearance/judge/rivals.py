@@ -9,18 +9,18 @@ pictures leave unexplained of the frame, beside the merit of the edges, decides 
 
 from __future__ import annotations
 
-import math
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from rendezview.estimation.hypotheses import posterior
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.judge.drawn import Drawn, DrawnEvidence, Explained, cost_of
 from rendezview.sensors.appearance.judge.shading import FRONT, Shading
-from rendezview.sensors.appearance.judge.sketch_choice import SketchPose
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.sky import Sky
 
@@ -31,18 +31,6 @@ COST_BESIDE_SKETCH, MERIT_BESIDE_SKETCH, SKETCH_WEIGHT = 13.0, 12.0, 0.65
 # Of the score: a rival so far behind under the Suns of the likeliest is drawn under no others.
 # Source: docs/notes/rivals.md, 40 is no better
 _IN_DOUBT = 12.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Weighed:
-    """A pose beside its rivals."""
-
-    pose: Pose
-    cost: float  # cells of the frame that it leaves unexplained; inf: too small; NaN: no rival
-    share: float  # the same of the cells of the craft; NaN: no rival
-    sun_camera: Array
-    probability: float  # among all that were weighed
-    on_sketch: Pose | None = None  # where a sketch leads the pose to
 
 
 class Rivals:
@@ -80,34 +68,32 @@ class Rivals:
         return found
 
     def weigh(
-        self, image: Picture, sky: Sky, poses: list[Pose], edges: Array, suns: list[Array],
-        sketch: list[SketchPose | None] | None = None, *, coarse: bool = False,
-    ) -> list[Weighed]:  # fmt: skip
-        """Poses of one frame with their probabilities, the likeliest first; [] if none is seen.
+        self, image: Picture, sky: Sky, hypotheses: list[Hypothesis], edges: Array, *,
+        beside_sketch: bool = False, coarse: bool = False,
+    ) -> list[Hypothesis]:  # fmt: skip
+        """Hypotheses of one frame with cost and probability, likeliest first; [] if none is seen.
 
         Args:
             image: (H, W) frame.
-            sky: behind the target.
-            poses: camera_from_target, one at least.
+            sky: behind the target. If it knows the Sun, that one counts.
+            hypotheses: one at least, with their Suns as the surface points have them.
             edges: (N,) of ``edge_scores``.
-            suns: (3,) towards the Sun of each, camera frame, as the surface points have it. If
-                the Sun is known, that one counts.
-            sketch: where one leads each pose to; its lines are among the edges.
+            beside_sketch: the lines of a sketch are among the edges.
             coarse: take no Suns around those.
         """
         known = sky.sun_camera
+        suns = [FRONT if one.sun_camera is None else one.sun_camera for one in hypotheses]
         if known is not None:
-            suns = [known] * len(poses)
-        cost_weight = COST_WEIGHT if sketch is None else COST_BESIDE_SKETCH
-        led = [None if one is None else one.pose for one in sketch or [None] * len(poses)]
-        if len(poses) == 1:
-            return [Weighed(poses[0], math.nan, math.nan, suns[0], 1.0, led[0])]
-        window = self._evidence.window(image, sky, poses[0])
-        drawn = [self._evidence.drawn(window, pose) for pose in poses]
+            suns = [known] * len(hypotheses)
+        if len(hypotheses) == 1:
+            return [replace(hypotheses[0], sun_camera=suns[0], probability=1.0)]
+        cost_weight = COST_BESIDE_SKETCH if beside_sketch else COST_WEIGHT
+        window = self._evidence.window(image, sky, hypotheses[0].pose)
+        drawn = [self._evidence.drawn(window, one.pose) for one in hypotheses]
         window = window.beside([one for one in drawn if one is not None])
         drawn = [None if one is None else replace(one, window=window) for one in drawn]
         explained = [
-            Explained(math.inf, math.inf, sun) if one is None else one.under(sun)
+            Explained(np.inf, np.inf, sun) if one is None else one.under(sun)
             for one, sun in zip(drawn, suns, strict=True)
         ]
         if known is None:
@@ -115,23 +101,22 @@ class Rivals:
         scores = _scores(edges, cost_weight, explained)
         if not np.isfinite(scores.max()):
             return []
-        odds = np.exp(scores - scores.max())
-        shares = odds / odds.sum()
         weighed = [
-            Weighed(pose, seen.cost, seen.share, seen.sun_camera, float(odd), there)
-            for pose, seen, odd, there in zip(poses, explained, shares, led, strict=True)
+            replace(one, cost=seen.cost, sun_camera=seen.sun_camera, probability=float(share))
+            for one, seen, share in zip(hypotheses, explained, posterior(scores), strict=True)
         ]
-        return sorted(weighed, key=lambda w: -w.probability)
+        return sorted(weighed, key=lambda one: -one.probability)
 
-    def weigh_coarse(self, image: Picture, sky: Sky, pose: Pose) -> list[Weighed]:
+    def weigh_coarse(self, image: Picture, sky: Sky, pose: Pose) -> list[Hypothesis]:
         """A pose that no edges have moved, beside its look-alikes; no edges count.
 
         Its own errors are larger than those of a Sun, so none is searched for around the likeliest.
         """
-        poses = [pose, *self.look_alikes(pose)]
-        shades = (self._shading.of(image, sky, one) for one in poses)
-        suns = [FRONT if shade is None else shade.sun for shade in shades]
-        return self.weigh(image, sky, poses, np.zeros(len(poses)), suns, coarse=True)
+        hypotheses = []
+        for one in (pose, *self.look_alikes(pose)):
+            shade = self._shading.of(image, sky, one)
+            hypotheses.append(Hypothesis(one, sun_camera=None if shade is None else shade.sun))
+        return self.weigh(image, sky, hypotheses, np.zeros(len(hypotheses)), coarse=True)
 
     def _under_best_suns(
         self, edges: Array, cost_weight: float, drawn: list[Drawn | None],

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import cache
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from scipy.special import expit, logit
+from scipy.special import logit
 
+from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import Symmetry, angle_between, first_of_each
+from rendezview.geometry.symmetry import Symmetry, angle_between
+from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.judge.probability_forest import ProbabilityForest
 
 PACKAGED = Path(__file__).with_name("sketch_error_model.json")
 PACKAGED_TREES = Path(__file__).with_name("confidence.npz")
-# What a pose is judged by, in the order of the fields of ``SketchPose`` …
+# What a pose is judged by: mean probability of an edge on the outline, and on creases and steps;
+# mean step of the cover across the outline; share of the outline that lies in the sketch; share of
+# the sketch's lines that lie next to an edge of the model; share of the grey levels' variance that
+# light explains within small windows, and over the whole target (0: none, or no surface) …
 POSE_FEATURES = ("outline", "inner", "contrast", "visible", "explained", "shading", "tones")
 # … and the choice of one: in the closer pass, in the first one, and both together.
 CHOICE_FEATURES = (
@@ -35,50 +39,47 @@ DOUBT = (0.1, 0.7)
 _SUREST = 0.98  # probability; a surer opinion says no more. Source: leaves of ten frames
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SketchPose:
-    """A pose on a sketch, with what agrees."""
-
-    pose: Pose  # camera_from_target
-    outline: float  # mean probability of an edge on the outline
-    inner: float  # the same on creases and steps
-    contrast: float  # mean step of the cover across the outline
-    visible: float  # share of the outline that lies in the sketch
-    explained: float  # share of the sketch's lines that lie next to an edge of the model
-    shading: float  # share of the grey levels' variance within small windows that light explains …
-    tones: float  # … and over the whole target; 0: none, or the model has no surface
-
-    @property
-    def features(self) -> Array:
-        """(7,) ``POSE_FEATURES``."""
-        return np.array([getattr(self, name) for name in POSE_FEATURES])
-
-    @property
-    def merit(self) -> float:
-        """Log odds against the other poses of the frame, but for a constant."""
-        return float(self.features @ packaged().merit)
-
-
-# Where a sketch leads poses (N) to, with what agrees there; None: no hold.
-Aligned = Callable[[Sequence[Pose]], list[SketchPose | None]]
+def sketch_merit(hypothesis: Hypothesis) -> float:
+    """Log odds of a pose on a sketch against the other poses of the frame, but for a constant."""
+    assert hypothesis.sketch is not None
+    return float(hypothesis.sketch @ packaged().merit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Passes:
-    """The poses of one frame that were aligned, in the order in which they were found."""
+    """The poses of one frame that were aligned to its sketch, in the order they were found."""
 
-    first: list[SketchPose]  # from all starts, on the first sketch
-    around: list[SketchPose]  # from around the best of them, on the finer sketch
-    others: list[SketchPose]  # from other ones of the first pass, on the finer sketch
+    first: list[Hypothesis]  # from all starts, on the first sketch
+    around: list[Hypothesis]  # from around the best of them, on the finer sketch
+    others: list[Hypothesis]  # from other ones of the first pass, on the finer sketch
+    symmetries: Sequence[Symmetry] = ()
+    prior: bool = False  # found near a prior
+    cut: bool = False  # the target leaves the frame
+    spread_deg: float = 0.0  # °; between the poses of two scales and their mean, at most
 
     @property
-    def closer(self) -> list[SketchPose]:
+    def closer(self) -> list[Hypothesis]:
         """All poses on the finer sketch."""
         return self.around + self.others
 
+    def chosen(self) -> tuple[Hypothesis, Hypothesis | None, float] | None:
+        """The best pose of the closer pass, its rival, and its lead in merit; None without any."""
+        poses = self.closer
+
+        def same(k: int, known: int) -> bool:
+            apart = angle_between(poses[k].pose, poses[known].pose, self.symmetries)
+            return bool(apart <= RIVAL_RAD)
+
+        choice = choose([sketch_merit(one) for one in poses], same)
+        if choice is None:
+            return None
+        if not choice.rivals:
+            return poses[choice.best], None, _MOST_MARGIN
+        return poses[choice.best], poses[choice.rivals[0]], choice.margin
+
     def lead(self, best: Pose) -> float:
         """Merit in the first pass of the poses that lead to the best, above the others'."""
-        merits = np.array([pose.merit for pose in self.first])
+        merits = np.array([sketch_merit(pose) for pose in self.first])
         same = np.array([pose.pose.angle_to(best) < RIVAL_RAD for pose in self.first])
         if not same.any() or same.all():
             return _MOST_MARGIN if same.any() else -_MOST_MARGIN
@@ -97,87 +98,22 @@ class Passes:
         median_deg = float(np.rad2deg(np.median(angles)))
         return float(np.mean(angles < _SAME_RAD)), min(median_deg, _MOST_SCATTER_DEG)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SketchChoice:
-    """The best pose of a frame, and its rival: the best one that is another answer."""
-
-    best: SketchPose
-    rival: SketchPose | None
-    passes: Passes
-    prior: bool  # found near a prior
-    cut: bool  # the target leaves the frame
-    pose: Pose  # that the best leads to in the finer sketch
-    spread_deg: float = 0.0  # °; between those of two scales and their mean, at most
-    overflows: bool = False  # … on two opposite sides: what is seen does not tell poses apart
-    other: float | None = None  # confidence of the less confident of two opinions, and …
-    agree: bool = False  # … whether both are the same answer
-    covariance: Array | None = None  # (6, 6) rotation vector, translation; camera frame, left
-    residual_px: float = float("nan")  # root mean square over the edges found
-    aligned: Aligned | None = None  # other poses on the finer sketch
-
-    @property
-    def margin(self) -> float:
-        """Merit of the best above its rival's."""
-        return _MOST_MARGIN if self.rival is None else self.best.merit - self.rival.merit
-
     @property
     def features(self) -> Array:
-        """(14,) ``CHOICE_FEATURES``."""
-        pose, passes = self.best.pose, self.passes
-        margin = min(self.margin, _MOST_MARGIN)
-        seen = [passes.lead(pose), passes.basin(pose), *passes.scattered(pose)]
+        """(14,) ``CHOICE_FEATURES`` of the best pose."""
+        chosen = self.chosen()
+        assert chosen is not None
+        best, _, margin = chosen
+        assert best.sketch is not None
+        seen = [self.lead(best.pose), self.basin(best.pose), *self.scattered(best.pose)]
         seen.append(min(self.spread_deg, _MOST_SCATTER_DEG))
-        return np.array([margin, float(self.cut), *seen, *self.best.features])
+        return np.array([min(margin, _MOST_MARGIN), float(self.cut), *seen, *best.sketch])
 
     @property
-    def confidence(self) -> float:
-        """Probability that the best pose is right, 0 … 1; 0 where the target overflows the frame.
-
-        The trees have hardly seen such frames, and are sure of wrong poses there.
-        """
-        if self.overflows:
-            return 0.0
-        model = packaged()
-        own = (model.near if self.prior else model.anywhere).probability(self.features)
-        if self.other is None:
-            return own
-        opinions = opinion_features(own, self.other, agree=self.agree)
-        return float(expit(opinions @ model.opinions))
-
-    @property
-    def in_doubt(self) -> bool:
-        """Whether a second opinion may change whether the pose is given."""
-        return not self.overflows and DOUBT[0] <= self.confidence < DOUBT[1]
-
-    def beside(self, second: SketchChoice, symmetries: Sequence[Symmetry]) -> SketchChoice:
-        """The more confident of two opinions, with the other's confidence and if they agree."""
-        agree = bool(angle_between(self.pose, second.pose, symmetries) < RIVAL_RAD)
-        ours, theirs = self.confidence, second.confidence
-        if ours >= theirs:
-            return replace(self, other=theirs, agree=agree)
-        return replace(second, other=ours, agree=agree)
-
-    def with_covariance(self, covariance: Array, others: Array, residual_px: float) -> SketchChoice:
-        """The choice with the covariance of independent edges, inflated as errors of poses show.
-
-        ``others``: (6, 6) of a strained craft and of the scatter between sketches.
-        """
-        inflated = covariance * packaged().inflation + others
-        return replace(self, covariance=inflated, residual_px=residual_px)
-
-
-def chosen(
-    passes: Passes, symmetries: Sequence[Symmetry], *, prior: bool, cut: bool
-) -> SketchChoice | None:
-    """The pose of most merit in the closer pass and its rival; None without any pose."""
-    poses = passes.closer
-    best = max(poses, key=lambda p: p.merit, default=None)
-    if best is None:
-        return None
-    others = [p for p in poses if angle_between(p.pose, best.pose, symmetries) > RIVAL_RAD]
-    rival = max(others, key=lambda p: p.merit, default=None)
-    return SketchChoice(best, rival, passes, prior, cut, best.pose)
+    def probability(self) -> float:
+        """Probability that the best pose is right, 0 … 1."""
+        forest = packaged().near if self.prior else packaged().anywhere
+        return forest.probability(self.features)
 
 
 def opinion_features(own: float, other: float, *, agree: bool) -> Array:
@@ -186,11 +122,14 @@ def opinion_features(own: float, other: float, *, agree: bool) -> Array:
     return np.array([1.0, *odds, float(agree)])
 
 
-def distinct(poses: Sequence[SketchPose], most: int, apart_rad: float) -> list[SketchPose]:
+def distinct(poses: Sequence[Hypothesis], most: int, apart_rad: float) -> list[Hypothesis]:
     """The poses of most merit that are some angle apart, the best first."""
-    ranked = sorted(poses, key=lambda p: -p.merit)
-    chosen = first_of_each((one.pose for one in ranked), apart_rad)
-    return [ranked[k] for k in islice(chosen, most)]
+    choice = choose(
+        [sketch_merit(one) for one in poses],
+        lambda k, known: poses[k].pose.angle_to(poses[known].pose) <= apart_rad,
+        most=most - 1,
+    )
+    return [] if choice is None else [poses[k] for k in choice.answers]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
-from scipy import fft
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
@@ -27,69 +25,16 @@ from rendezview.sensors.appearance.model.signature import (
 )
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.placement import range_from_area
+from rendezview.sensors.appearance.outline.similarity import Catalogue, spread_out
 
-# Most similar entries at a shift; of these the poses are chosen. Source: by construction, a bound
-# of time
-_KEPT = 2000
-# Of a signature, compared first in a large catalogue. Source: by construction, details of 18°
-_HARMONICS = 20
-# Entries; of a larger catalogue those with the most similar harmonics. Source: by construction, a
-# bound of time
-_CORRELATED = 2000
-# One value in 17 gives the bound; no divisor of a number of bins. Source: by construction
-_SAMPLED = 17
 # rad; the catalogue's Suns are 32° apart.
 _SUN_REACH_RAD = np.deg2rad(30.0)  # Source: by construction
 # rad; views closer than this at the same roll are one. Source: spacing of the nodes' views
 _APART_RAD = np.deg2rad(7.0)
-_SAME_ROLL_BINS = 3  # of 90, so 12°. Source: by construction
 # Of the mean radius: perspective and the spacing of the views. Source: fixed with the fit of
 # error_model.json
 _OVERSHOOT_TOLERANCE = 0.06
 _BORESIGHT = np.array([0.0, 0.0, 1.0])  # Source: by construction
-
-
-class _Catalogue:
-    """Signatures with their spectra: the similarity of one to all, at every roll at once."""
-
-    def __init__(self, readings: Readings) -> None:
-        self.bins = readings.shape[1]
-        self._spectra = np.conj(fft.rfft(readings, axis=1))
-        self._squares = np.sum(readings**2, axis=1)
-        # The amplitudes of the harmonics do not change with roll.
-        self._sizes = np.ascontiguousarray(np.abs(self._spectra[:, :_HARMONICS]))
-
-    def most_similar(self, readings: Readings) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Entries and shifts in bins, least distance first, at most ``_KEPT``.
-
-        By circular correlation, of the entries whose harmonics are of the right size.
-        """
-        spectrum = fft.rfft(readings)
-        entries = np.arange(len(self._sizes))
-        if len(entries) > _CORRELATED:
-            sizes = np.abs(spectrum[:_HARMONICS]).astype(np.float32)
-            entries = least(_squared_distances(self._sizes, sizes), _CORRELATED)
-        correlation = fft.irfft(spectrum * self._spectra[entries], n=self.bins, axis=1)
-        distance = (self._squares[entries][:, None] - 2.0 * correlation).ravel()
-        first = least(distance, _KEPT)
-        first = first[np.argsort(distance[first], kind="stable")]
-        rows, shifts = np.divmod(first, self.bins)
-        return entries[rows], shifts
-
-
-def least(values: npt.NDArray[np.float32], count: int) -> npt.NDArray[np.intp]:
-    """Places, ascending, of the ``count`` least of many values (K,); all where there are fewer.
-
-    A bound from a sample of the values rejects nearly all of them quickly.
-    """
-    if count >= len(values):
-        return np.arange(len(values))
-    sample, place = values[::_SAMPLED], count // _SAMPLED * 3 // 2 + _SAMPLED
-    bound = np.partition(sample, place)[place] if place < len(sample) else np.inf
-    few = np.flatnonzero(values <= bound)
-    if len(few) < count:  # very unlikely with so large a sample
-        few = np.arange(len(values))
-    return np.sort(few[np.argpartition(values[few], count - 1)[:count]])
 
 
 class Retrieval:
@@ -99,12 +44,12 @@ class Retrieval:
         self.model = model
         self._readings = model.views.readings.astype(np.float32)
         self._rebinning = rebinning(model.bins, SHADOWED_BINS)
-        self._whole = _Catalogue(self._coarse(self._readings))
-        self._directions = np.ascontiguousarray(model.lattice.nodes)
-        self._shadowed: _Catalogue | None = None
+        self._whole = Catalogue(self._coarse(self._readings))
+        self._directions = model.lattice.nodes.copy()
+        self._shadowed: Catalogue | None = None
         if model.lit is not None:
             readings = model.lit.readings.astype(np.float32) * np.float32(READING_UNIT)
-            self._shadowed = _Catalogue(readings)
+            self._shadowed = Catalogue(readings)
 
     def of(
         self, signature: Signature, most: int, sun_camera: Array | None = None
@@ -153,7 +98,7 @@ class Retrieval:
 
     def _of_shadowed(
         self,
-        catalogue: _Catalogue,
+        catalogue: Catalogue,
         shadowed: ShadowedSilhouettes,
         signature: Signature,
         readings: Readings,
@@ -183,7 +128,7 @@ class Retrieval:
         self, views: npt.NDArray[np.intp], shifts: npt.NDArray[np.intp], most: int
     ) -> npt.NDArray[np.intp]:
         cosine = float(np.cos(_APART_RAD))
-        return np.asarray(_spread(views, shifts, self._directions, cosine, SHADOWED_BINS, most))
+        return np.asarray(spread_out(views, shifts, self._directions, cosine, SHADOWED_BINS, most))
 
     def overshoot(self, outlines: list[Array], pose: Pose) -> float:
         """How far outlines reach beyond the silhouette that a pose predicts.
@@ -255,44 +200,3 @@ def _placed(
 def _rolled_offset(offset_m: Array, roll_rad: float) -> Array:
     c, s = np.cos(roll_rad), np.sin(roll_rad)
     return np.array([c * offset_m[0] - s * offset_m[1], s * offset_m[0] + c * offset_m[1]])
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _squared_distances(
-    rows: npt.NDArray[np.float32], one: npt.NDArray[np.float32]
-) -> npt.NDArray[np.float32]:
-    """Of each of some vectors (K, N) to one (N,)."""
-    squares = np.empty(rows.shape[0], dtype=np.float32)
-    for k in range(rows.shape[0]):
-        total = np.float32(0.0)
-        for j in range(one.shape[0]):
-            apart = rows[k, j] - one[j]
-            total += apart * apart
-        squares[k] = total
-    return squares
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _spread(
-    views: npt.NDArray[np.intp], shifts: npt.NDArray[np.intp], directions: Array, cosine: float,
-    bins: int, most: int,
-) -> npt.NDArray[np.intp]:  # fmt: skip
-    """The first of some views and shifts, in order, that are not near one before."""
-    chosen = np.empty(most, dtype=np.intp)
-    count = 0
-    for k in range(views.shape[0]):
-        near = False
-        a = directions[views[k]]
-        for j in range(count):
-            b = directions[views[chosen[j]]]
-            if a[0] * b[0] + a[1] * b[1] + a[2] * b[2] > cosine:
-                apart = abs(shifts[k] - shifts[chosen[j]])
-                if min(apart, bins - apart) <= _SAME_ROLL_BINS:
-                    near = True
-                    break
-        if not near:
-            chosen[count] = k
-            count += 1
-            if count == most:
-                break
-    return chosen[:count]

@@ -5,6 +5,8 @@ The distance of two signatures is the sum of squared differences of their readin
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 from numba import njit
@@ -18,6 +20,17 @@ from rendezview.sensors.appearance.model.view_model import ViewModel
 
 Indices = npt.NDArray[np.intp]
 
+# Most similar entries at a shift; of these the poses are chosen. Source: by construction, a bound
+# of time
+_KEPT = 2000
+# Of a signature, compared first in a large catalogue. Source: by construction, details of 18°
+_HARMONICS = 20
+# Entries; of a larger catalogue those with the most similar harmonics. Source: by construction, a
+# bound of time
+_CORRELATED = 2000
+# One value in 17 gives the bound; no divisor of a number of bins. Source: by construction
+_SAMPLED = 17
+_SAME_ROLL_BINS = 3  # of 90, so 12°. Source: by construction
 _COARSE = 4  # readings averaged for the first search. Source: recognition-accuracy, seed 1
 # Rad around the roll that a neighbouring view gives. Source: recognition-accuracy, seed 1
 _ROLL_REACH_RAD = np.deg2rad(6.0)
@@ -25,6 +38,60 @@ _ROLL_REACH_RAD = np.deg2rad(6.0)
 _APART_EDGES = 1.2
 # Edges around a direction; the lattice has half the edge. Source: by construction
 _ALIGNED_EDGES = 0.75
+
+
+class Catalogue:
+    """Signatures with their spectra: the similarity of one to all, at every roll at once."""
+
+    def __init__(self, readings: Readings) -> None:
+        self.bins = readings.shape[1]
+        self._spectra = np.conj(fft.rfft(readings, axis=1))
+        self._squares = np.sum(readings**2, axis=1)
+        # The amplitudes of the harmonics do not change with roll.
+        self._sizes = np.ascontiguousarray(np.abs(self._spectra[:, :_HARMONICS]))
+
+    def most_similar(self, readings: Readings) -> tuple[Indices, Indices]:
+        """Entries and shifts in bins, least distance first, at most ``_KEPT``.
+
+        By circular correlation, of the entries whose harmonics are of the right size.
+        """
+        spectrum = fft.rfft(readings)
+        entries = np.arange(len(self._sizes))
+        if len(entries) > _CORRELATED:
+            sizes = np.abs(spectrum[:_HARMONICS]).astype(np.float32)
+            entries = least(_squared_distances(self._sizes, sizes), _CORRELATED)
+        distance = self._distances(spectrum, entries).ravel()
+        first = least(distance, _KEPT)
+        first = first[np.argsort(distance[first], kind="stable")]
+        rows, shifts = np.divmod(first, self.bins)
+        return entries[rows], shifts
+
+    def nearest(self, readings: Readings) -> tuple[Indices, Array]:
+        """Of each entry the shift of the least distance, in bins, and that distance."""
+        distances = self._distances(fft.rfft(readings), np.arange(len(self._squares)))
+        shifts = np.argmin(distances, axis=1)
+        return shifts, distances[np.arange(len(shifts)), shifts]
+
+    def _distances(self, spectrum: npt.NDArray[np.complex64], entries: Indices) -> npt.NDArray[Any]:
+        """Of some entries (E,) at every shift (E, bins), but for the square of the readings."""
+        # correlation[s] = Σ_b view[b + s] entry[b]
+        correlation = fft.irfft(spectrum * self._spectra[entries], n=self.bins, axis=1)
+        return np.asarray(self._squares[entries][:, None] - 2.0 * correlation)
+
+
+def least(values: npt.NDArray[np.float32], count: int) -> Indices:
+    """Places, ascending, of the ``count`` least of many values (K,); all where there are fewer.
+
+    A bound from a sample of the values rejects nearly all of them quickly.
+    """
+    if count >= len(values):
+        return np.arange(len(values))
+    sample, place = values[::_SAMPLED], count // _SAMPLED * 3 // 2 + _SAMPLED
+    bound = np.partition(sample, place)[place] if place < len(sample) else np.inf
+    few = np.flatnonzero(values <= bound)
+    if len(few) < count:  # very unlikely with so large a sample
+        few = np.arange(len(values))
+    return np.sort(few[np.argpartition(values[few], count - 1)[:count]])
 
 
 class ViewSimilarity:
@@ -42,7 +109,7 @@ class ViewSimilarity:
         self._readings = model.views.readings.astype(np.float32)
         self._group = _COARSE if model.bins % _COARSE == 0 else 1
         self._coarse_nodes = self._coarse(self._readings[:nodes])
-        self._spectra = np.conj(fft.rfft(self._coarse_nodes, axis=1))
+        self._catalogue = Catalogue(self._coarse_nodes)
 
     def candidates(
         self, readings: Readings, prior: Array | None, prior_error_rad: float, most: int
@@ -58,7 +125,9 @@ class ViewSimilarity:
         coarse = self._coarse(readings)
         step = 2.0 * np.pi / len(coarse)
         if prior is None:
-            nodes, rolls, distances = self._anywhere(coarse)
+            shifts, distances = self._catalogue.nearest(coarse)
+            # The node's reading at bin b is the view's at bin b − roll.
+            nodes, rolls = np.arange(len(shifts)), -step * shifts
         else:
             nodes = self._sphere.within(-prior[2], prior_error_rad + self._edge)
             expected = twist(prior, self.node_rotations[nodes])
@@ -68,21 +137,13 @@ class ViewSimilarity:
         order = np.argsort(distances, kind="stable")
         apart = np.cos(_APART_EDGES * self._edge)
         result = []
-        for k in spread_out(order, self._sphere.nodes[nodes], apart, most):
+        anywhere = np.zeros(len(order), np.intp)  # one roll a node
+        for place in spread_out(order, anywhere, self._sphere.nodes[nodes], apart, 1, most):
+            k = order[place]
             node = int(nodes[k])
             roll, _ = roll_and_distance(readings, self._readings[node], rolls[k], step)
             result.append(about_z(roll) @ self.node_rotations[node])
         return result
-
-    def _anywhere(self, coarse: Readings) -> tuple[Indices, Array, Array]:
-        """All nodes, each at its most similar roll, by circular correlation of signatures."""
-        # correlation[s] = Σ_b view[b + s] node[b]
-        correlation = fft.irfft(fft.rfft(coarse) * self._spectra, n=len(coarse), axis=1)
-        distances = np.sum(self._coarse_nodes**2, axis=1)[:, None] - 2.0 * correlation
-        shift = np.argmin(distances, axis=1)
-        nodes = np.arange(len(shift))
-        # The node's reading at bin b is the view's at bin b − roll.
-        return nodes, -2.0 * np.pi / len(coarse) * shift, distances[nodes, shift]
 
     def aligned(self, readings: Readings, direction: Array, attitude: Array) -> tuple[Array, float]:
         """Attitude (3, 3) with a given direction and the roll of the most similar view near it.
@@ -203,18 +264,41 @@ def most_similar(
     return best, best_roll, least
 
 
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _squared_distances(
+    rows: npt.NDArray[np.float32], one: npt.NDArray[np.float32]
+) -> npt.NDArray[np.float32]:
+    """Of each of some vectors (K, N) to one (N,)."""
+    squares = np.empty(rows.shape[0], dtype=np.float32)
+    for k in range(rows.shape[0]):
+        total = np.float32(0.0)
+        for j in range(one.shape[0]):
+            apart = rows[k, j] - one[j]
+            total += apart * apart
+        squares[k] = total
+    return squares
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def spread_out(order: Indices, directions: Array, cosine: float, most: int) -> Indices:
-    """The first of some directions (K, 3), in order, no two nearer than acos(cosine)."""
+def spread_out(
+    views: Indices, shifts: Indices, directions: Array, cosine: float, bins: int, most: int
+) -> Indices:
+    """Places of the first of some views and shifts (K,), in order, that are not near one before.
+
+    Near are directions (V, 3) within acos(cosine) at shifts, of so many bins, that are alike.
+    """
     chosen = np.empty(most, dtype=np.intp)
     count = 0
-    for k in order:
+    for k in range(views.shape[0]):
         near = False
+        a = directions[views[k]]
         for j in range(count):
-            a, b = directions[k], directions[chosen[j]]
+            b = directions[views[chosen[j]]]
             if a[0] * b[0] + a[1] * b[1] + a[2] * b[2] > cosine:
-                near = True
-                break
+                apart = abs(shifts[k] - shifts[chosen[j]])
+                if min(apart, bins - apart) <= _SAME_ROLL_BINS:
+                    near = True
+                    break
         if not near:
             chosen[count] = k
             count += 1

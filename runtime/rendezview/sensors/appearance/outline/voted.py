@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -31,14 +31,6 @@ _DIRECTION_RAD, _ROLL_RAD = np.deg2rad(3.0), np.deg2rad(2.5)
 _RANGE_FRACTION = 0.06  # Source: experiment tree-ablation (0.1), seed 4101
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Voted:
-    """A pose by votes."""
-
-    pose: Pose  # camera_from_target
-    covariance: Array  # (6, 6)
-
-
 class VotedPose:
     """Finds the pose of a silhouette among all views of a model by its forest."""
 
@@ -52,8 +44,8 @@ class VotedPose:
 
     def find(
         self, signature: Signature, prior: Pose | None = None, prior_error_rad: float = np.pi
-    ) -> Voted | None:
-        """The pose; None where the votes doubt it, or say as much for another view.
+    ) -> tuple[Pose, Array] | None:
+        """The pose and its covariance; None where votes doubt it, or say as much for another view.
 
         Args:
             signature: of the frame.
@@ -93,7 +85,7 @@ class VotedPose:
         covariance = covariance_of_place(
             errors, model.sphere_radius_m, model.centre_m, pose, centre, range_m
         )
-        return Voted(pose, covariance)
+        return pose, covariance
 
     def _averaged(self, signature: Signature, rotation: Array) -> Array:
         """The mean of attitudes tilted about one, weighted by the odds that each is right."""

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.geodesic import cosine_within
 from rendezview.geometry.pose import Array, Pose, rotation_angle
 from rendezview.sensors.appearance.model.signature import Readings, Signature, twist
@@ -115,14 +116,18 @@ class Matcher:
             found.append(replace(second, centred_from_target=attitude, residual=residual))
             if prior is not None and residual < _SETTLED * self._usual_residual:
                 return found[-1]
-        best = min(found, key=lambda m: m.residual, default=None)
-        if best is None or prior is not None:
+        choice = choose(
+            [-one.residual for one in found],
+            lambda k, known: _apart(found[k], found[known]) <= options.rival_angle_rad,
+        )
+        if choice is None:
+            return None
+        best = found[choice.best]
+        if prior is not None or not choice.rivals:
             return best
-        others = [m for m in found if _apart(m, best) > options.rival_angle_rad]
-        rival = min(others, key=lambda m: m.residual, default=None)
-        if rival is None or rival.residual > options.rival_residual * best.residual:
-            return best
-        return replace(best, rival=rival)
+        rival = found[choice.rivals[0]]
+        as_good = rival.residual <= options.rival_residual * best.residual
+        return replace(best, rival=rival) if as_good else best
 
     def at(self, signature: Signature, pose: Pose) -> Match | None:
         """Active nodes at a known pose, camera_from_target; ``None`` where there are none."""

@@ -11,8 +11,9 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.refinement import Refined, RefineOptions, Refiner
-from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
+from rendezview.sensors.appearance.hypothesis import Hypothesis
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.search.starts import rotated_about_axes
 from rendezview.sensors.appearance.sky import Sky
@@ -76,12 +77,13 @@ class CloseSearch:
             return None
         best = max(near, key=lambda r: r.inlier_ratio)
         return Found(
-            best, 0.0, 1.0, sky.dark, prior=True, single=single, error_model=refiner.error_model
+            best, 1.0, sky.dark, prior=True, single=single, error_model=refiner.error_model
         )
 
 
-def _trusted(refined: Refined, prior: Pose, range_error: float) -> bool:
+def _trusted(refined: Hypothesis, prior: Pose, range_error: float) -> bool:
     """Whether the edges confirm a pose, and it is the one that the prior means."""
+    assert refined.covariance is not None
     apart_m = np.linalg.norm(refined.pose.translation_m - prior.translation_m)
     return bool(
         refined.inlier_ratio >= _LEAST_SHARE

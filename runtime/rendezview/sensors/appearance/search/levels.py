@@ -8,7 +8,6 @@ that is found is refined once more in a finer picture.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -17,12 +16,9 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture, shrunk
-from rendezview.sensors.appearance.edges.refinement import Refiner
-from rendezview.sensors.appearance.judge.confidence import Bound, Found
-from rendezview.sensors.appearance.judge.sketch_found import SketchFound
-from rendezview.sensors.appearance.model.signature import Outlines
+from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.level import Level
 from rendezview.sensors.appearance.model.view_model import ViewModel
-from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.sky import Sky
 
 # Px, radius of the largest target that is searched for in the picture itself. The stages were
@@ -40,26 +36,20 @@ _MOST_TIMES = 32  # a target before the camera is never larger than that. Source
 _READING_PX2 = 1.0 / 12.0 + 1.0 / 6.0
 
 
-class LevelSearch:
-    """``PoseSearch`` at the level of a picture that suits the size of the target."""
+class Levels:
+    """The levels at which poses of one model are searched for, in the frames of one camera."""
 
     def __init__(self, model: ViewModel, camera: Camera) -> None:
         self.model = model
-        self.whole = PoseSearch(model, camera)
+        self.whole = Level.of(model, camera)
         self._levels = {1: self.whole}
 
-    def with_camera(self, camera: Camera, *bounds: Bound) -> LevelSearch:
-        """The same search in the frames of another camera, and within more bounds."""
+    def with_camera(self, camera: Camera) -> Levels:
+        """Those of another camera."""
         other = copy(self)
-        other.whole = self.whole.with_camera(camera, self.whole.refine_options)
-        other.whole.bounds = (*self.whole.bounds, *bounds)
+        other.whole = self.whole.with_camera(camera)
         other._levels = {1: other.whole}
         return other
-
-    @property
-    def refiner(self) -> Refiner:
-        """That of the picture itself."""
-        return self.whole.refiner
 
     def start_at(self, angles_rad: Array, *, tracked: bool = False) -> None:
         """Joints start at these angles (J,) in the next frame; ``tracked``: from the last one."""
@@ -68,74 +58,26 @@ class LevelSearch:
                 level.refiner.articulation.start_rad = angles_rad.copy()
                 level.refiner.articulation.tracked = tracked
 
-    def anywhere(
-        self,
-        image: Picture,
-        sky: Sky,
-        bodies: list[Outlines],
-        sun_camera: Array | None = None,
-        *,
-        brief: bool = False,
-        give_up: float = 0.0,
-        again: bool = False,
-        also: Sequence[Pose] = (),
-        sketched: SketchFound | None = None,
-    ) -> Found | None:
-        """``PoseSearch.anywhere``; the outlines tell the size of the target."""
-        area_sr = float(np.median([body.signature.area_sr for body in bodies]))
-        range_m = math.sqrt(float(np.median(self.model.views.area_m2)) / area_sr)
-        search, picture, its_sky = self._level(image, sky, range_m, LARGEST_RADIUS_PX)
-        times = self.whole.camera.width // search.camera.width
-        if times > 1:
-            bodies = [Outlines([r[::times].copy() for r in b.rays], b.signature) for b in bodies]
-        found = search.anywhere(
-            picture, its_sky, bodies, sun_camera, brief=brief, give_up=give_up, again=again,
-            also=also, sketched=sketched,
-        )  # fmt: skip
-        return self._finished(found, image, sky)
-
     def at(
-        self,
-        image: Picture,
-        sky: Sky,
-        prior: Pose,
-        error_rad: float,
-        sufficient_inlier_ratio: float = 1.0,
-    ) -> Found | None:
-        """``PoseSearch.at``."""
-        level = self._near(image, sky, prior)
-        found = level[0].at(*level[1:], prior, error_rad, sufficient_inlier_ratio)
-        return self._finished(found, image, sky)
+        self, image: Picture, sky: Sky, range_m: float, most_px: float = LARGEST_RADIUS_PX
+    ) -> tuple[Level, Picture, Sky]:
+        """The level, the picture and its sky for a target at some range."""
+        whole, radius_m = self.whole, self.model.target_radius_m
+        times = times_smaller(whole.camera, radius_m, range_m, most_px)
+        if times == 1:
+            return whole, image, sky
+        if times not in self._levels:
+            options = whole.refiner.options
+            options = replace(options, blur_px=shrunk_blur(options.blur_px, times))
+            self._levels[times] = whole.with_camera(whole.camera.binned(times), options)
+        small = shrunk(image, times)
+        return self._levels[times], small, shrunk_sky(small, sky)
 
-    def proposed(
-        self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
-        half_turns: bool = True, sketched: SketchFound | None = None,
-    ) -> Found | None:  # fmt: skip
-        """``PoseSearch.proposed``; the first proposal tells the size of the target."""
-        level = self._near(image, sky, proposals[0])
-        found = level[0].proposed(
-            *level[1:], proposals, bodies, half_turns=half_turns, sketched=sketched
-        )
-        return self._finished(found, image, sky)
+    def range_m(self, pose: Pose) -> float:
+        """Range of the view centre at a pose."""
+        return float(np.linalg.norm(pose.apply(self.model.centre_m)))
 
-    def near(
-        self,
-        image: Picture,
-        sky: Sky,
-        prior: Pose,
-        error_rad: float,
-        bodies: list[Outlines],
-        also: list[Pose],
-    ) -> Found | None:
-        """``PoseSearch.near``."""
-        level = self._near(image, sky, prior)
-        found = level[0].near(*level[1:], prior, error_rad, bodies, also)
-        return self._finished(found, image, sky)
-
-    def _near(self, image: Picture, sky: Sky, prior: Pose) -> tuple[PoseSearch, Picture, Sky]:
-        return self._level(image, sky, self._range_m(prior), LARGEST_RADIUS_PX)
-
-    def _finished(self, found: Found | None, image: Picture, sky: Sky) -> Found | None:
+    def finished(self, found: Found | None, image: Picture, sky: Sky) -> Found | None:
         """The same with the best pose refined in a finer picture.
 
         Its inlier ratios and its residual stay those of the level of the search, since the
@@ -143,16 +85,16 @@ class LevelSearch:
         """
         if found is None:
             return None
-        range_m = self._range_m(found.best.pose)
+        pose = found.best.pose
+        range_m = self.range_m(pose)
         searched, fine = (
             times_smaller(self.whole.camera, self.model.target_radius_m, range_m, most)
             for most in (LARGEST_RADIUS_PX, FINEST_RADIUS_PX)
         )
         if fine == searched:
             return found
-        search, picture, its_sky = self._level(image, sky, range_m, FINEST_RADIUS_PX)
-        pose = found.best.pose
-        refined = search.refiner.refine(picture, its_sky, pose, closely=True)
+        level, picture, its_sky = self.at(image, sky, range_m, FINEST_RADIUS_PX)
+        refined = level.refiner.refine(picture, its_sky, pose, closely=True)
         if refined is None or refined.pose.angle_to(pose) > _MOST_APART_RAD:
             return found
         best = replace(
@@ -164,24 +106,6 @@ class LevelSearch:
             joint_support=refined.joint_support,
         )
         return replace(found, best=best)
-
-    def _range_m(self, pose: Pose) -> float:
-        return float(np.linalg.norm(pose.apply(self.model.centre_m)))
-
-    def _level(
-        self, image: Picture, sky: Sky, range_m: float, most_px: float
-    ) -> tuple[PoseSearch, Picture, Sky]:
-        """The search, the picture and its sky for a target at some range."""
-        whole = self.whole
-        times = times_smaller(whole.camera, self.model.target_radius_m, range_m, most_px)
-        if times == 1:
-            return whole, image, sky
-        if times not in self._levels:
-            blur_px = shrunk_blur(whole.refine_options.blur_px, times)
-            options = replace(whole.refine_options, blur_px=blur_px)
-            self._levels[times] = whole.with_camera(whole.camera.binned(times), options)
-        small = shrunk(image, times)
-        return self._levels[times], small, shrunk_sky(small, sky)
 
 
 def times_smaller(

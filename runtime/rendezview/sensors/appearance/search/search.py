@@ -3,33 +3,30 @@
 Retrieval proposes views and rolls by the signature of the outline. Alignment moves many of them
 roughly onto the edges (``alignment``), refinement the best ones exactly, with edge profiles under
 the fitted light (``refinement``). Shading decides between poses whose edges are alike, and a
-regression gives the confidence of the best (``confidence``).
+regression gives the confidence of the best (``Found.confidence``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.refinement import (
-    Refined,
-    RefineOptions,
-    Refiner,
-)
-from rendezview.sensors.appearance.judge.confidence import Bound, Candidates, Found
-from rendezview.sensors.appearance.judge.rivals import Rivals
-from rendezview.sensors.appearance.judge.shading import Shading
-from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.edges.refinement import Refiner
+from rendezview.sensors.appearance.hypothesis import Bound
+from rendezview.sensors.appearance.judge.candidates import Candidates
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
+from rendezview.sensors.appearance.search.levels import Levels
 from rendezview.sensors.appearance.search.starts import (
     half_turns,
     rotated_about,
@@ -91,71 +88,46 @@ class SearchOptions:
     inlier_ratio_bright: float = 0.6
 
 
-@dataclass(slots=True, eq=False)
 class PoseSearch:
-    """Finds poses of one model in the frames of one camera."""
+    """Finds poses of one model in the frames of one camera, where it has a suitable size."""
 
-    model: ViewModel
-    camera: Camera
-    options: SearchOptions = field(default_factory=SearchOptions)
-    refine_options: RefineOptions = field(default_factory=RefineOptions)
-    refiner: Refiner = field(init=False)
-    shading: Shading = field(init=False)
-    rivals: Rivals | None = field(init=False)  # None: the model has no shape
-    retrieval: Retrieval = field(init=False)
-    bounds: tuple[Bound, ...] = field(init=False, default=())  # of all poses
-    forest_scores: ForestScores | None = field(init=False)  # None: the model has no forest
-    _half_turns: Array = field(init=False)  # (3, 3, 3)
+    def __init__(self, model: ViewModel, camera: Camera) -> None:
+        self.model, self.options = model, SearchOptions()
+        self.levels = Levels(model, camera)
+        self.bounds: tuple[Bound, ...] = ()  # of all poses
+        self._retrieval = Retrieval(model)
+        self._forest_scores = model.forest_scores()  # None: the model has no forest
+        self._half_turns = half_turns(model)
 
-    def __post_init__(self) -> None:
-        self.refiner = Refiner(self.model, self.camera, self.refine_options)
-        self.shading = Shading(self.model, self.camera)
-        self.rivals = None
-        if self.model.shape is not None:
-            self.rivals = Rivals(self.model, self.camera, self.shading)
-        self.retrieval = Retrieval(self.model)
-        self.forest_scores = self.model.forest_scores()
-        self._half_turns = half_turns(self.model)
-
-    def with_camera(self, camera: Camera, options: RefineOptions) -> PoseSearch:
-        """The same search in the frames of another camera."""
+    def with_camera(self, camera: Camera, *bounds: Bound) -> PoseSearch:
+        """The same search in the frames of another camera, and within more bounds."""
         other = copy(self)
-        other.camera, other.refine_options = camera, options
-        other.refiner = Refiner(self.model, camera, options)
-        other.shading = self.shading.with_camera(camera)
-        other.rivals = self.rivals and self.rivals.with_camera(camera)
-        if other.refiner.articulation is not None and self.refiner.articulation is not None:
-            other.refiner.articulation.start_rad = self.refiner.articulation.start_rad
-            other.refiner.articulation.tracked = self.refiner.articulation.tracked
+        other.levels = self.levels.with_camera(camera)
+        other.bounds = (*self.bounds, *bounds)
         return other
 
+    @property
+    def refiner(self) -> Refiner:
+        """That of the picture itself."""
+        return self.levels.whole.refiner
+
     def _candidates(
-        self,
-        image: Picture,
-        sky: Sky,
-        bodies: list[Outlines],
-        forest_scores: ForestScores | None = None,
-        prior: Bound | None = None,
-    ) -> Candidates:
-        bounds = (*self.bounds, *(() if prior is None else (prior,)))
+        self, image: Picture, sky: Sky, size: Pose | float, bodies: list[Outlines],
+        forest_scores: ForestScores | None = None, prior: Bound | None = None,
+    ) -> Candidates:  # fmt: skip
+        """No poses yet, at the level of a pose or a range."""
+        range_m = self.levels.range_m(size) if isinstance(size, Pose) else size
+        level, image, sky = self.levels.at(image, sky, range_m)
+        bounds = self.bounds if prior is None else (*self.bounds, prior)
         return Candidates(
-            self.refiner, self.shading, self.retrieval, image, sky, bodies, forest_scores,
-            prior is not None, bounds,
-        )  # fmt: skip
+            level, self._retrieval, image, sky, bodies, forest_scores, prior is not None, bounds
+        )
 
     def anywhere(
-        self,
-        image: Picture,
-        sky: Sky,
-        bodies: list[Outlines],
-        sun_camera: Array | None = None,
-        *,
-        brief: bool = False,
-        give_up: float = 0.0,
-        again: bool = False,
-        also: Sequence[Pose] = (),
-        sketched: SketchFound | None = None,
-    ) -> Found | None:
+        self, image: Picture, sky: Sky, bodies: list[Outlines], *, brief: bool = False,
+        give_up: float = 0.0, again: bool = False, also: Sequence[Pose] = (),
+        sketched: Found | None = None,
+    ) -> Found | None:  # fmt: skip
         """The pose without a prior, from one or several readings of the outline.
 
         Args:
@@ -165,26 +137,41 @@ class PoseSearch:
             also: poses that something else proposes.
             sketched: what a sketch shows; it is weighed, too.
         """
+        area_sr = float(np.median([body.signature.area_sr for body in bodies]))
+        range_m = math.sqrt(float(np.median(self.model.views.area_m2)) / area_sr)
+        candidates = self._candidates(image, sky, range_m, bodies, self._forest_scores)
+        times = self.levels.whole.camera.width // candidates.level.camera.width
+        if times > 1:  # the outlines are finer than the picture
+            bodies = [Outlines([r[::times].copy() for r in b.rays], b.signature) for b in bodies]
+            candidates.bodies = bodies
+        found = self._from_outlines(candidates, brief, give_up, again, also, sketched)
+        return self.levels.finished(found, image, sky)
+
+    def _from_outlines(
+        self, candidates: Candidates, brief: bool, give_up: float, again: bool,
+        also: Sequence[Pose], sketched: Found | None,
+    ) -> Found | None:  # fmt: skip
+        """``anywhere`` at the level of the candidates."""
+        bodies, sun_camera = candidates.bodies, candidates.sky.sun_camera
         least = worth = 0.0
         if again or give_up > 0.0:  # beside a sketch, which is better at what is hard here
             least, worth = _WORTH_REFINING_LAST if again else _WORTH_REFINING, _WORTH_TURNING
         each = self.options.retrieved if len(bodies) == 1 else self.options.retrieved_of_several
         first = self.options.retrieved_first // len(bodies)
         starts = [
-            self._voted(body, *self.retrieval.of(body.signature, each, sun_camera))
+            self._voted(body, *self._retrieval.of(body.signature, each, sun_camera))
             for body in bodies
         ]
-        candidates = self._candidates(image, sky, bodies, self.forest_scores)
-        candidates.add(self._refined(image, sky, also))
-        if self.forest_scores is not None and len(bodies) == 1 and not again:
-            agreed = self._agreed(image, sky, candidates, bodies[0], *starts[0], least)
+        candidates.refine(also)
+        if self._forest_scores is not None and len(bodies) == 1 and not again:
+            agreed = self._agreed(candidates, bodies[0], *starts[0], least)
             if agreed is not None:
-                return self._beside_look_alikes(image, sky, candidates, agreed)
+                return self._beside_look_alikes(candidates, agreed)
         if brief:
             rotations, centres = (np.concatenate([s[k][:first] for s in starts]) for k in (0, 1))
-            candidates.add(self.refiner.best(image, sky, rotations, centres, _REFINED_OF_VOTED))
+            candidates.refine_best(rotations, centres, _REFINED_OF_VOTED)
             return candidates.choose()
-        turned: list[Refined] = []  # poses whose half turns have been tried
+        turned: list[Pose] = []  # poses whose half turns have been tried
         found = None
         likeliest, others = (slice(0, first), False), (slice(first, None), False)
         everything = (slice(None), True)
@@ -192,105 +179,86 @@ class PoseSearch:
             rotations = np.concatenate([r[part] for r, _ in starts])
             centres = np.concatenate([c[part] for _, c in starts])
             keep = self.options.refined
-            candidates.add(
-                self.refiner.best(
-                    image, sky, rotations, centres, keep, thorough=thorough, least=least
-                )
-            )
+            candidates.refine_best(rotations, centres, keep, thorough=thorough, least=least)
             best = candidates.most_inliers
-            if best is not None and best not in turned and best.inlier_ratio >= worth:
-                candidates.add(self._half_turned(image, sky, best.pose))
-                turned.append(best)
+            if best is not None and best.pose not in turned and best.inlier_ratio >= worth:
+                self._half_turned(candidates, best.pose)
+                turned.append(best.pose)
             found = candidates.choose()
             confidence = 0.0 if found is None else found.confidence
             if confidence < give_up:
                 return found
             if confidence >= _CONFIDENT:
-                return self._beside_look_alikes(image, sky, candidates, found)
-        rounds = 1 if again else _ROUNDS
-        found = self._around_best_two(image, sky, candidates, found, turned, rounds)
-        return self._beside_look_alikes(image, sky, candidates, found, sketched)
+                return self._beside_look_alikes(candidates, found)
+        found = self._around_best_two(candidates, found, turned, 1 if again else _ROUNDS)
+        return self._beside_look_alikes(candidates, found, sketched)
 
     def _beside_look_alikes(
-        self, image: Picture, sky: Sky, candidates: Candidates, found: Found | None,
-        sketched: SketchFound | None = None,
-    ) -> Found | None:  # fmt: skip
+        self, candidates: Candidates, found: Found | None, sketched: Found | None = None
+    ) -> Found | None:
         """The likeliest pose after each look-alike of the best has had one alignment."""
-        if self.rivals is None or found is None:
+        rivals = candidates.level.rivals
+        if rivals is None or found is None:
             return found
-        asked: list[Refined] = []
+        asked: list[Pose] = []
         for _ in range(_ROUNDS):
-            if found is None or found.best in asked:
+            if found is None or found.best.pose in asked:
                 break
-            asked.append(found.best)
-            others = self.rivals.look_alikes(found.best.pose)
-            worth = found.best.inlier_ratio - _MOST_BEHIND
-            candidates.add(self._refined(image, sky, others, least=worth))
+            asked.append(found.best.pose)
+            others = rivals.look_alikes(found.best.pose)
+            candidates.refine(others, least=found.best.inlier_ratio - _MOST_BEHIND)
             found = candidates.choose()
         if sketched is None:
-            return candidates.weighed(self.rivals)
-        candidates.add([sketched.without_grey_edges])
-        return candidates.weighed(self.rivals, sketched.aligned)
+            return candidates.weighed()
+        # Grey edges have no hold there: it has their least merit.
+        candidates.add([replace(sketched.best, outline=0.0, inner=0.0)])
+        return candidates.weighed(sketched.aligned)
 
     def _voted(self, body: Outlines, rotations: Array, centres: Array) -> tuple[Array, Array]:
         """Starting poses in the order of similarity and votes together, likeliest first."""
-        if self.forest_scores is None:
+        if self._forest_scores is None:
             return rotations, centres
         # Whole and sunlit silhouettes come in turns.
         rank = np.log1p(np.arange(len(rotations)) // 2)
         order = np.argsort(
-            rank - _VOTES_WORTH * self.forest_scores.scores(body.signature, rotations),
+            rank - _VOTES_WORTH * self._forest_scores.scores(body.signature, rotations),
             kind="stable",
         )
         return rotations[order], centres[order]
 
     def _agreed(
-        self,
-        image: Picture,
-        sky: Sky,
-        candidates: Candidates,
-        body: Outlines,
-        rotations: Array,
-        centres: Array,
-        least: float,
+        self, candidates: Candidates, body: Outlines, rotations: Array, centres: Array, least: float
     ) -> Found | None:
         """The pose on which edges and forest agree, from the likeliest starts; None without one."""
-        assert self.forest_scores is not None
+        assert self._forest_scores is not None
         first = slice(0, self.options.voted_first)
         starts = rotations[first].copy(), centres[first].copy()
-        candidates.add(self.refiner.best(image, sky, *starts, _REFINED_OF_VOTED, least=least))
+        candidates.refine_best(*starts, _REFINED_OF_VOTED, least=least)
         found = candidates.choose()
         if found is None or found.confidence < _CONFIDENT or found.votes is None:
             return None
         turned = found.best.pose.rotation @ self._half_turns
-        other = float(np.max(self.forest_scores.scores(body.signature, turned)))
+        other = float(np.max(self._forest_scores.scores(body.signature, turned)))
         leads = found.votes >= _LEAST_VOTES and found.votes - other >= _LEAST_LEAD
         return found if leads else None
 
     def _around_best_two(
-        self,
-        image: Picture,
-        sky: Sky,
-        candidates: Candidates,
-        found: Found | None,
-        turned: list[Refined],
-        rounds: int,
+        self, candidates: Candidates, found: Found | None, turned: list[Pose], rounds: int
     ) -> Found | None:
         """Search around the best pose and its rival, then around those that lead after that."""
-        searched: list[Refined] = []
+        searched: list[Pose] = []
         for _ in range(rounds):
-            more: list[Refined] = []
-            for pose in () if found is None else (found.best, found.rival):
-                if pose is None or pose in searched:
+            more = False
+            for pose in () if found is None else found.answers:
+                if pose in searched:
                     continue
                 searched.append(pose)
-                more += self._around(image, sky, pose) + self._close_to(image, sky, pose.pose)
+                more |= self._around(candidates, pose) | self._close_to(candidates, pose)
                 if pose not in turned:
                     turned.append(pose)
-                    more += self._half_turned(image, sky, pose.pose)
+                    more |= self._half_turned(candidates, pose)
             if not more:
                 break
-            candidates.add(more)
             found = candidates.choose()
             if found is not None and found.confidence >= _CONFIDENT:
                 break
@@ -305,37 +273,39 @@ class PoseSearch:
         ``sufficient_inlier_ratio`` lowers what the options require: a search has confirmed it.
         """
         usual = self.options.inlier_ratio if sky.dark else self.options.inlier_ratio_bright
-        refined = self.refiner.refine(image, sky, prior)
+        near = within(prior, error_rad, self.model.centre_m)
+        single = self._candidates(image, sky, prior, [], prior=near)
+        refined = single.level.refiner.refine(single.image, single.sky, prior)
         if refined is None or refined.inlier_ratio < min(sufficient_inlier_ratio, usual):
             return None
-        near = within(prior, error_rad, self.model.centre_m)
-        single = self._candidates(image, sky, [], prior=near)
         single.add([refined])
         reaches_usual = refined.inlier_ratio >= usual
         found = single.choose(shade=not reaches_usual)
         if reaches_usual and found is not None and found.confidence < _CONFIDENT:
             found = single.choose()
         least = _CONFIRMED if refined.inlier_ratio >= sufficient_inlier_ratio else _CONFIDENT
-        return replace(found, single=True) if found and found.confidence >= least else None
+        if found is None or found.confidence < least:
+            return None
+        return self.levels.finished(replace(found, single=True), image, sky)
 
     def proposed(
         self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
-        half_turns: bool = True, sketched: SketchFound | None = None,
+        half_turns: bool = True, sketched: Found | None = None,
     ) -> Found | None:  # fmt: skip
         """The best of some poses that another estimator proposes, and of half turns of it.
 
         Args:
-            proposals: right to a few degrees, or another answer.
+            proposals: right to a few degrees, or another answer; the first tells the size.
             half_turns: ``False`` where the second estimator has ruled them out.
             sketched: what a sketch shows; it is weighed, too.
         """
-        candidates = self._candidates(image, sky, bodies, self.forest_scores)
-        candidates.add(self._refined(image, sky, proposals))
+        candidates = self._candidates(image, sky, proposals[0], bodies, self._forest_scores)
+        candidates.refine(proposals)
         if half_turns:
             best = candidates.most_inliers
-            pose = proposals[0] if best is None else best.pose
-            candidates.add(self._half_turned(image, sky, pose))
-        return self._beside_look_alikes(image, sky, candidates, candidates.choose(), sketched)
+            self._half_turned(candidates, proposals[0] if best is None else best.pose)
+        found = self._beside_look_alikes(candidates, candidates.choose(), sketched)
+        return self.levels.finished(found, image, sky)
 
     def near(
         self, image: Picture, sky: Sky, prior: Pose, error_rad: float, bodies: list[Outlines],
@@ -344,15 +314,14 @@ class PoseSearch:
         """The pose within some angle of a prior, from rotations of it and retrieved views."""
         rotations, centres = self._starts_near(prior, error_rad, bodies, also)
         near = within(prior, error_rad, self.model.centre_m)
-        candidates = self._candidates(image, sky, bodies, prior=near)
-        candidates.add(self._close_to(image, sky, prior))
-        keep = self.options.refined_near
-        candidates.add(self.refiner.best(image, sky, rotations, centres, keep))
+        candidates = self._candidates(image, sky, prior, bodies, prior=near)
+        self._close_to(candidates, prior)
+        candidates.refine_best(rotations, centres, self.options.refined_near)
         found = candidates.choose()
         if found is not None and found.confidence < _CONFIDENT:
-            candidates.add(self._around(image, sky, found.best))
+            self._around(candidates, found.best.pose)
             found = candidates.choose()
-        return found
+        return self.levels.finished(found, image, sky)
 
     def _starts_near(
         self, prior: Pose, error_rad: float, bodies: list[Outlines], also: list[Pose]
@@ -363,38 +332,29 @@ class PoseSearch:
         centres = np.concatenate([centres, *(p.apply(self.model.centre_m)[None] for p in also)])
         cosine = np.cos(error_rad)
         for body in bodies:
-            more, places = self.retrieval.of(body.signature, 3 * self.options.retrieved)
+            more, places = self._retrieval.of(body.signature, 3 * self.options.retrieved)
             trace = np.einsum("kij,ij->k", more, prior.rotation)
             close = np.flatnonzero(0.5 * (trace - 1.0) > cosine)[: self.options.retrieved]
             rotations = np.concatenate([rotations, more[close]])
             centres = np.concatenate([centres, places[close]])
         return rotations, centres
 
-    def _around(self, image: Picture, sky: Sky, best: Refined) -> list[Refined]:
-        """Poses from 9° around: the best one may be a local optimum."""
-        rotations, centres = rotated_about(best.pose, self.model.centre_m, _ASIDE_RAD)
-        return self.refiner.best(image, sky, rotations[1:], centres[1:], 2)
+    def _around(self, candidates: Candidates, best: Pose) -> bool:
+        """Add poses from 9° around: the best one may be a local optimum."""
+        rotations, centres = rotated_about(best, self.model.centre_m, _ASIDE_RAD)
+        return candidates.refine_best(rotations[1:], centres[1:], 2)
 
-    def _close_to(self, image: Picture, sky: Sky, prior: Pose) -> list[Refined]:
-        """Poses from 3° around, refined without coarse stages, which may find another pose."""
+    def _close_to(self, candidates: Candidates, prior: Pose) -> bool:
+        """Add poses from 3° around, refined without coarse stages: those may find another pose."""
         starts = rotated_about_axes(prior, self.model.centre_m, _CLOSE_RAD)
-        found = self._refined(image, sky, starts, closely=True)
-        return found + self._refined(image, sky, [prior])
+        return candidates.refine(starts, closely=True) | candidates.refine([prior])
 
-    def _refined(
-        self, image: Picture, sky: Sky, poses: Iterable[Pose], *, closely: bool = False,
-        least: float = 0.0,
-    ) -> list[Refined]:  # fmt: skip
-        each = (self.refiner.refine(image, sky, p, closely=closely, least=least) for p in poses)
-        return [refined for refined in each if refined is not None]
-
-    def _half_turned(self, image: Picture, sky: Sky, pose: Pose) -> list[Refined]:
-        """Poses from half turns of one: many craft look nearly the same from behind or below.
+    def _half_turned(self, candidates: Candidates, pose: Pose) -> bool:
+        """Add poses from half turns of one: many craft look nearly the same from behind or below.
 
         Each is refined directly and after coarse alignment, which may move it away.
         """
         rotations = pose.rotation @ self._half_turns
         centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
         starts = map(Pose, rotations, centres - rotations @ self.model.centre_m)
-        found = self._refined(image, sky, starts)
-        return found + self.refiner.best(image, sky, rotations, centres, 2)
+        return candidates.refine(starts) | candidates.refine_best(rotations, centres, 2)

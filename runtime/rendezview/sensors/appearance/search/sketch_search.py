@@ -34,16 +34,11 @@ from rendezview.sensors.appearance.edges.sketch import (
     align_to_sketch,
     pose_covariance,
 )
-from rendezview.sensors.appearance.judge.confidence import Bound
+from rendezview.sensors.appearance.hypothesis import Bound, Hypothesis
 from rendezview.sensors.appearance.judge.explained import explained_share
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.shading import SurfaceTables, shading
-from rendezview.sensors.appearance.judge.sketch_choice import (
-    Passes,
-    SketchChoice,
-    SketchPose,
-    chosen,
-    distinct,
-)
+from rendezview.sensors.appearance.judge.sketch_choice import DOUBT, Passes, distinct, packaged
 from rendezview.sensors.appearance.model.sketches import COVER, CREASE, EDGE, Float32s
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
@@ -118,19 +113,19 @@ class SketchSearch:
         if model.surface is not None:
             self._surface = SurfaceTables.of(model.surface, model.target_radius_m)
 
-    def best(self, frame: Picture, sky: Sky) -> SketchChoice | None:
+    def best(self, frame: Picture, sky: Sky) -> Found | None:
         """As ``anywhere``, with a second opinion where the pose is in doubt.
 
         Near a prior there is none: both searches are held by the prior, and agree where it is
         wrong.
         """
         first = self.anywhere(frame, sky)
-        if first is None or not first.in_doubt:
+        if first is None or not DOUBT[0] <= first.confidence < DOUBT[1]:
             return first
         second = self.anywhere(frame, sky, turned=True)
-        return first if second is None else first.beside(second, self.model.symmetries)
+        return first if second is None else first.with_opinion(second, self.model.symmetries)
 
-    def anywhere(self, frame: Picture, sky: Sky, *, turned: bool = False) -> SketchChoice | None:
+    def anywhere(self, frame: Picture, sky: Sky, *, turned: bool = False) -> Found | None:
         """The best pose of a frame without a prior; None where the sketch shows no target.
 
         ``turned``: the network sees the frame upside down.
@@ -143,7 +138,7 @@ class SketchSearch:
         poses = self._bounded(self.aligned(reading, rotations, centres))
         return self._closer(frame, sky, reading, poses, None, turned=turned)
 
-    def near(self, frame: Picture, sky: Sky, prior: Pose, error_rad: float) -> SketchChoice | None:
+    def near(self, frame: Picture, sky: Sky, prior: Pose, error_rad: float) -> Found | None:
         """The best pose within some angle of a prior; None where there is none."""
         sketch = self.sketcher.near(frame, target_box(self.model, self.camera, prior))
         if sketch is None:
@@ -188,7 +183,7 @@ class SketchSearch:
             return None
         return MeasuredEdges.of(edges, CUT_SPREADS * last[-1, 1], rotation, centre)
 
-    def aligned(self, reading: Reading, rotations: Array, centres: Array) -> list[SketchPose]:
+    def aligned(self, reading: Reading, rotations: Array, centres: Array) -> list[Hypothesis]:
         """Poses (K, 3, 3) and view centres (K, 3), changed in place, moved onto a sketch.
 
         All take the first stage, the most promising ones the others. Those that find no hold are
@@ -212,7 +207,7 @@ class SketchSearch:
             _maps(sketch), sketch.grey, lens, _last(sketch), lines, lines_lens, sky.vector
         )
 
-    def _each_aligned(self, reading: Reading, poses: Sequence[Pose]) -> list[SketchPose | None]:
+    def _each_aligned(self, reading: Reading, poses: Sequence[Pose]) -> list[Hypothesis | None]:
         """Where the closer pass leads each pose to; None: no hold."""
         each = (
             self._aligned(
@@ -224,7 +219,7 @@ class SketchSearch:
 
     def _aligned(
         self, reading: Reading, rotations: Array, centres: Array, stages: Array
-    ) -> list[SketchPose]:
+    ) -> list[Hypothesis]:
         maps, grey, lens, _, lines, lines_lens, sky = reading
         scores = np.empty((len(rotations), 4))
         align_all_to_sketch(maps, lens, self._views, stages, rotations, centres, scores)
@@ -238,14 +233,15 @@ class SketchSearch:
             if self._surface is not None:
                 alike = shading(grey, lens, sky, self._surface, *at, np.zeros(3))
             lit = (max(correlation, 0.0) ** 2 for correlation in alike)
-            outline, inner, contrast, visible = (float(score) for score in scores[k])
-            found.append(SketchPose(pose, outline, inner, contrast, visible, explained, *lit))
+            outline, inner, _, visible = (float(score) for score in scores[k])
+            features = np.array([*scores[k], explained, *lit])
+            found.append(Hypothesis(pose, None, outline, inner, visible=visible, sketch=features))
         return found
 
     def _closer(
-        self, frame: Picture, sky: Sky, first: Reading, poses: list[SketchPose],
+        self, frame: Picture, sky: Sky, first: Reading, poses: list[Hypothesis],
         prior: tuple[Pose, float] | None, *, turned: bool,
-    ) -> SketchChoice | None:  # fmt: skip
+    ) -> Found | None:  # fmt: skip
         """The best of some poses of a first sketch after a closer pass at the target."""
         best = distinct(poses, _LOOKED_AT, _APART_RAD)
         if not best:
@@ -261,22 +257,34 @@ class SketchSearch:
         others = self._aligned(reading, starts, places, _FINE)
         bounds = () if prior is None else (within(*prior, centre_m),)
         around, others = (self._bounded(found, *bounds) for found in (around, others))
-        passes, near = Passes(poses, around, others), prior is not None
-        choice = chosen(passes, self.model.symmetries, prior=near, cut=sketch.is_cut)
-        if choice is None:
+        passes = Passes(
+            poses, around, others, self.model.symmetries, prior is not None, sketch.is_cut
+        )
+        chosen = passes.chosen()
+        if chosen is None:
             return None
-        pose, spread_deg, scatter = self._finest(choice.best.pose, [first, reading])
-        choice = replace(
-            choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows,
-            aligned=partial(self._each_aligned, reading),
-        )  # fmt: skip
+        one, rival, margin = chosen
+        pose, spread_deg, scatter = self._finest(one.pose, [first, reading])
+        passes = replace(passes, spread_deg=spread_deg)
         covariance, strained, residual_px = pose_covariance(
             reading.maps, reading.lens, self._views, reading.last[-1], pose.rotation.copy(),
             pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
         )  # fmt: skip
-        return choice.with_covariance(covariance, strained + scatter, residual_px / sketch.scale)
+        # Errors of poses show how far edges are from independent.
+        covariance = covariance * packaged().inflation + (strained + scatter)
 
-    def _bounded(self, poses: list[SketchPose], *bounds: Bound) -> list[SketchPose]:
+        def known(one: Hypothesis, pose: Pose) -> Hypothesis:
+            residual = residual_px / sketch.scale
+            return replace(one, pose=pose, covariance=covariance, residual_px=residual)
+
+        # The trees have hardly seen frames that the target overflows, and are sure of wrong poses.
+        probability = 0.0 if sketch.overflows else passes.probability
+        return Found(
+            known(one, pose), margin, sky.dark, passes.prior, rival and known(rival, rival.pose),
+            probability=probability, aligned=partial(self._each_aligned, reading), passes=passes,
+        )  # fmt: skip
+
+    def _bounded(self, poses: list[Hypothesis], *bounds: Bound) -> list[Hypothesis]:
         """The poses that may be the answer."""
         every = (*self.bounds, *bounds)
         return [found for found in poses if all(bound(found.pose) for bound in every)]

@@ -8,7 +8,7 @@ from numba import njit
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.judge.confidence import Bound
+from rendezview.sensors.appearance.hypothesis import Bound
 from rendezview.sensors.appearance.model.contours import NO_POINT
 from rendezview.sensors.appearance.model.view_model import ViewModel
 

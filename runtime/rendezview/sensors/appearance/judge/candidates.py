@@ -1,0 +1,171 @@
+"""All poses of one frame: the choice of the best beside its rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.estimation.hypotheses import Choice, choose
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import angle_between, first_of_each
+from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.hypothesis import Aligned, Bound, Hypothesis
+from rendezview.sensors.appearance.judge.found import Found, merit
+from rendezview.sensors.appearance.judge.level import Level
+from rendezview.sensors.appearance.judge.rivals import MERIT_WEIGHT, edge_scores
+from rendezview.sensors.appearance.judge.sketch_choice import sketch_merit
+from rendezview.sensors.appearance.model.forest import ForestScores
+from rendezview.sensors.appearance.model.signature import Outlines
+from rendezview.sensors.appearance.outline.retrieval import Retrieval
+from rendezview.sensors.appearance.sky import Sky
+
+Indices = npt.NDArray[np.intp]
+
+# merit behind the best; shading is computed for poses closer than this. Source: by hand, seeds of
+# docs/notes/refinement.md
+_IN_DOUBT = 0.35
+# rad; a pose further away is another answer, as in the experiments. Source: the limit of a wrong
+# pose there
+_RIVAL_RAD = np.deg2rad(5.0)
+_MOST_RIVALS = 16  # that are drawn, of most merit. Source: by construction, a bound of time
+
+
+@dataclass(slots=True, eq=False)
+class Candidates:
+    """All refined poses of one frame; each costs its overshoot and its shading once."""
+
+    level: Level
+    retrieval: Retrieval
+    image: Picture
+    sky: Sky
+    bodies: list[Outlines]
+    forest_scores: ForestScores | None = None
+    prior: bool = False  # the search starts from a prior
+    bounds: tuple[Bound, ...] = ()  # of all poses
+    _all: list[Hypothesis] = field(default_factory=list)
+
+    def add(self, refined: Iterable[Hypothesis | None]) -> bool:
+        """Take more poses, those within the bounds; whether there are any, within or not."""
+        found = [one for one in refined if one is not None]
+        may_be = (one for one in found if all(bound(one.pose) for bound in self.bounds))
+        self._all += [replace(one, overshoot=self._overshoot(one)) for one in may_be]
+        return bool(found)
+
+    def refine(self, poses: Iterable[Pose], *, closely: bool = False, least: float = 0.0) -> bool:
+        """Add the poses next to some that fit the edges; see ``Refiner.refine``."""
+        image, sky, refine = self.image, self.sky, self.level.refiner.refine
+        return self.add(refine(image, sky, one, closely=closely, least=least) for one in poses)
+
+    def refine_best(
+        self, rotations: Array, centres: Array, keep: int, *, thorough: bool = False,
+        least: float = 0.0,
+    ) -> bool:  # fmt: skip
+        """Add the best of some starting poses, aligned; see ``Refiner.best``."""
+        image, sky, best = self.image, self.sky, self.level.refiner.best
+        return self.add(best(image, sky, rotations, centres, keep, thorough=thorough, least=least))
+
+    @property
+    def most_inliers(self) -> Hypothesis | None:
+        """The pose with the highest inlier ratio, the first of equals."""
+        return max(self._all, key=lambda one: one.inlier_ratio, default=None)
+
+    def choose(self, *, shade: bool = True) -> Found | None:
+        """The pose of most merit and its rival; None without any pose.
+
+        ``shade``: compute the shading of those poses whose edges leave them a chance.
+        """
+        if not self._all:
+            return None
+        merits = [merit(one, None) for one in self._all]
+        least = max(merits) - _IN_DOUBT if shade else np.inf
+        for k, one in enumerate(self._all):
+            if merits[k] >= least:
+                self._all[k] = self._shaded(one)
+                merits[k] = merit(one, self._all[k].shading)
+        chosen = choose(merits, self._same)
+        assert chosen is not None
+        return self._found(chosen)
+
+    def _shaded(self, one: Hypothesis) -> Hypothesis:
+        if one.shading is not None:
+            return one
+        shade = self.level.shading.of(self.image, self.sky, one.pose)
+        return one if shade is None else replace(one, shading=shade.agreement, sun_camera=shade.sun)
+
+    def weighed(self, on_sketch: Aligned | None = None) -> Found | None:
+        """The likeliest pose beside its rivals, by drawn evidence if the model has a shape.
+
+        ``on_sketch``: of the sketch, where one was drawn of the frame. Poses that it leads to the
+        same pose are one answer.
+        """
+        found, rivals = self.choose(), self.level.rivals
+        if found is None or rivals is None:
+            return found
+        merits = np.array([merit(one, one.shading) for one in self._all])
+        within = np.inf if on_sketch is not None else merits.max() - (found.merit - _IN_DOUBT)
+        apart = choose(merits, self._same, within=within, most=len(merits))
+        assert apart is not None
+        asked, on_it = [self._all[k] for k in apart.answers], None
+        if on_sketch is not None:
+            led = on_sketch([one.pose for one in asked])
+            asked = [replace(one, on_sketch=there) for one, there in zip(asked, led, strict=True)]
+            on_it = np.array([np.nan if one is None else sketch_merit(one) for one in led])
+        edges = edge_scores(merits[list(apart.answers)], on_it)
+        order = np.argsort(-edges, kind="stable")
+        order = order[edges[order] >= edges.max() - MERIT_WEIGHT * _IN_DOUBT]
+        if on_sketch is not None:
+            order = self._one_each(order, asked)
+        order = order[:_MOST_RIVALS]
+        weighed = rivals.weigh(
+            self.image, self.sky, [asked[k] for k in order], edges[order],
+            beside_sketch=on_sketch is not None,
+        )  # fmt: skip
+        if not weighed:
+            return found
+        k = next(k for k, one in enumerate(self._all) if one.pose is weighed[0].pose)
+        chosen = choose(merits, self._same, best=k)
+        assert chosen is not None
+        return replace(self._found(chosen), weighed=tuple(weighed))
+
+    def _found(self, chosen: Choice) -> Found:
+        best = self._all[chosen.best]
+        return Found(
+            best,
+            chosen.margin if chosen.rivals else 1.0,
+            self.sky.dark,
+            self.prior,
+            self._all[chosen.rivals[0]] if chosen.rivals else None,
+            self._votes(best),
+            error_model=self.level.refiner.error_model,
+        )
+
+    def _same(self, k: int, known: int) -> bool:
+        """Whether two poses are one answer."""
+        a, b = self._all[k].pose, self._all[known].pose
+        return bool(angle_between(a, b, self.level.refiner.model.symmetries) <= _RIVAL_RAD)
+
+    def _one_each(self, order: Indices, asked: list[Hypothesis]) -> Indices:
+        """Of the poses that a sketch leads to the same pose the first."""
+        led = [(int(k), one.pose) for k in order if (one := asked[k].on_sketch) is not None]
+        symmetries = self.level.refiner.model.symmetries
+        firsts = first_of_each((pose for _, pose in led), _RIVAL_RAD, symmetries)
+        kept = {led[i][0] for i in firsts}
+        return np.array([k for k in order if asked[k].on_sketch is None or int(k) in kept])
+
+    def _votes(self, one: Hypothesis) -> float | None:
+        """Log odds of the forest, of the outline that gives most; None before a bright sky."""
+        if self.forest_scores is None or not self.sky.dark:
+            return None
+        rotation = one.pose.rotation[None]
+        scores = [float(self.forest_scores.scores(b.signature, rotation)[0]) for b in self.bodies]
+        return max(scores, default=None)
+
+    def _overshoot(self, one: Hypothesis) -> float:
+        """The largest of any outline; 0 before a bright sky, where outlines are uncertain."""
+        if not self.sky.dark:
+            return 0.0
+        pose = one.pose
+        return max((self.retrieval.overshoot(b.rays, pose) for b in self.bodies), default=0.0)

@@ -1,0 +1,154 @@
+"""The choice of a frame: its best pose, the rival, and the probability that the pose is right."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import expit, logit
+
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import Symmetry, angle_between
+from rendezview.sensors.appearance.hypothesis import Aligned, Hypothesis
+from rendezview.sensors.appearance.judge.sketch_choice import (
+    RIVAL_RAD,
+    Passes,
+    opinion_features,
+    packaged,
+)
+from rendezview.sensors.appearance.model.error_model import ErrorModel
+
+# Weights of the merit, beside an inlier ratio of weight 1.
+# Of mean radii of the silhouette. Source: by hand, seeds of docs/notes/refinement.md
+_OVERSHOOT_WEIGHT = 1.0
+# Of the share of grey levels that one light explains. Source: by hand, seeds of
+# docs/notes/refinement.md
+_LIGHT_WEIGHT = 0.25
+# Source: experiment pose-accuracy, seeds 1, 88, 99 (commits f070326, 5e90c44)
+_RESIDUAL_WEIGHT = 0.08  # of log px
+# px; a smaller residual is no better. Source: by hand, seeds of docs/notes/refinement.md
+_LEAST_RESIDUAL_PX = 0.05
+# Source: experiment pose-accuracy, seeds 1, 88, 99: of 1626 frames with a right and a wrong pose
+# the wrong one came first in 13 with shading, in 34 without
+_SHADING_WEIGHT = 0.4  # of a correlation
+# Of overshoot and of margin in the regression, which saturate there. Source: fixed with the fit of
+# error_model.json
+_MOST_FEATURE = 0.3
+# Rad; error of a pose that grey edges have moved, or whose joint is at a wrong angle. Source:
+# experiment pose-joints (0.1)
+NEAR_RAD = np.deg2rad(8.0)
+# Of the drawn look-alikes; a surer pose is no surer. Of .9, .95 and .99 it gives most right poses
+# and none wrong. Source: docs/notes/rivals.md
+_SUREST_SHARE = 0.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """The best pose of a frame and its rival, the best pose that is another answer."""
+
+    best: Hypothesis
+    # Merit of the best pose above its rival's, 1 without a rival; of a sketch log odds, at most 4
+    margin: float
+    dark: bool  # the sky is dark
+    prior: bool  # found near a prior
+    rival: Hypothesis | None = None
+    votes: float | None = None  # log odds of the outline's forest about it; None: not asked
+    single: bool = False  # only the pose next to the prior was tried
+    weighed: tuple[Hypothesis, ...] = ()  # beside its look-alikes, likeliest first; (): not asked
+    error_model: ErrorModel = field(default_factory=ErrorModel.packaged)
+    # Of a pose on a sketch: probability that it is right, other poses on the finer sketch, and how
+    # the search went
+    probability: float | None = None
+    aligned: Aligned | None = None
+    passes: Passes | None = None
+
+    @property
+    def on_sketch(self) -> bool:
+        """Whether the pose was found on a sketch."""
+        return self.probability is not None
+
+    @property
+    def merit(self) -> float:
+        """Merit of the best pose; see ``merit``."""
+        return merit(self.best, self.best.shading)
+
+    @property
+    def posterior(self) -> float:
+        """Probability of the pose among its look-alikes; 1 where they were not asked.
+
+        On a sketch the confidence, which counts them.
+        """
+        if self.probability is not None:
+            return self.probability
+        return self.weighed[0].probability if self.weighed else 1.0
+
+    @property
+    def answers(self) -> list[Pose]:
+        """The best pose, and its rival if there is one."""
+        return [found.pose for found in (self.best, self.rival) if found is not None]
+
+    @property
+    def features(self) -> Array:
+        """(11,) in the order of ``CONFIDENCE_FEATURES``."""
+        best = self.best
+        return np.array(
+            [
+                1.0,
+                best.outline,
+                best.inner,
+                best.residual_px,
+                min(best.overshoot, _MOST_FEATURE),
+                min(max(self.margin, 0.0), _MOST_FEATURE),
+                best.visible,
+                float(self.dark),
+                float(self.prior),
+                best.light,
+                best.shading or 0.0,
+            ]
+        )
+
+    @property
+    def confidence(self) -> float:
+        """Probability that the best pose is right to 5°, 0 … 1."""
+        if self.probability is not None:
+            return self.probability
+        return self.error_model.confidence(
+            self.features, shading=self.best.shading is not None, dark=self.dark
+        )
+
+    def with_opinion(self, second: Found, symmetries: Sequence[Symmetry]) -> Found:
+        """The more confident of two choices on sketches, with the probability that both give."""
+        agree = bool(angle_between(self.best.pose, second.best.pose, symmetries) < RIVAL_RAD)
+        first, second = sorted((self, second), key=lambda one: -one.confidence)
+        opinions = opinion_features(first.confidence, second.confidence, agree=agree)
+        return replace(first, probability=float(expit(opinions @ packaged().opinions)))
+
+    def beside(self, weighed: Sequence[Hypothesis], symmetries: Sequence[Symmetry]) -> Found:
+        """A pose on a sketch with the odds of its look-alikes in its probability, if it has any.
+
+        The forest that knows how the search went has hardly seen craft that look alike from
+        several sides, and drawings of look-alikes know nothing of the search: the odds of both
+        are multiplied. A pose that the search holds for wrong gains nothing by its look-alikes.
+        """
+        pose, own = self.best.pose, self.confidence
+
+        def same(one: Hypothesis | None) -> bool:
+            return one is not None and angle_between(one.pose, pose, symmetries) < NEAR_RAD
+
+        share = sum(w.probability for w in weighed if same(w) or same(w.on_sketch))
+        if share == 1.0 == len(weighed):
+            return self  # it has no rival, and nothing was drawn
+        together = float(expit(logit(own) + logit(min(share, _SUREST_SHARE))))
+        if own < 0.5:
+            together = min(together, own)
+        return replace(self, probability=together, weighed=tuple(weighed))
+
+
+def merit(hypothesis: Hypothesis, shading: float | None) -> float:
+    """One figure to compare poses of one frame by; ``shading``: None where it does not count."""
+    one = hypothesis
+    edges = one.inlier_ratio - _OVERSHOOT_WEIGHT * one.overshoot + _LIGHT_WEIGHT * one.light
+    edges -= _RESIDUAL_WEIGHT * math.log(max(one.residual_px, _LEAST_RESIDUAL_PX))
+    return edges if shading is None else edges + _SHADING_WEIGHT * shading
