@@ -30,7 +30,7 @@ class Outcome:
 
 
 def command(folder: Path, *words: object) -> None:
-    start = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
+    start = [sys.executable, "-m", "rendezview"]
     done = subprocess.run(
         [*start, *map(str, words)], cwd=folder, capture_output=True, text=True, timeout=MOST_S
     )

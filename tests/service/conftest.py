@@ -118,7 +118,7 @@ def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) ->
         places = environment.get("PYTHONPATH"), os.environ.get("PYTHONPATH")
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, places))
         folder = tmp_path_factory.mktemp("service")
-        command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "serve"]
+        command = [sys.executable, "-m", "rendezview", "serve"]
         if given:
             command.append(str(model_path))
         process = subprocess.Popen(

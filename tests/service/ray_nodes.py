@@ -74,7 +74,7 @@ class Gateway:
     def __init__(self, address: str, work: Path) -> None:
         flags = ["--cluster", address, "--state", str(work / "open")]
         flags += ["--models", str(work / "models"), "--record", str(work / "logs"), "--port", "0"]
-        command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "serve"]
+        command = [sys.executable, "-m", "rendezview", "serve"]
         settings = {
             "RENDEZVIEW_SERVE_RECORD_MODEL": "false",
             "RENDEZVIEW_SERVE_SPARE_SEATS": "0",

@@ -254,7 +254,7 @@ def test_a_source_is_tracked_to_its_last_frame(start_service, camera, tour, tmp_
     assert (info["frames"], info["drops"], info["reason"]) == (8, 0, None)
     served.stop()
     assert served.process.returncode == 0
-    command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "replay"]
+    command = [sys.executable, "-m", "rendezview", "replay"]
     done = subprocess.run(
         [*command, str(place)], capture_output=True, text=True, check=False, timeout=MOST_S
     )

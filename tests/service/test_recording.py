@@ -156,7 +156,7 @@ def test_another_run_is_not_taken_for_the_same(recorded, refining_model):
 
 
 def _replay(*arguments: object) -> str:
-    command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "replay"]
+    command = [sys.executable, "-m", "rendezview", "replay"]
     done = subprocess.run(
         [*command, *map(str, arguments)],
         capture_output=True,

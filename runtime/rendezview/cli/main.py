@@ -66,8 +66,8 @@ _MAIN_OPTIONS = {
         "overlay",
     ),
     "serve": (
-        "camera", "target", "source", "record", "state", "host", "port", "tokens", "workers",
-        "models", "check", "settings",
+        "camera", "target", "source", "fly", "record", "state", "host", "port", "tokens",
+        "workers", "models", "check", "settings",
     ),
 }  # fmt: skip
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -63,6 +66,10 @@ def serve(
             help="Source for the service: scene, folder, video, log (*.mcap), /dev/video0, "
             "rtsp://…; repeat it for more sessions."
         ),
+    ] = None,
+    fly: Annotated[
+        str | None,
+        typer.Option(help="Fly to this target, as `rendezview fly --live`; RENDEZVIEW_TOKEN."),
     ] = None,
     speed: Annotated[
         float, typer.Option(min=0.0, help="Of sources that are files; 0: as fast as they track.")
@@ -155,7 +162,25 @@ def serve(
     service = Service(loaded, model, source, speed)
     compile_ahead("serve")
     set_up_logging(loaded.log_level)
-    run(service, tell, functools.partial(say, "starts; its page is at"))
+    with contextlib.ExitStack() as flights:
+
+        def ready(address: str) -> None:
+            tell(address)
+            if fly is not None:
+                flights.enter_context(_flight(fly, address))
+
+        run(service, ready, functools.partial(say, "starts; its page is at"))
+
+
+@contextlib.contextmanager
+def _flight(target: str, address: str) -> Iterator[None]:
+    """A flight at the service, in a process that ends with it."""
+    command = [sys.executable, "-m", "rendezview", "fly", target, "--live", address]
+    with subprocess.Popen(command) as process:
+        try:
+            yield
+        finally:
+            process.terminate()
 
 
 def _be_gateway(settings: Settings, has_own: bool, tell: Callable[[str], None]) -> None:

@@ -13,7 +13,13 @@ from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Scope
 
-from rendezview_service.http import model_routes, recording_routes, session_routes, streams
+from rendezview_service.http import (
+    flight_routes,
+    model_routes,
+    recording_routes,
+    session_routes,
+    streams,
+)
 from rendezview_service.http.answers import JSON, answer_errors, needs, service_of
 from rendezview_service.http.security import Guard, Right, Token
 from rendezview_service.hub.service import Service
@@ -72,8 +78,8 @@ def make_routes(service: Service) -> FastAPI:
     # Described only: `Guard` checks the tokens before a request arrives here.
     secured = [Depends(HTTPBearer(auto_error=False, description="a token of the tokens file"))]
     app.include_router(session_routes.router, dependencies=secured)
-    app.include_router(model_routes.router, dependencies=secured)
-    app.include_router(recording_routes.router, dependencies=secured)
+    for routes in (flight_routes, model_routes, recording_routes):
+        app.include_router(routes.router, dependencies=secured)
     app.include_router(streams.router)
 
     @app.get("/healthz", tags=["operations"])

@@ -258,7 +258,7 @@ def _longest_body(scope: Scope, settings: Settings) -> tuple[int, bool]:
 def _audit(scope: Scope, outcome: int | str) -> None:
     """A line of the service's log for what changes something, or takes a log away."""
     path = scope["path"]
-    often = path.endswith(("/frames", "/measurements", "/watch"))
+    often = path.endswith(("/frames", "/measurements", "/watch", "/flight"))
     reads = scope["type"] == "http" and scope["method"] in ("GET", "HEAD", "OPTIONS")
     if often or (reads and not path.endswith("/log")):
         return

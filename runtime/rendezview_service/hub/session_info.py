@@ -34,4 +34,5 @@ def info_of(session: Session) -> SessionInfo:
         finished=session.finished,
         reason=session.reason,
         warnings=list(dict.fromkeys(session.request.notes)),
+        flight=session.flight.report,
     )

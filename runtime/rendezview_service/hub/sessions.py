@@ -10,6 +10,7 @@ from functools import partial
 from pydantic_core import to_json
 
 from rendezview_service.hub import inputs
+from rendezview_service.hub.attached_flight import AttachedFlight
 from rendezview_service.hub.checkpoint import Checkpoint, CheckpointKeeper
 from rendezview_service.hub.clock import SessionClock
 from rendezview_service.hub.history import Histories, Past
@@ -88,6 +89,7 @@ class Session:
         self.frame_base = 0  # number of frames before the present worker
         self.drops = 0
         self.events = SessionEvents(name, lambda: self.clock.now_unix_s)
+        self.flight = AttachedFlight(self.events)
         for note in request.notes:
             self.events.add("session", Level.WARNING, note)
         self._arrivals = Arrivals()

@@ -10,16 +10,11 @@ import warnings
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    Field,
-    FiniteFloat,
-    ModelWrapValidatorHandler,
-    PrivateAttr,
-    model_validator,
-)
+from pydantic import Field, FiniteFloat, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
 from rendezview.geometry.camera import LensModel
 from rendezview_service.messages.approach_messages import Approach, ApproachRequest, Level, Motion
+from rendezview_service.messages.flight_messages import Flight
 from rendezview_service.messages.frame_sensor_messages import (
     FrameSensorsRequest,
     ReflectorReading,
@@ -222,6 +217,7 @@ class SessionInfo(Message):
     finished: bool = Field(description="the source has ended or failed")
     reason: str | None = Field(default=None, description="if the source failed")
     warnings: list[str] = Field(default=[], description="what of its request is ignored, or odd")
+    flight: Flight | None = Field(default=None, description="that is attached: `rendezview fly`")
 
 
 class SessionList(Message):
@@ -369,7 +365,9 @@ class Event(Message):
     number: int = Field(description="in the session, from 0")
     unix_s: float
     level: Level
-    kind: str = Field(description="phase, alarm, fusion, recording, worker, source, session")
+    kind: str = Field(
+        description="phase, alarm, fusion, recording, worker, source, session, flight, operator"
+    )
     text: str
 
 

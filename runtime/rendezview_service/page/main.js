@@ -5,6 +5,7 @@ import { askedSession, downloadLog, json, sessionPath, token, watch } from "./ap
 import { showAlerts, showApproach, times, utc } from "./approach.js";
 import { wire } from "./controls.js";
 import { Events, showSessions } from "./events.js";
+import { showFlight } from "./flight.js";
 import { LiveView } from "./live.js";
 import { showRecordings } from "./library.js";
 import { Past, placeAway } from "./past.js";
@@ -217,6 +218,7 @@ async function poll() {
 function overview() {
   if (info === null) return;
   showTotals(info);
+  showFlight(session, ended === null ? (info.flight ?? null) : null);
   find("download").disabled = info.recording.state === "off";
   if (performance.now() - (last?.at ?? -Infinity) > POLL_MS) {
     showSensors(info.sensors);

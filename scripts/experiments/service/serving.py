@@ -62,7 +62,7 @@ class Served(Processes):
     """`rendezview serve` as a process, or as a process group; ``settings``: RENDEZVIEW_SERVE_…"""
 
     def __init__(self, model: Path, *flags: str, group: bool = False, **settings: object) -> None:
-        command = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
+        command = [sys.executable, "-m", "rendezview"]
         names = {f"RENDEZVIEW_SERVE_{n.upper()}": str(value) for n, value in settings.items()}
         self.process = subprocess.Popen(
             [*command, "serve", str(model), "--port", "0", *flags], stderr=subprocess.PIPE,

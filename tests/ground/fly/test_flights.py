@@ -12,6 +12,7 @@ from tests.ground.fly.conftest import short_plan
 from rendezview_ground.fly.campaign import agreement, campaign, fly_once, record
 from rendezview_ground.fly.dynamics import OrbitDynamics
 from rendezview_ground.fly.faults import Fault, fault_of_run
+from rendezview_ground.fly.guidance import Guidance
 from rendezview_ground.fly.loop import FusedEstimator, Loop
 from rendezview_ground.fly.options import FlyPlan
 from rendezview_ground.fly.report import write_campaign_page, write_flight_page
@@ -150,7 +151,7 @@ def test_a_strangers_controller_takes_a_place_in_the_loop(setup):
 
 def test_a_strangers_estimator_without_a_state_never_moves_the_chaser_in(setup):
     from rendezview.fusion import Fusion
-    from rendezview_ground.fly.guidance import Guidance, Known
+    from rendezview_ground.fly.guidance import Known
 
     class Blind:
         def update(self, time_s, readings):
@@ -163,3 +164,39 @@ def test_a_strangers_estimator_without_a_state_never_moves_the_chaser_in(setup):
     flight = Loop(sensors, Blind(), Guidance(plan, short.port), dynamics).run()
     assert flight.end == "held"
     assert flight.moments[-1].spent_m_s == 0.0
+
+
+def operated_flight(setup, orders: dict[float, str]):
+    """A flight whose operator orders something at times."""
+
+    class Operated(Guidance):
+        def command(self, known):
+            if known.time_s in orders:
+                self.order(orders[known.time_s])
+            return super().command(known)
+
+    plan, port = setup.plan, setup.port
+    sensors = ModelledSensors(plan, setup.beam, port.ring, port.centre_m, list(setup.patterns), 0)
+    dynamics = OrbitDynamics(plan, port, 0)
+    return Loop(sensors, FusedEstimator(), Operated(plan, port), dynamics).run()
+
+
+def test_an_ordered_hold_lasts_until_the_order_to_go_on(setup):
+    plan = short_plan(longest_s=250.0)
+    flight = operated_flight(replace(setup, plan=plan), {12.0: "hold", 100.0: "go_on"})
+    held = [m for m in flight.moments if 15.0 <= m.time_s < 100.0]
+    assert {m.mode for m in held} == {"hold"}  # longer than the patience in a doubt
+    assert {m.reason for m in held} == {"hold ordered"}
+    assert flight.end == "contact"
+
+
+def test_an_ordered_retreat_ends_at_the_hold_point_behind_and_costs_no_attempt(setup):
+    plan = short_plan(longest_s=250.0)
+    orders = {20.0: "retreat", 60.0: "retreat", 61.0: "retreat", 62.0: "retreat", 90.0: "go_on"}
+    flight = operated_flight(replace(setup, plan=plan), orders)
+    modes = [m.mode for m in flight.moments]
+    assert "retreat" in modes
+    waits = [m for m in flight.moments if 75.0 <= m.time_s < 90.0]
+    assert {m.reason for m in waits} == {"retreat ordered"}
+    assert all(m.true.range_m == pytest.approx(2.0, abs=0.3) for m in waits)
+    assert flight.end == "contact"

@@ -20,12 +20,14 @@ from rendezview.io.video_file import VideoWriter
 from rendezview.sensors.appearance import ViewModel
 from rendezview_ground.fly.campaign import Setup, campaign, fly_once, record
 from rendezview_ground.fly.faults import FAULTS, Fault
+from rendezview_ground.fly.live import fly_live
 from rendezview_ground.fly.options import load_fly_plan
 from rendezview_ground.fly.report import FILM, write_campaign_page, write_flight_page
 from rendezview_ground.learn.command_options import Dask, Jobs
 from rendezview_ground.learn.job import train
 from rendezview_ground.learn.jobs.open_executor import open_executor
 from rendezview_ground.mesh.mesh import load_mesh
+from rendezview_service.client import Client
 
 _FILM_HZ = 10.0  # twenty times as fast as the flight. Source: chosen to be watchable
 
@@ -62,6 +64,16 @@ def fly(
     ),
     unit: Annotated[str | None, typer.Option(help="Unit of a bare mesh.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
+    live: Annotated[
+        str | None,
+        typer.Option(help="Address of a service that tracks its frames, as http://127.0.0.1:8360."),
+    ] = None,
+    token: Annotated[
+        str | None, typer.Option(envvar="RENDEZVIEW_TOKEN", help="Of that service.")
+    ] = None,
+    speed: Annotated[
+        float, typer.Option(min=0.0, help="Of a live flight; 0: as fast as it goes.")
+    ] = 1.0,
     jobs: Jobs = 1,
     dask: Dask = None,
 ) -> None:
@@ -81,18 +93,22 @@ def fly(
     views = None
     tell_of_compiling()
     with ProgressBar() as progress:
-        if frames is Frames.RENDERED:
+        if frames is Frames.RENDERED and live is None:
             path = model or output / f"{found.name}.rvm"
             if not path.exists() and model is None:
                 console.print(f"Training {found.name} …")
                 train(mesh, path, name=found.name, symmetries=found.symmetries, progress=progress)
             views = ViewModel.load(path)
         setup = Setup.of(found, mesh, options, views)
-        if runs == 1:
+        if runs == 1 or live is not None:
             fault = drawn[0] if drawn else None
-            with VideoWriter(output / FILM, _FILM_HZ) as film:  # without frames: no file
-                flight = fly_once(setup, seed, fault, film)
-            page = write_flight_page(output, found.name, setup, flight, seed, fault)
+            if live is not None:
+                with Client(live, token) as client:
+                    flight = fly_live(setup, client, seed, fault, speed)
+            else:
+                with VideoWriter(output / FILM, _FILM_HZ) as film:  # without frames: no file
+                    flight = fly_once(setup, seed, fault, film)
+            page = write_flight_page(output, found.name, setup, flight, seed, fault, live)
             Console(highlight=False).print(_words(record(flight, seed, fault)))
         else:
             with open_executor(jobs, dask, processes=True, tell=console.print) as executor:

@@ -81,9 +81,16 @@ class Guidance:
         self.hold_m = max(plan.guidance.holds_m)
         self.retreats = 0
         self.stuck_s = 0.0  # how long the present hold has had a doubt
+        self.at: Relative | None = None  # by the last state
+        self._ordered = ""  # hold or retreat, by an operator
+        self._turns_back = False  # as soon as it can
         self._clear_s = 0.0
-        self._last: Relative | None = None
         self._pushed = False  # away from the target, since the state was lost
+
+    def order(self, order: str) -> None:
+        """What an operator orders: ``hold``, ``retreat`` (and hold there), or ``go_on``."""
+        self._ordered = "" if order == "go_on" else f"{order} ordered"
+        self._turns_back = order == "retreat"
 
     def command(self, known: Known) -> Command:
         """What to do until the next step."""
@@ -92,8 +99,8 @@ class Guidance:
             return self._blind(known)
         self._pushed = False
         at = Relative.of(self.port, estimate.pose, estimate.rates, known.turning)
-        self._last = at
-        self._decide(self._doubt(known, at), at)
+        self.at = at
+        self._decide(self._doubt(known, at) or self._ordered or None, at)
         return self._steer(known, at)
 
     def _doubt(self, known: Known, at: Relative) -> str | None:
@@ -144,7 +151,7 @@ class Guidance:
             # A retreat begun too near to stop would only touch more slowly than the latches need.
             coasts_m = max(at.closing_m_s, 0.0) * dt  # until the next step
             if doubt is not None and self._stop_m(at) + coasts_m <= at.range_m:
-                if at.range_m < guidance.commit_m:
+                if at.range_m < guidance.commit_m or self._turns_back:
                     self._retreat(at, doubt)
                 else:
                     self._hold(at.range_m - self._stop_m(at), doubt)
@@ -152,12 +159,13 @@ class Guidance:
             if at.range_m > self.hold_m - 0.1 * self.hold_m:
                 self._hold(self.hold_m, self.reason)
         else:
-            self.stuck_s = self.stuck_s + dt if doubt is not None else 0.0
+            waits = doubt is None or doubt == self._ordered  # for as long as its operator wants
+            self.stuck_s = 0.0 if waits else self.stuck_s + dt
             if doubt is None and self._clear_s >= guidance.settle_s:
                 self.mode, self.reason = Mode.APPROACH, ""
             elif doubt is not None:
                 self.reason = doubt
-                if self.stuck_s > guidance.patience_s:
+                if self.stuck_s > guidance.patience_s or self._turns_back:
                     self._retreat(at, doubt)
 
     def _stop_m(self, at: Relative) -> float:
@@ -173,7 +181,8 @@ class Guidance:
     def _retreat(self, at: Relative, reason: str) -> None:
         """To the next hold point behind, the farthest after too many retreats."""
         holds = self.plan.guidance.holds_m
-        self.retreats += 1
+        self.retreats += reason != self._ordered
+        self._turns_back = False
         self.reason, self.stuck_s, self._clear_s = reason, 0.0, 0.0
         behind = [hold for hold in holds if hold > at.range_m + 0.5]
         if self.retreats > self.plan.guidance.retreats:
@@ -223,7 +232,7 @@ class Guidance:
         """Without a state: stop closing in by the last one, and move away slowly."""
         self.reason = known.estimate.reason or str(known.estimate.status)
         self._clear_s = 0.0
-        last, push = self._last, np.zeros(3)
+        last, push = self.at, np.zeros(3)
         if last is not None and not self._pushed:
             self.mode, self.hold_m = Mode.RETREAT, max(self.plan.guidance.holds_m)
             self.retreats += 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,15 +18,15 @@ from rendezview_ground.fly.port import Contact, Port, Relative
 
 
 class Sensor(Protocol):
-    """Reads the truth; what is known already may help, as a prior."""
+    """Reads the truth, as its estimator takes it; what is known already may help, as a prior."""
 
-    def read(self, truth: Truth, known: Known | None) -> Sequence[Measurement]: ...
+    def read(self, truth: Truth, known: Known | None) -> Sequence[Any]: ...
 
 
 class Estimator(Protocol):
     """Joins readings to a state."""
 
-    def update(self, time_s: float, readings: Sequence[Measurement]) -> Known: ...
+    def update(self, time_s: float, readings: Sequence[Any]) -> Known: ...
 
 
 class Controller(Protocol):

@@ -15,7 +15,12 @@ from rendezview.io.target import DockingRing
 from rendezview.io.video_file import VideoWriter
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.overlay import draw_observation
-from rendezview.sensors.beacons import LitDark, ReflectorPattern, ReflectorSensor
+from rendezview.sensors.beacons import (
+    LitDark,
+    ReflectorObservation,
+    ReflectorPattern,
+    ReflectorSensor,
+)
 from rendezview.sensors.beacons.match.acquisition import merged
 from rendezview.sensors.ring import RingSensor
 from rendezview.sensors.ring.prior_log import prior_of_pose
@@ -37,7 +42,57 @@ _GLARE_GREY = 180.0  # glow of the sky in glare. Source: chosen; the target's fa
 _SAMPLES = 2  # of shading, a pixel side. Source: `fusion-approach`
 
 
-class RenderedSensors:
+class Pictures:
+    """Frames of the target by its own renderer, and the readings that need no recognizer."""
+
+    def __init__(
+        self, plan: FlyPlan, mesh: Mesh, beam: BeamMesh, patterns: list[ReflectorPattern],
+        seed: int, fault: Fault | None = None,
+    ) -> None:  # fmt: skip
+        self.plan, self.mesh, self.fault = plan, mesh, fault
+        self.own = OwnSensors(plan, beam, seed, fault)
+        self._rng = np.random.default_rng([_STREAM, seed])
+        self._reflectors = ReflectorSensor(CAMERA, patterns) if patterns else None
+        self._pattern = merged(patterns) if patterns else None
+        self._sun: Array | None = None  # (3,) towards it, inertial
+
+    def begin(self, truth: Truth) -> Pose:
+        """Place the Sun; the recognizer's first prior, an attitude with an error."""
+        phase = math.radians(self._rng.uniform(*self.plan.target.sun_phase_deg))
+        centre = truth.pose.apply(self.mesh.bounding_sphere[0])
+        sun = sun_at_phase(centre, phase, self._rng.uniform(0.0, 2.0 * math.pi))
+        self._sun = truth.inertial_from_camera @ sun
+        tilt = self._rng.standard_normal(3)
+        tilt *= math.radians(self.plan.sensors.prior_deg) / np.linalg.norm(tilt)
+        return Pose(so3.exp(tilt) @ truth.pose.rotation, truth.pose.translation_m)
+
+    def draw(self, truth: Truth) -> npt.NDArray[np.uint8] | None:
+        """The frame of a step (H, W); None: none is due, or the camera is dead."""
+        time_s = truth.time_s
+        if not self.own.due(time_s, self.plan.sensors.frame_s) or self.own.struck("camera", time_s):
+            return None
+        glare = _GLARE_GREY if self.own.struck("glare", time_s) else 0.0
+        options = SceneOptions(shading=ShadingOptions(samples=_SAMPLES), sky_level_grey=glare)
+        assert self._sun is not None
+        sun = truth.inertial_from_camera.T @ self._sun
+        return render_frame(self.mesh, CAMERA, truth.pose, sun, options, self._rng)
+
+    def spots(self, image: npt.NDArray[np.uint8], truth: Truth) -> ReflectorObservation | None:
+        """The reflectors, lit and dark, on top of the same scene; None: none are read."""
+        sensor, pattern, time_s = self._reflectors, self._pattern, truth.time_s
+        far = float(np.linalg.norm(truth.pose.translation_m))
+        if sensor is None or pattern is None or far > self.plan.sensors.reflectors_m:
+            return None
+        options = ReflectorFrameOptions(black_level_grey=0.0)
+        scene = Clutter(background=image.astype(np.float32))
+        hidden = (0,) if self.own.struck("reflectors", time_s) else ()
+        lit, dark = render_pair(
+            CAMERA, pattern, truth.pose, options, self._rng, hidden=hidden, clutter=(scene,)
+        )
+        return sensor.update(time_s, LitDark(lit, dark))
+
+
+class RenderedSensors(Pictures):
     """The project's sensors on pictures of its own renderer."""
 
     def __init__(
@@ -45,52 +100,28 @@ class RenderedSensors:
         ring: DockingRing | None, patterns: list[ReflectorPattern], seed: int,
         fault: Fault | None = None, film: VideoWriter | None = None,
     ) -> None:  # fmt: skip
+        super().__init__(plan, mesh, beam, patterns, seed, fault)
         self.film = film  # receives every frame with the recognizer's pose
-        self.plan, self.mesh, self.ring, self.fault = plan, mesh, ring, fault
-        self._own = OwnSensors(plan, beam, seed, fault)
-        self._rng = np.random.default_rng([_STREAM, seed])
+        self.ring = ring
         self._recognizer = Recognizer(model, CAMERA)
         self._tracker: Tracker | None = None
         self._rings = None
         if ring is not None:
             wrong = fault.size if fault is not None and fault.kind == "ring" else 1.0
             self._rings = RingSensor(CAMERA, wrong * ring.radius_m, circles=ring.circles)
-        self._reflectors = ReflectorSensor(CAMERA, patterns) if patterns else None
-        self._pattern = merged(patterns) if patterns else None
-        self._sun: Array | None = None  # (3,) towards it, inertial
 
     def read(self, truth: Truth, known: Known | None) -> list[Measurement]:
         """All readings of a step."""
-        found = self._own.read(truth)
+        found = self.own.read(truth)
         if self._tracker is None:
-            self._begin(truth)
-        time_s = truth.time_s
-        if not self._own.due(time_s, self.plan.sensors.frame_s):
+            self._tracker = Tracker(self._recognizer, self.begin(truth))
+        image = self.draw(truth)
+        if image is None:
             return found
-        if self._own.struck("camera", time_s):
-            return found
-        image = self._draw(truth)
-        found += self._look(image, time_s, known)
-        found += self._pair(image, truth)
-        return found
-
-    def _begin(self, truth: Truth) -> None:
-        """The Sun, and the recognizer's prior: an attitude with an error."""
-        phase = math.radians(self._rng.uniform(*self.plan.target.sun_phase_deg))
-        centre = truth.pose.apply(self.mesh.bounding_sphere[0])
-        sun = sun_at_phase(centre, phase, self._rng.uniform(0.0, 2.0 * math.pi))
-        self._sun = truth.inertial_from_camera @ sun
-        tilt = self._rng.standard_normal(3)
-        tilt *= math.radians(self.plan.sensors.prior_deg) / np.linalg.norm(tilt)
-        prior = Pose(so3.exp(tilt) @ truth.pose.rotation, truth.pose.translation_m)
-        self._tracker = Tracker(self._recognizer, prior)
-
-    def _draw(self, truth: Truth) -> npt.NDArray[np.uint8]:
-        glare = _GLARE_GREY if self._own.struck("glare", truth.time_s) else 0.0
-        options = SceneOptions(shading=ShadingOptions(samples=_SAMPLES), sky_level_grey=glare)
-        assert self._sun is not None
-        sun = truth.inertial_from_camera.T @ self._sun
-        return render_frame(self.mesh, CAMERA, truth.pose, sun, options, self._rng)
+        found += self._look(image, truth.time_s, known)
+        seen = self.spots(image, truth)
+        pose = None if seen is None else seen.measurement("reflectors")
+        return found if pose is None else [*found, pose]
 
     def _look(
         self, image: npt.NDArray[np.uint8], time_s: float, known: Known | None
@@ -117,18 +148,3 @@ class RenderedSensors:
             circle = self._rings.update(time_s, image, prior)
             found.append(circle.measurement("ring", ring=self.ring))
         return [one for one in found if one is not None]
-
-    def _pair(self, image: npt.NDArray[np.uint8], truth: Truth) -> list[Measurement]:
-        """The reflectors, lit and dark, on top of the same scene."""
-        sensor, pattern, time_s = self._reflectors, self._pattern, truth.time_s
-        far = float(np.linalg.norm(truth.pose.translation_m))
-        if sensor is None or pattern is None or far > self.plan.sensors.reflectors_m:
-            return []
-        options = ReflectorFrameOptions(black_level_grey=0.0)
-        scene = Clutter(background=image.astype(np.float32))
-        hidden = (0,) if self._own.struck("reflectors", time_s) else ()
-        lit, dark = render_pair(
-            CAMERA, pattern, truth.pose, options, self._rng, hidden=hidden, clutter=(scene,)
-        )
-        found = sensor.update(time_s, LitDark(lit, dark)).measurement("reflectors")
-        return [] if found is None else [found]

@@ -29,9 +29,10 @@ _WORST = 12  # flights in the table of worst cases
 
 
 def write_flight_page(
-    folder: Path, name: str, setup: Setup, flight: Flight, seed: int, fault: Fault | None
-) -> Path:
-    """One flight; the path of its page."""
+    folder: Path, name: str, setup: Setup, flight: Flight, seed: int, fault: Fault | None,
+    service: str | None = None,
+) -> Path:  # fmt: skip
+    """One flight, perhaps at a service; the path of its page."""
     last, touch = flight.moments[-1], flight.contact
     good = flight.end != "outside"
     tiles = [(flight.end, "end of the flight", not good),
@@ -55,6 +56,7 @@ def write_flight_page(
         cards = (Card("film", "What the camera sees", "With the recognizer's pose.",
                       film.read_bytes(), WEBM, _TALL), *cards)  # fmt: skip
     frames = "modelled readings" if setup.model is None else "rendered frames"
+    frames = frames if service is None else f"frames tracked by {escape(service)}"
     body = f"""<h1>{escape(name)}: flight to the port</h1>
 <p class="quiet">Closed loop with {frames}, seed {seed}, {_fault(fault)}</p>
 <div class="tiles">{tiles_of(tiles)}</div>
