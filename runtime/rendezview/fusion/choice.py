@@ -153,9 +153,9 @@ def step(
         rival, fits = _scored(rival, measurement, seen, ratio, options)
         score = rival.score + _relief(rival, main, time_s)
         if score > _WIN and _may_win(rival, before, time_s):
-            return _won(before, rival, measurement, seen, fits)
-        moot = rival.doubts == name and not believed  # the main hypothesis doubts it, too
-        if not moot and _stays(rival, score, time_s):
+            after, verdict = _won(before, rival, measurement, seen, fits)
+            return after._replace(rivals=_outlived(rival, main, rivals, time_s)), verdict
+        if _stays(rival, score, time_s):
             kept.append(rival)
     reason: str | None = None
     doubt = main.trusts[name].doubt
@@ -242,15 +242,22 @@ def _heard(trusts: Mapping[str, Trust], name: str, time_s: float) -> Mapping[str
 def _scored(
     rival: Rival, measurement: Measurement, seen: Found, ratio: float, options: FusionOptions
 ) -> tuple[Rival, bool]:
-    name = measurement.sensor
+    name, prior = measurement.sensor, rival.prior
     hypothesis, fits = judged(rival.hypothesis, measurement, seen, options)
-    if name == rival.doubts and not fits:
+    if name == rival.doubts:  # it never believes its sensor: what speaks for that speaks against it
+        if fits:
+            prior += math.log(hypothesis.trusts[name].fault)
+            known = rival.hypothesis.trusts[name]
+            known = after_reading(known, measurement.time_s, False, 1.0, seen.size)
+            trusts = {**rival.hypothesis.trusts, name: known}
+            hypothesis, fits = rival.hypothesis._replace(trusts=trusts), False
         ratio = 0.0  # wrong again in the same way says nothing new
     total = _FORGETS * rival.ratios.get(name, 0.0) + ratio
     ratios = {**rival.ratios, name: max(-_CAP, min(_CAP, total))}
     heard = {**rival.heard, name: rival.heard.get(name, 0) + 1}
     fitting = rival.fitting + (fits and seen.size > 1)
-    return rival._replace(hypothesis=hypothesis, ratios=ratios, heard=heard, fitting=fitting), fits
+    rival = rival._replace(prior=prior, ratios=ratios, heard=heard, fitting=fitting)
+    return rival._replace(hypothesis=hypothesis), fits
 
 
 def _relief(rival: Rival, main: Hypothesis, time_s: float) -> float:
@@ -279,6 +286,26 @@ def _may_win(rival: Rival, before: Snapshot, time_s: float) -> bool:
     return rival.kind is not Kind.START or all(
         time_s - heard_s >= _RECENT_S or rival.heard.get(name, 0) >= 2
         for name, heard_s in before.heard_s.items()
+    )
+
+
+def _outlived(
+    winner: Rival, loser: Hypothesis, rivals: tuple[Rival, ...], time_s: float
+) -> tuple[Rival, ...]:
+    """The doubts that remain: those before, and the loser where it alone locks a sensor out.
+
+    A doubt explains its sensor's readings as well as the winner does: the others count against it.
+    """
+    if winner.kind is Kind.START:
+        return ()
+    found = {rival.doubts: rival for rival in rivals if rival.kind is Kind.DOUBT}
+    for name, trust in loser.trusts.items():
+        if trust.locked and not winner.hypothesis.trusts[name].locked:
+            found[name] = Rival(Kind.DOUBT, loser, 0.0, time_s, fitting=0, doubts=name)
+    return tuple(
+        doubt._replace(prior=doubt.prior - winner.score + winner.ratios.get(name or "", 0.0))
+        for name, doubt in found.items()
+        if doubt is not winner
     )
 
 

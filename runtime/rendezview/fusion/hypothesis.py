@@ -126,9 +126,9 @@ def judged(
     believed, wrong, hidden, offset = judge(
         trust, outliers, found.log_likelihood, found.peak, found.nis, found.innovation, root, spread
     )
-    level = found.nis / found.size
+    level, fault = found.nis / found.size, lasting(wrong, outliers, trust.rejected)
     trust = after_reading(trust, time_s, believed, level, found.size)._replace(
-        fault=lasting(wrong, outliers), doubt=hidden, offset=offset
+        fault=fault, doubt=hidden, offset=offset
     )
     trusts = {**before.trusts, name: trust}
     if not believed:

@@ -101,7 +101,9 @@ def doubted(
         innovation: (k,) of the reading at the forecast, the offset that the sensor would have.
     """
     name, time_s = measurement.sensor, measurement.time_s
-    ill = trust._replace(fault=_PRESUMED, doubt=0.0, offset=innovation, rejected=LOCK_AFTER)
+    known = forecast.trusts.get(name)
+    wrong = LOCK_AFTER if known is None else max(LOCK_AFTER, known.rejected)  # in a row
+    ill = trust._replace(fault=_PRESUMED, doubt=0.0, offset=innovation, rejected=wrong)
     hypothesis = forecast._replace(trusts={**forecast.trusts, name: ill})
     prior = math.log(trust.doubt) - math.log1p(-trust.doubt)
     return Rival(Kind.DOUBT, hypothesis, prior, time_s, fitting=0, doubts=name)
@@ -112,10 +114,8 @@ def with_doubt(rivals: list[Rival], fresh: Rival) -> list[Rival]:
     kept = list(rivals)
     for k, rival in enumerate(rivals):
         if rival.doubts == fresh.doubts:
-            trust = rival.hypothesis.trusts.get(fresh.doubts or "")
-            stands = trust is not None and trust.rejected > 0
             more = max(fresh.score - rival.score, 0.0)
-            kept[k] = rival._replace(prior=rival.prior + more) if stands else fresh
+            kept[k] = rival._replace(prior=rival.prior + more)
             return kept
     return [*kept, fresh]
 

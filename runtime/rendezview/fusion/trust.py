@@ -112,9 +112,16 @@ def judge(
     return believed, after, hidden, offset
 
 
-def lasting(wrong: float, outliers: float) -> float:
-    """Probability that a sensor is faulty at its next reading, by that of this one."""
-    return wrong * _STAYS + (1.0 - wrong) * outliers
+def lasting(wrong: float, outliers: float, rejected: int) -> float:
+    """Probability that a sensor is faulty at its next reading, by that of this one.
+
+    A fault that has lasted for many readings lasts for as many more (Laplace's rule of succession).
+
+    Args:
+        rejected: readings turned away in a row before this one.
+    """
+    goes = 1.0 / (1.0 / (1.0 - _STAYS) + rejected)
+    return wrong * (1.0 - goes) + (1.0 - wrong) * outliers
 
 
 def after_reading(trust: Trust, time_s: float, believed: bool, level: float, size: int) -> Trust:

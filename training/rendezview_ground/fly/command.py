@@ -18,7 +18,7 @@ from rendezview.io.files import make_folder
 from rendezview.io.results import read_json_lines
 from rendezview.io.video_file import VideoWriter
 from rendezview.sensors.appearance import ViewModel
-from rendezview_ground.fly.campaign import Setup, campaign, fly_once, record
+from rendezview_ground.fly.campaign import Setup, agreement, campaign, fly_once, record
 from rendezview_ground.fly.faults import FAULTS, Fault
 from rendezview_ground.fly.live import fly_live
 from rendezview_ground.fly.options import load_fly_plan
@@ -117,6 +117,8 @@ def fly(
                 )
             page = write_campaign_page(output, found.name, setup, lines, others)
             Console(highlight=False).print(_table(lines))
+            for key, some, other, p in agreement(lines, others or []):
+                console.print(f"{key}: p {p:.2g}, {some} beside {other} contacts")
     console.print(f"{page}, in {time.perf_counter() - start:.0f} s")
 
 
