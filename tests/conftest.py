@@ -84,7 +84,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
         def _split_scope(self, nodeid: str) -> str:
             # They share services, models and a browser. With more workers they would be what all
             # others wait for.
-            if self.numnodes <= 3 and nodeid.startswith(SERVICE):
+            if self.numnodes <= 4 and nodeid.startswith(SERVICE):
                 return PAGES if nodeid.startswith(PAGES) else SERVICE
             return super()._split_scope(nodeid)
 
@@ -94,8 +94,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """One more than there are cores: the tests of the service wait for a third of their time."""
-    return 1 + (os.cpu_count() or 1)
+    """Two more than there are cores: the tests wait for half of their time."""
+    return 2 + (os.cpu_count() or 1)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -10,7 +10,7 @@ import resource
 import socket
 import sys
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from types import FrameType
 
 import uvicorn
@@ -28,16 +28,10 @@ _LEAVE_S = 2.0  # s, for threads that are still at work at the end. Source: chos
 _LOOK_S = 0.1  # s, between looks whether the service can track. Source: chosen
 
 
-async def _at_once() -> bool:
-    return True
-
-
 class _Server(uvicorn.Server):
-    """Reports its address once it listens, and once it can track."""
+    """Reports its address once it listens."""
 
     on_listening: Callable[[str], None] = staticmethod(lambda address: None)
-    on_ready: Callable[[str], None] = staticmethod(lambda address: None)
-    is_ready: Callable[[], Awaitable[bool]] = staticmethod(_at_once)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
@@ -48,11 +42,6 @@ class _Server(uvicorn.Server):
             scheme = "https" if self.config.is_ssl else "http"
             address = f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/"
             self.on_listening(address)
-            self._told = asyncio.create_task(self._tell(address))
-
-    async def _tell(self, address: str) -> None:
-        if await self.is_ready():
-            self.on_ready(address)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         await super().shutdown(sockets)
@@ -91,15 +80,19 @@ def run(
     service.budgets |= protocol.budgets()
     server = _Server(_config(app, settings, protocol))
     service.on_failure = server.stop
-    server.on_listening = on_listening
+    telling: set[asyncio.Task[None]] = set()  # as long as it runs
 
-    async def is_ready() -> bool:
+    async def tell(address: str) -> None:
         while (status := service.health().status) == "not ready" and service.failure is None:
             await asyncio.sleep(_LOOK_S)
-        return status in ("ok", "degraded")
+        if status in ("ok", "degraded"):
+            on_ready(address)
 
-    server.is_ready = is_ready
-    _serve(server, settings, on_ready)
+    def listens(address: str) -> None:
+        on_listening(address)
+        telling.add(asyncio.create_task(tell(address)))
+
+    _serve(server, settings, listens)
     failure = app.failure or service.failure
     if isinstance(failure, RendezviewError):
         raise failure
@@ -145,8 +138,8 @@ def _config(app: _Watched, settings: Settings, protocol: type[BoundedProtocol]) 
     )
 
 
-def _serve(server: _Server, settings: Settings, on_ready: Callable[[str], None]) -> None:
-    server.on_ready = on_ready
+def _serve(server: _Server, settings: Settings, on_listening: Callable[[str], None]) -> None:
+    server.on_listening = on_listening
     listener = listen(settings.host, settings.port)
     try:
         with contextlib.suppress(KeyboardInterrupt):
@@ -185,8 +178,6 @@ class _Watched:
             await self._app(scope, receive, send)  # type: ignore[operator]
         except RendezviewError as error:
             self.failure = error
-            raise
-        except asyncio.CancelledError:
             raise
 
 

@@ -20,7 +20,7 @@ from rendezview_service.http import (
     session_routes,
     streams,
 )
-from rendezview_service.http.answers import JSON, answer_errors, needs, service_of
+from rendezview_service.http.answers import answer_errors, needs, service_of
 from rendezview_service.http.security import Guard, Right, Token
 from rendezview_service.hub.service import Service
 from rendezview_service.messages.messages import Health
@@ -108,6 +108,3 @@ def make_routes(service: Service) -> FastAPI:
     if PAGE.is_dir():
         app.mount("/", page_files(), name="page")
     return app
-
-
-__all__ = ["JSON", "PAGE", "make_app", "make_routes", "page_files"]

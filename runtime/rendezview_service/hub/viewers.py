@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import json
 import logging
 import os
@@ -127,13 +128,15 @@ class FoxgloveViewer:
         import foxglove
         from foxglove import channels, messages
 
-        self._foxglove, self._messages, self._kinds = foxglove, messages, channels
+        self._messages, self._kinds = messages, channels
         self._context = foxglove.Context()
         self._server = foxglove.start_server(
             name="rendezview", host=host, port=port, context=self._context
         )
         self._channels: dict[str, Any] = {}
-        self.port = self._server.port
+        self._of_states = functools.partial(
+            foxglove.Channel, message_encoding="json", schema={"type": "object"}
+        )
 
     def _channel(self, topic: str, kind: Any) -> Any:
         if topic not in self._channels:
@@ -143,32 +146,29 @@ class FoxgloveViewer:
     def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
         """A `WatchState` and its JPEG, or nothing."""
         parts, kinds, state, at = self._messages, self._kinds, message["state"], f"/{info.id}"
-        stamp = _stamp(parts, state["received_unix_s"])
+        whole = int(state["received_unix_s"])
+        stamp = parts.Timestamp(sec=whole, nsec=int(1e9 * (state["received_unix_s"] - whole)))
         frame = f"{info.id}/camera"
-        schema = {"type": "object"}
-        states = self._channels.get(f"{at}/state") or self._foxglove.Channel(
-            f"{at}/state", message_encoding="json", schema=schema, context=self._context
-        )
-        self._channels[f"{at}/state"] = states
-        states.log(state)
-        if state["pose"] is not None:
-            pose = _foxglove_pose(parts, state["pose"])
-            pose_message = parts.PoseInFrame(timestamp=stamp, frame_id=frame, pose=pose)
-            self._channel(f"{at}/target/pose", kinds.PoseInFrameChannel).log(pose_message)
-            transform = parts.FrameTransform(
-                timestamp=stamp,
-                parent_frame_id=frame,
-                child_frame_id=f"{info.id}/target",
-                translation=parts.Vector3(**_xyz(state["pose"]["translation_m"])),
-                rotation=_foxglove_turn(parts, state["pose"]),
-            )
-            self._channel(f"{at}/tf", kinds.FrameTransformChannel).log(transform)
-        fused = (state.get("fused") or {}).get("pose")
-        if fused is not None:
-            pose_message = parts.PoseInFrame(
-                timestamp=stamp, frame_id=frame, pose=_foxglove_pose(parts, fused)
-            )
-            self._channel(f"{at}/target/fused", kinds.PoseInFrameChannel).log(pose_message)
+        self._channel(f"{at}/state", self._of_states).log(state)
+        poses = {"pose": state["pose"], "fused": (state.get("fused") or {}).get("pose")}
+        for name, pose in poses.items():
+            if pose is None:
+                continue
+            w, *vector = pose["quat_wxyz"]
+            place = parts.Vector3(**_xyz(pose["translation_m"]))
+            turn = parts.Quaternion(w=w, **_xyz(vector))
+            placed = parts.Pose(position=place, orientation=turn)
+            told = parts.PoseInFrame(timestamp=stamp, frame_id=frame, pose=placed)
+            self._channel(f"{at}/target/{name}", kinds.PoseInFrameChannel).log(told)
+            if name == "pose":
+                transform = parts.FrameTransform(
+                    timestamp=stamp,
+                    parent_frame_id=frame,
+                    child_frame_id=f"{info.id}/target",
+                    translation=place,
+                    rotation=turn,
+                )
+                self._channel(f"{at}/tf", kinds.FrameTransformChannel).log(transform)
         if picture:
             image = parts.CompressedImage(
                 timestamp=stamp, frame_id=frame, data=picture, format="jpeg"
@@ -183,25 +183,8 @@ class FoxgloveViewer:
         self._server.stop()
 
 
-def _stamp(parts: Any, unix_s: float) -> Any:
-    whole = int(unix_s)
-    return parts.Timestamp(sec=whole, nsec=int(1e9 * (unix_s - whole)))
-
-
 def _xyz(values: list[float]) -> dict[str, float]:
     return dict(zip("xyz", values, strict=True))
-
-
-def _foxglove_turn(parts: Any, pose: Json) -> Any:
-    w, *vector = pose["quat_wxyz"]
-    return parts.Quaternion(w=w, **_xyz(vector))
-
-
-def _foxglove_pose(parts: Any, pose: Json) -> Any:
-    return parts.Pose(
-        position=parts.Vector3(**_xyz(pose["translation_m"])),
-        orientation=_foxglove_turn(parts, pose),
-    )
 
 
 def _foxglove_points(parts: Any, stamp: Any, message: Json, scale: float) -> list[Any]:

@@ -94,14 +94,11 @@ def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord
             size = size if most is None else min(size, most)
             if file.read(len(MAGIC)) != MAGIC:
                 raise RendezviewError(f"{path}: not an MCAP log: name another file")
-            place = len(MAGIC)
-            while place + _HEAD.size <= size:
+            place: int | None = len(MAGIC)
+            while place is not None and place + _HEAD.size <= size:
                 found = _record_at(file, place, size)
                 if found is None:
-                    following = next_chunk(file, place + 1, size)
-                    if following is None:
-                        return
-                    place = following
+                    place = next_chunk(file, place + 1, size)
                     continue
                 record, length = found
                 yield record, place, length

@@ -222,18 +222,15 @@ def places_of(parts: list[Path]) -> list[tuple[Path, int, int]]:
     for path in parts:
         size = path.stat().st_size
         with open(path, "rb") as file:
-            place = len(MAGIC)
-            while place + _HEAD.size <= size:
+            place: int | None = len(MAGIC)
+            while place is not None and place + _HEAD.size <= size:
                 file.seek(place)
                 opcode, length = _HEAD.unpack(file.read(_HEAD.size))
                 end = place + _HEAD.size + length
                 if opcode == Opcode.DATA_END:
                     break
                 if opcode == 0 or end > size:  # damage
-                    following = next_chunk(file, place + 1, size)
-                    if following is None:
-                        break
-                    place = following
+                    place = next_chunk(file, place + 1, size)
                     continue
                 if opcode == Opcode.CHUNK:
                     first_ns, _ = _TIMES.unpack(file.read(_TIMES.size))

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from mcap.reader import make_reader
 
+from experiments.service.log_faults import campaign
 from experiments.service.serving import Loop, Served
 from rendezview.errors import RendezviewError
 from rendezview_service.client import Client
@@ -41,14 +42,17 @@ def states_of(path: Path) -> dict[int, dict]:
     return {state["frame"]: state for state in states}
 
 
-def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
+def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0, log_faults: int = 0) -> None:
     """Kill the recording service repeatedly, and count acknowledged poses that are lost.
 
     Each time a service starts with a log, two clients send frames as fast as they are answered,
     and after a random time the whole process group gets kill -9. The log is read as it was left,
     and again after mending, by the reader of the mcap package. Every answer with
-    "recorded": true must be there, number for number.
+    "recorded": true must be there, number for number. With --log-faults, so many faults of disks,
+    files and processes under the writer of a log instead, all kinds in turns.
     """
+    if log_faults:
+        sys.exit(not campaign(log_faults, seed))
     rng = np.random.default_rng(seed)
     total = lost = unreadable = cut_bytes = 0
     for done in range(1, kills + 1):

@@ -12,6 +12,7 @@ import numpy as np
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.so3 import hat
 from rendezview.io.target import Reflector, Target
 
 # area of a triangle over its longest side squared: thinner ones fix no attitude. Source: by
@@ -257,9 +258,10 @@ class Face:
         """(6,) rates of the six numbers; ``rates`` (6,) rad/s and m/s, camera frame."""
         arm = camera_from_target.rotation @ self.origin_m
         x, y, z = (arm + camera_from_target.translation_m).tolist()
-        vx, vy, vz = (np.cross(rates[:3], arm) + rates[3:]).tolist()
+        spin = hat(rates[:3])
+        vx, vy, vz = (spin @ arm + rates[3:]).tolist()
         turn = camera_from_target.rotation @ self.rotation
-        change = np.cross(rates[:3], turn, axisb=0, axisc=0)  # dR/dt = [w]× R
+        change = spin @ turn  # dR/dt = [w]× R
         level, far, along = math.hypot(x, z), math.hypot(x, y, z), x * vx + z * vz
         (a, b), (da, db) = turn[:2, 0], change[:2, 0]
         (c, d), (dc, dd) = turn[2, 1:], change[2, 1:]

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.estimation.rates import RateOptions
 from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.beacons.detect.cover import middle
 from rendezview.sensors.beacons.detect.spots import AMPLITUDE, RIVALS, SIGMA, X
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.pose.refinement import Refined
@@ -146,7 +147,7 @@ class Track:
             return False
         sigma, rivals = table[seen, SIGMA], table[seen, RIVALS]
         recent = (rivals > 0.0) | (self.alone[seen] < options.doubt)
-        return bool((recent | (sigma > options.doubt_sigma * np.median(sigma))).any())
+        return bool((recent | (sigma > options.doubt_sigma * middle(sigma))).any())
 
     def follow(self, time_s: float, seen: npt.NDArray[np.int64], table: Array) -> None:
         """Keep the places of visible reflectors, too few for a pose: they move the windows."""

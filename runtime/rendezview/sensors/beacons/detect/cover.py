@@ -49,11 +49,17 @@ def covered_px(
     known = np.isfinite(long).all(axis=1)
     if np.count_nonzero(known) < 3:
         return np.zeros(len(rows))
-    long -= np.median(long[known], axis=0)
+    long -= middle(long[known])
     off = np.where(known, np.hypot(*long.T), 0.0)
-    noise = np.median(rows[:, SIGMA]) / sizes  # a strange spot's own may be larger already
+    noise = middle(rows[:, SIGMA]) / sizes  # a strange spot's own may be larger already
     doubt = np.hypot(_ROUND_SIGMA * share, _NOISE * noise)
     return np.where(off > _SURE * doubt, _SHIFT * extent * off / share, 0.0)
+
+
+def middle(values: Array) -> Array:
+    """Median along the first axis; of so few numbers `np.median` takes ten times as long."""
+    rising, count = np.sort(values, axis=0), len(values)
+    return np.asarray(0.5 * (rising[(count - 1) // 2] + rising[count // 2]))
 
 
 def _elongation(pattern: ReflectorPattern, which: Ints, pose: Pose) -> Array:
