@@ -114,7 +114,7 @@ class WindowFit:
         iterations = solve_spots(
             self._lens, self._doubts, self._arms, self.constellation.normals, self._discs,
             self._centre, table, seen, self.options.floor_px,
-            rotation, np.ascontiguousarray(start.translation_m), translation, shares, residuals,
+            rotation, np.array(start.translation_m), translation, shares, residuals,
         )  # fmt: skip
         if iterations < 0:
             return None
