@@ -279,6 +279,23 @@ def test_a_picture_is_zoomed_and_so_are_the_plots(service, sender, open_page, sh
     until(page, "document.getElementById('unzoom').hidden")
 
 
+def test_curves_join_frames_at_the_pace_at_which_they_come(service, open_page) -> None:
+    page = open_page(service.url)
+    holes = """async (times) => {
+      const { Plots } = await import("./plots.js");
+      const parent = document.body.appendChild(document.createElement("div"));
+      const plots = new Plots(parent, false, () => {});
+      plots.show(times.map((at, frame) => ({ frame, received_unix_s: at })), times.at(-1), 600);
+      const drawn = plots._states.length;
+      plots.close();
+      parent.remove();
+      return drawn - times.length;
+    }"""
+    assert page.evaluate(holes, [1000.0 + 0.1 * k for k in range(20)]) == 0
+    assert page.evaluate(holes, [1000.0 + 2.0 * k for k in range(20)]) == 0
+    assert page.evaluate(holes, [1000.0 + 0.1 * k for k in (0, 1, 2, 3, 20, 21, 22)]) == 1
+
+
 def test_the_description_of_the_api_can_be_tried(service, open_page) -> None:
     page = open_page(f"{service.url}docs")
     text_has(page, "#api", "/v1/sessions/{name}/frames")

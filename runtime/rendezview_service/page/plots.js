@@ -112,13 +112,14 @@ export class Plots {
     while (to > from && states[to - 1].received_unix_s > endS) to--;
     // Whole steps of frames, so that the same ones are kept from one drawing to the next.
     const step = Math.max(1, Math.ceil((to - from) / MOST));
+    const kept = states.slice(from, to).filter((state) => step === 1 || state.frame % step === 0);
+    const apart = kept.slice(1).map((state, k) => state.received_unix_s - kept[k].received_unix_s);
+    const holeS = Math.max(HOLE_S, 3 * (apart.sort((a, b) => a - b)[apart.length >> 1] ?? 0));
     this._states = [];
     let last = null;
-    for (let k = from; k < to; k++) {
-      const state = states[k];
-      if (step > 1 && state.frame % step) continue;
+    for (const state of kept) {
       const before = this._states.at(-1)?.received_unix_s ?? Infinity;
-      if (state.received_unix_s - before > HOLE_S) this._states.push({ received_unix_s: before + 0.01 });
+      if (state.received_unix_s - before > holeS) this._states.push({ received_unix_s: before + 0.01 });
       // q and −q are one attitude: of the two the one that stays near the last.
       let quaternion = state.pose?.quat_wxyz;
       if (quaternion && last && quaternion.reduce((sum, value, i) => sum + value * last[i], 0) < 0) {
