@@ -131,7 +131,7 @@ class Bodies(Limit):
             return
         share.held += count
         self.held += count
-        self._peak = max(self._peak, self.held)
+        self._trim()
         while count > 0 and self.held > self.most:
             self.exceed()
             reason = "the service receives too much at the moment: try again"
@@ -147,7 +147,12 @@ class Bodies(Limit):
         self._open.discard(share)
         self.held -= share.held
         share.held = 0
-        if self.held == 0 and self._peak > _MUCH:
+        self._trim()
+
+    def _trim(self) -> None:
+        """Give memory back once little of much is left: open streams may hold a little."""
+        self._peak = max(self._peak, self.held)
+        if self._peak > _MUCH and self.held < _MUCH // 2:
             self._peak = 0
             trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # absent without glibc
             if trim is not None:

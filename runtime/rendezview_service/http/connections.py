@@ -198,7 +198,7 @@ class BoundedSocket(WebSocketsSansIOProtocol):
         """A connection that was one for requests."""
         super().connection_made(transport)
         self.close_timeout = _CLOSE_S
-        self._incoming = self._newest = 0  # bytes of an incomplete message; of the last piece
+        self._incoming = 0  # bytes that came for no complete message yet
         self._arrives: Callable[[int], bool] = lambda count: True
 
     def handle_connect(self, event: Request) -> None:
@@ -210,7 +210,7 @@ class BoundedSocket(WebSocketsSansIOProtocol):
 
     def _report_to(self, arrives: Callable[[int], bool]) -> Callable[[], None]:
         """Ask whether bytes may arrive; the function that it returns refuses all from then on."""
-        self._arrives = arrives
+        self._arrives, self._incoming = arrives, 0  # the handshake is no part of a message
         return self._refuse_all
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -225,17 +225,15 @@ class BoundedSocket(WebSocketsSansIOProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Bytes of messages, counted until the application takes these."""
-        self._newest = len(data)
-        self._incoming += self._newest
-        if self._arrives(self._newest):
+        self._incoming += len(data)
+        if self._arrives(len(data)):
             super().data_received(data)
         else:  # its end follows
             self.transport.pause_reading()
 
     def send_receive_event_to_app(self) -> None:
-        """A message is complete; the rest of the last piece belongs to the next one."""
-        length = sum(map(len, self.frames))
-        left = max(0, min(self._incoming - length, self._newest))
+        """A message is complete; what is not parsed yet belongs to the next one."""
+        length, left = sum(map(len, self.frames)), len(self.conn.reader.buffer)
         self._arrives(left + length - self._incoming)
         self._incoming = left
         super().send_receive_event_to_app()
