@@ -299,13 +299,14 @@ def _outlived(
     if winner.kind is Kind.START:
         return ()
     found = {rival.doubts: rival for rival in rivals if rival.kind is Kind.DOUBT}
+    found.pop(winner.doubts, None)  # it has become the state
     for name, trust in loser.trusts.items():
-        if trust.locked and not winner.hypothesis.trusts[name].locked:
+        known = winner.hypothesis.trusts.get(name)  # None: it could not be compared with a reading
+        if trust.locked and (known is None or not known.locked):
             found[name] = Rival(Kind.DOUBT, loser, 0.0, time_s, fitting=0, doubts=name)
     return tuple(
         doubt._replace(prior=doubt.prior - winner.score + winner.ratios.get(name or "", 0.0))
         for name, doubt in found.items()
-        if doubt is not winner
     )
 
 

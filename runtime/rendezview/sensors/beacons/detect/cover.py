@@ -25,9 +25,7 @@ _WINDOWED = 0.5
 _ROUND_SIGMA = 0.007
 # σ of an elongation over that of the place, in sizes; simulated 0.8
 _NOISE = 0.8  # Source: experiment reflector-nees --kind retro
-_SURE = (
-    2.7  # σ; simulated clean spots exceed it 1 in 200 times. Source: reflector-nees --kind retro
-)
+_SURE = 2.7  # σ; clean spots exceed it once in 200. Source: reflector-nees --kind retro
 
 
 def covered_px(
