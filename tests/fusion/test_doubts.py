@@ -9,7 +9,9 @@ from tests.fusion.scenes import SIGMA, World, along_axis
 
 from rendezview.fusion import Fusion
 from rendezview.fusion.choice import _outlived
+from rendezview.fusion.hypothesis import Hypothesis
 from rendezview.fusion.rivals import Kind, Rival
+from rendezview.fusion.trust import LOCK_AFTER, Trust
 
 
 def is_protected(world, fusion, time_s):
@@ -94,3 +96,13 @@ def test_what_locked_a_sensor_out_remains_possible_when_a_manoeuvre_is_likelier(
     assert kept["laser"].score == pytest.approx(3.0 - 8.0)  # the laser fits both
     assert kept["camera"].score == pytest.approx(-1.0 + 3.0 - 2.0)
     assert _outlived(winner._replace(kind=Kind.START), loser, (earlier,), 10.0) == ()
+
+
+def test_a_doubt_that_wins_is_no_rival_of_itself_and_an_unknown_sensor_stays_in_doubt():
+    locked = Trust("laser")._replace(rejected=LOCK_AFTER)
+    loser = Hypothesis(None, {"laser": locked}, 1, 0.0, 0.0)
+    winner = Rival(Kind.MANOEUVRE, loser._replace(trusts={}), 1.0, 0.0)
+    (kept,) = _outlived(winner, loser, (), 1.0)
+    assert (kept.kind, kept.doubts, kept.hypothesis) == (Kind.DOUBT, "laser", loser)
+    trusting = loser._replace(trusts={"laser": Trust("laser")})
+    assert _outlived(kept._replace(fitting=3), trusting, (kept,), 1.0) == ()
