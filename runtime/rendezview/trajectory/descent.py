@@ -182,12 +182,11 @@ def _by_simplex(fit: Descent, places_m: Array) -> Descent:
     return replace(best, evaluations=asked)
 
 
-def _restarted(fit: Descent, sides: Array | None = None) -> Descent:
+def _restarted(fit: Descent) -> Descent:
     """Simplexes one after the other, each from the end of the last, until none gains."""
     claimed = fit.data[5]
     fit = fit.scaled(claimed)
-    most = _SIDES * fit.scales
-    sides = most if sides is None else sides
+    sides = most = _SIDES * fit.scales
     asked = 0
     for _ in range(_RESTARTS + 1):
         before = fit.cost()

@@ -140,36 +140,27 @@ class PathFollower:
                 is that about the line of sight's frame.
         """
         with self._lock:
-            return self._update(time_s, pose, covariance, points_m, weights, path_from_camera)
-
-    def _update(
-        self,
-        time_s: float,
-        pose: Pose | None,
-        covariance: npt.ArrayLike | None,
-        points_m: npt.ArrayLike | None,
-        weights: npt.ArrayLike | None,
-        path_from_camera: npt.ArrayLike | None,
-    ) -> Report:
-        trouble = self._trouble(time_s, pose, covariance, points_m)
-        if trouble is not None:
-            return Report(time_s, self._number, False, trouble, None, None)
-        self._last_s = time_s
-        self._began_s = time_s if self._began_s is None else self._began_s
-        attitude = None if path_from_camera is None else np.asarray(path_from_camera, np.float64)
-        self._take(time_s, pose, covariance, points_m, weights, attitude)
-        self._refit(time_s)
-        ended = self._advance(time_s)
-        correction: Correction | NoFit | None = None
-        if self.plan is not None:
-            correction = self._correction(time_s)
-        if self.options.spin:
-            self._turn_rates(time_s, ended)
-        report = Report(time_s, self._number, ended, self._segment, correction, self._spin)
-        if ended:
-            self._number += 1
-            self._began_s = time_s
-        return report
+            trouble = self._trouble(time_s, pose, covariance, points_m)
+            if trouble is not None:
+                return Report(time_s, self._number, False, trouble, None, None)
+            self._last_s = time_s
+            self._began_s = time_s if self._began_s is None else self._began_s
+            attitude = (
+                None if path_from_camera is None else np.asarray(path_from_camera, np.float64)
+            )
+            self._take(time_s, pose, covariance, points_m, weights, attitude)
+            self._refit(time_s)
+            ended = self._advance(time_s)
+            correction: Correction | NoFit | None = None
+            if self.plan is not None:
+                correction = self._correction(time_s)
+            if self.options.spin:
+                self._turn_rates(time_s, ended)
+            report = Report(time_s, self._number, ended, self._segment, correction, self._spin)
+            if ended:
+                self._number += 1
+                self._began_s = time_s
+            return report
 
     @property
     def _deviates(self) -> bool:

@@ -104,7 +104,6 @@ def render_pair(
     options: ReflectorFrameOptions,
     rng: np.random.Generator,
     *,
-    dark_pose: Pose | None = None,
     hidden: tuple[int, ...] = (),
     clutter: tuple[Clutter, ...] = (),
     gain: float | None = None,
@@ -114,10 +113,9 @@ def render_pair(
     Args:
         camera: with its distortion.
         pattern: all reflectors of the target.
-        camera_from_target: at the lit picture.
+        camera_from_target: at both pictures, which are simultaneous (beam splitter).
         options: light, optics, detector.
         rng: of the noise.
-        dark_pose: at the dark picture; None: both are simultaneous (beam splitter).
         hidden: numbers of occluded reflectors.
         clutter: all other light.
         gain: of `exposure`, which it is where left out.
@@ -125,7 +123,8 @@ def render_pair(
     if gain is None:
         gain = exposure(camera, pattern, camera_from_target, options)
     pictures = []
-    for number, pose in enumerate((camera_from_target, dark_pose or camera_from_target)):
+    pose = camera_from_target
+    for number in range(2):
         grey = np.full((camera.height, camera.width), options.black_level_grey, np.float32)
         for item in clutter:
             if item.background is not None:

@@ -119,7 +119,7 @@ def random_scene(
             plates.append(Plate(beside, axis, across, float(rng.uniform(20, 90)),
                                 half_sides_m=(1.3 * r, 0.5 * r)))  # fmt: skip
     for _ in range(o.clutter):
-        plate = _round_object(centre, axis, r, camera, depth, rng)
+        plate = _round_object(centre, axis, r, rng)
         plates.append(plate)
         circles += [
             Circle(plate.centre_m, plate.axis, radius, False)
@@ -193,9 +193,7 @@ def _across(axis: Array, angle_rad: float) -> Array:
     )
 
 
-def _round_object(
-    centre: Array, axis: Array, r: float, camera: Camera, depth: float, rng: np.random.Generator
-) -> Plate:
+def _round_object(centre: Array, axis: Array, r: float, rng: np.random.Generator) -> Plate:
     """A dish beside the ring at any attitude, or the end of a tank on the bus."""
     place = centre + _across(axis, rng.uniform(0, _TAU)) * r * rng.uniform(1.1, 2.4)
     place = place - rng.uniform(-0.1, 0.2) * r * axis

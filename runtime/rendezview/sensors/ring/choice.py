@@ -51,9 +51,7 @@ def only_one(poses: Sequence[CirclePose]) -> Choice | None:
     return None
 
 
-def by_attitude(
-    poses: Sequence[CirclePose], axis: npt.ArrayLike, source: str = "the prior attitude"
-) -> Choice:
+def by_attitude(poses: Sequence[CirclePose], axis: npt.ArrayLike) -> Choice:
     """The pose whose axis is nearer to a known one (3,), camera frame."""
     known = np.asarray(axis, dtype=np.float64)
     angles = [angle_between(pose.axis, known) for pose in poses]
@@ -62,9 +60,9 @@ def by_attitude(
     if single is not None:
         return Choice(best, single.reason)
     near, far = math.degrees(angles[best]), math.degrees(max(angles))
-    evidence = f"{near:.1f}° from {source}, the other {far:.1f}°"
+    evidence = f"{near:.1f}° from the prior attitude, the other {far:.1f}°"
     if max(angles) < _MARGIN * angles[best]:
-        return Choice(None, f"{source} does not distinguish the poses: {evidence}")
+        return Choice(None, f"the prior attitude does not distinguish the poses: {evidence}")
     return Choice(best, evidence)
 
 

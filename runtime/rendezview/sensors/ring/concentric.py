@@ -42,12 +42,7 @@ _MISFIT = 4.0
 
 
 def fit_joint(
-    camera: Camera,
-    ellipses: list[Ellipse],
-    start: CirclePose,
-    *,
-    radius_share: float = RADIUS_SHARE,
-    plane_share: float = PLANE_SHARE,
+    camera: Camera, ellipses: list[Ellipse], start: CirclePose
 ) -> tuple[CirclePose, float] | None:
     """The pose that explains all edges, and the misfit χ²; None where it does not converge.
 
@@ -55,8 +50,6 @@ def fit_joint(
         camera: only its matrix is used.
         ellipses: with their ``shape_covariance``; the first is the edge of ``start.radius_m``.
         start: a pose of the first.
-        radius_share: error of the known radius (one σ), as a share of it.
-        plane_share: how far the other edges lie off its plane (one σ), as a share of the radius.
     """
     used = ellipses[:_MOST]
     shapes = np.array([ellipse.shape for ellipse in used])
@@ -67,7 +60,7 @@ def fit_joint(
     covariance = np.empty((5, 5))
     ratios = np.asarray(size / size[0], dtype=np.float64)
     chi2 = _fit(
-        lens_vector(camera), shapes, information, start.radius_m, plane_share, centre, axis,
+        lens_vector(camera), shapes, information, start.radius_m, PLANE_SHARE, centre, axis,
         tangent_basis(axis), ratios, covariance,
     )  # fmt: skip
     if not chi2 >= 0.0:
@@ -85,7 +78,7 @@ def fit_joint(
         if overshoot > 1.0:
             covariance[k, :] /= np.sqrt(overshoot)
             covariance[:, k] /= np.sqrt(overshoot)
-    covariance[:3, :3] += radius_share**2 * np.outer(centre, centre)
+    covariance[:3, :3] += RADIUS_SHARE**2 * np.outer(centre, centre)
     pose = CirclePose(centre, axis, start.radius_m, 0.5 * (covariance + covariance.T))
     return pose, float(chi2)
 
