@@ -83,18 +83,19 @@ async def stream(socket: WebSocket, name: str) -> None:
     sender = asyncio.create_task(send())
     sender.add_done_callback(lambda _: room.set())  # who waits for room sees that it has ended
     try:
-        while not sender.done():
-            message = await socket.receive()
-            if message["type"] != "websocket.receive":
-                break
-            content = message.get("bytes")
-            if content is None:
-                _take_lines(session, service_of(socket).settings, message["text"], answer)
-            elif len(content) <= _TIME.size:
-                answer(Answer(422, b"", "a frame must be 8 bytes of time and a picture"))
-            else:
-                _take(session, content, _counted(socket, len(content), answer), sender_name)
-            await room.wait()
+        with session.streaming(answer):
+            while not sender.done():
+                message = await socket.receive()
+                if message["type"] != "websocket.receive":
+                    break
+                content = message.get("bytes")
+                if content is None:
+                    _take_lines(session, service_of(socket).settings, message["text"], answer)
+                elif len(content) <= _TIME.size:
+                    answer(Answer(422, b"", "a frame must be 8 bytes of time and a picture"))
+                else:
+                    _take(session, content, _counted(socket, len(content), answer), sender_name)
+                await room.wait()
     except (WebSocketDisconnect, RuntimeError):
         pass
     finally:
