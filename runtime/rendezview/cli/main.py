@@ -34,7 +34,7 @@ _SUMMARIES = {
     "track": "Recognise and track a target through a sequence of frames.",
     "ring": "Find a docking ring, and with its radius its pose.",
     "stereo": "Track a target's lights with two or more cameras.",
-    "calibrate": "Calibrate a camera, or a target's shape; print a card of dots.",
+    "calibrate": "Calibrate cameras, a shape, a ring; print a card.",
     "reflectors": "Measure a target with retro-reflectors: the six numbers.",
     "fuse": "Join several sensors' logs into one state.",
     "guide": "Fit the path of a log of poses; corrections to a plan.",
