@@ -149,6 +149,7 @@ class SessionInput:
     sensor: str | None = None  # the sensor of these lines; None: a frame
     sender: str = ""  # of a frame
     key: str | None = None  # of a frame; see `Once`
+    roi: list[float] | None = None  # where in a frame the target is; None: not told
     waited_s: float = 0.0  # between the session's previous input and this one
     shows_last: bool = False  # it has no bytes: the last frame goes to watchers who missed it
     length: int = field(init=False)  # bytes

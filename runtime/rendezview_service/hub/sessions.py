@@ -220,6 +220,7 @@ class Session:
             "time_s": waiting.time_s,
             "received_s": waiting.received_s,
             "drops": self.drops,
+            "roi": waiting.roi,
             "extras": self.watchers.extras(now_s, history_px),
         }
 
