@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
+from rendezview.io.results import read_results
 from rendezview.io.sequences import BopSceneWriter
 from rendezview.sensors.appearance.edges.contour_at import target_box
 
@@ -57,6 +58,40 @@ def test_each_option_says_which_body_is_meant(run, refining_model, camera, two_b
         for line in (tmp_path / "log.jsonl").read_text().splitlines():
             place = json.loads(line)["pose"]["translation_m"]
             assert place == pytest.approx(pose.translation_m, abs=0.02 * pose.translation_m[2])
+
+
+def test_each_instance_gets_a_pose_and_another_object_none(
+    run, refining_model, bumpy_mesh, camera, draw, tmp_path
+):
+    """Three of the target in one frame, each turned otherwise, and a plate that is another's."""
+    refining_model.save(tmp_path / "m.rvm")
+    rng, range_m = np.random.default_rng(8), 4.5 * refining_model.sphere_radius_m
+    poses, lines, pictures = [], [], []
+    for k, (x, y) in enumerate([(-0.2, -0.2), (0.2, -0.2), (-0.2, 0.2)]):
+        rotation = Rotation.from_rotvec([0.4 * k, -0.7, 0.2 + k]).as_matrix()
+        centre = np.array([x, y, 1.0]) * range_m
+        poses.append(Pose(rotation, centre - rotation @ refining_model.centre_m))
+        pictures.append(draw(bumpy_mesh, poses[-1], camera, rng))
+        left, top, right, bottom = target_box(refining_model, camera, poses[-1])
+        lines.append({"bbox": [left, top, right - left, bottom - top], "category_id": 1})
+    frame = np.maximum.reduce(pictures)
+    cv2.rectangle(frame, (270, 260), (330, 330), 150, -1)
+    lines.append({"bbox": [270, 260, 60, 70], "category_id": 2})
+    lines.append({"bbox": [268, 258, 64, 74], "category_id": 1, "score": 0.1})  # mistaken
+    with BopSceneWriter(tmp_path / "scene", camera) as scene:
+        scene.add(0, frame, poses[0], 0.0)
+    lines = [{"scene_id": 1, "image_id": 0, "score": 0.9, **line} for line in lines]
+    (tmp_path / "boxes.json").write_text(json.dumps(lines))
+    asked = ("track", tmp_path / "m.rvm", tmp_path / "scene", "-o", tmp_path / "p.csv")
+    many = ("--obj-id", 1, "--boxes", tmp_path / "boxes.json", "--instances", 5)
+    run(*asked, "--instances", 2).says("--instances needs --boxes")
+    assert "3 poses in 4 frames" in run(*asked, *many).err
+    rows = read_results(tmp_path / "p.csv")
+    assert [row.im_id for row in rows] == [0, 0, 0]
+    for row, pose in zip(rows, poses, strict=True):
+        assert row.camera_from_target.angle_to(pose) < np.deg2rad(5.0)
+        away = row.camera_from_target.translation_m - pose.translation_m
+        assert np.linalg.norm(away) < 0.03 * range_m
 
 
 def test_a_wrong_place_is_said_before_the_frames_are_looked_at(

@@ -12,7 +12,7 @@ import pytest
 from rendezview import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.frame import Frame, Sequence
-from rendezview.io.where_to_look import boxes_by_frame, masks_by_frame, numbers_of
+from rendezview.io.where_to_look import boxes_by_frame, each_box, masks_by_frame, numbers_of
 
 CAMERA = Camera.from_fov(64, 48, 0.5)
 
@@ -41,6 +41,17 @@ def test_the_likeliest_box_of_the_scene_and_the_object_counts(tmp_path):
     where = boxes_by_frame(path, SEQUENCE)
     assert [where(f) for f in SEQUENCE] == [[5, 2, 10, 12], None, [9, 2, 10, 12]]
     assert boxes_by_frame(path, SEQUENCE, 1)(frame(12)) == [11, 2, 10, 12]
+
+
+def test_each_box_of_the_object_is_an_instance_unless_a_better_one_covers_it(tmp_path):
+    lines = [line(0, 1, 0.4), line(0, 30, 0.9), line(0, 32, 0.8), line(0, 48, 0.3),
+             line(0, 15, 0.99, category_id=7), line(12, 9, category_id=2)]  # fmt: skip
+    path = written(tmp_path / "boxes.json", [{"category_id": 2, **one} for one in lines])
+    frames, where = each_box(path, SEQUENCE, 2, 2)
+    assert [f.im_id for f in frames] == [0, 0, 12]
+    assert [where(f)[0] for f in frames] == [30, 1, 9]
+    frames, where = each_box(path, SEQUENCE, 2, 9)
+    assert [where(f)[0] for f in frames] == [30, 1, 48, 9]
 
 
 @pytest.mark.parametrize(

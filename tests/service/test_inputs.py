@@ -37,6 +37,26 @@ def test_where_to_look_holds_until_there_is_a_pose(client, camera, tour):
         assert session.track(frame)["pose"] is not None
 
 
+def test_a_frame_says_where_its_target_is(client, camera, tour):
+    _, pose, frame = tour[0]
+    x, y = camera.project(pose.translation_m)
+    away = [0.0, 0.0, max(x / 6.0, 8.0), max(y / 6.0, 8.0)]
+    with client.open(camera) as session, session.stream() as stream:
+        for roi, fault in (([1.0], "roi"), ([5e3, 3.0], "outside"), ([1.0, 2.0, -3.0], "positive")):
+            with pytest.raises(ServiceError, match=fault) as refused:
+                session.track(frame, 0.0, roi)
+            assert refused.value.status == 422
+        assert session.track(frame, 0.0, away)["pose"] is None
+        assert session.track(frame, 1.0, [x, y])["pose"] is not None
+        for time_s, roi, found in ((2.0, away, False), (3.0, None, True), (4.0, [x, y], True)):
+            stream.send(frame, time_s, roi)
+            state = stream.receive(MOST_S)
+            assert (state["time_s"], state["pose"] is not None) == (time_s, found)
+        stream.send(frame, 5.0, [1.0])
+        with pytest.raises(ServiceError, match="roi"):
+            stream.receive(MOST_S)
+
+
 def test_a_raw_frame_stays_when_the_next_one_comes_into_the_same_memory(camera):
     """The pictures of the last frames of two sessions, which share a worker."""
     memory = bytearray(camera.width * camera.height)

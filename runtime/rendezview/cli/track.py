@@ -24,7 +24,7 @@ from rendezview.cli.guide import (
 from rendezview.cli.inputs import given_camera, given_sequence
 from rendezview.cli.live_view import LiveView
 from rendezview.cli.progress import ProgressBar, say, say_summary
-from rendezview.cli.where import At, Box, Boxes, Mask, given_regions
+from rendezview.cli.where import At, Box, Boxes, Instances, Mask, given_regions
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import check_place, read_json
@@ -111,6 +111,7 @@ def track(
     ] = None,
     box: Box = None,
     boxes: Boxes = None,
+    instances: Instances = 1,
     mask: Mask = None,
     at: At = None,
     video: Annotated[
@@ -151,7 +152,8 @@ def track(
     first = _prior(prior, sequence, loaded) if others is None else None
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)
-    where, first_where = given_regions(sequence, obj_id, box, boxes, mask, at)
+    sequence, where, first_where = given_regions(sequence, obj_id, box, boxes, mask, at, instances)
+    independent = independent or instances > 1
     integrity = _integrity(integrity_risk, alarm_attitude_deg, alarm_position_m)
     levels = Levels()
     compile_ahead("track")

@@ -10,7 +10,13 @@ import typer
 
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import Sequence
-from rendezview.io.where_to_look import Where, boxes_by_frame, masks_by_frame, numbers_of
+from rendezview.io.where_to_look import (
+    Where,
+    boxes_by_frame,
+    each_box,
+    masks_by_frame,
+    numbers_of,
+)
 
 Box = Annotated[
     str | None,
@@ -19,6 +25,10 @@ Box = Annotated[
 Boxes = Annotated[
     Path | None,
     typer.Option(help="Where it is in each frame: a detector's boxes, JSON in BOP's form."),
+]
+Instances = Annotated[
+    int,
+    typer.Option(min=1, help="With --boxes: so many boxes of a frame, a pose for each; no memory."),
 ]
 Mask = Annotated[
     Path | None,
@@ -32,12 +42,12 @@ At = Annotated[
 
 def given_regions(
     sequence: Sequence, obj_id: int | None, box: str | None, boxes: Path | None,
-    mask: Path | None, at: str | None,
-) -> tuple[Where | None, npt.ArrayLike | None]:  # fmt: skip
-    """Where the target is in each frame, and in the first one, as the options say.
+    mask: Path | None, at: str | None, instances: int,
+) -> tuple[Sequence, Where | None, npt.ArrayLike | None]:  # fmt: skip
+    """The frames, each once for each instance, and where the target is in each and in the first.
 
     Raises:
-        RendezviewError: more than one of them is given, or one is wrong.
+        RendezviewError: more than one of the options is given, or one is wrong.
     """
     given = [
         name
@@ -46,10 +56,14 @@ def given_regions(
     ]
     if len(given) > 1:
         raise RendezviewError(f"give one of {', '.join(given)}: each says where the target is")
+    if instances > 1:
+        if boxes is None:
+            raise RendezviewError("--instances needs --boxes: where each of them is")
+        return *each_box(boxes, sequence, obj_id, instances), None
     if boxes is not None:
-        return boxes_by_frame(boxes, sequence, obj_id), None
+        return sequence, boxes_by_frame(boxes, sequence, obj_id), None
     if mask is not None:
-        return masks_by_frame(mask), None
+        return sequence, masks_by_frame(mask), None
     if box is not None:
-        return None, numbers_of(box, "--box", (4,))
-    return None, None if at is None else numbers_of(at, "--at", (2, 3))
+        return sequence, None, numbers_of(box, "--box", (4,))
+    return sequence, None, None if at is None else numbers_of(at, "--at", (2, 3))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.io.files import StrPath, checked, read_json
 from rendezview.io.sequences.frame import Frame, Sequence
@@ -19,6 +21,7 @@ from rendezview.io.sequences.images import read_grey
 # What `Recognizer.recognize` takes as ``roi`` of a frame; None: nothing is told.
 Where = Callable[[Frame], npt.ArrayLike | None]
 
+_SAME = 0.5  # intersection over union of two boxes of one thing. Source: as in detection
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 
 
@@ -60,34 +63,75 @@ def boxes_by_frame(path: StrPath, sequence: Sequence, obj_id: int | None = None)
     Raises:
         RendezviewError: missing, not of that form, or of no frame of the sequence.
     """
+    best = _detections(path, sequence, obj_id, 1)
+
+    def of_frame(frame: Frame) -> npt.ArrayLike | None:
+        return best[frame.im_id][0].bbox if frame.im_id in best else None
+
+    return of_frame
+
+
+def each_box(
+    path: StrPath, sequence: Sequence, obj_id: int | None, most: int
+) -> tuple[Sequence, Where]:
+    """A sequence with each frame once for each of its boxes, and the box of each.
+
+    A frame shows ``most`` instances of the target at most, those of highest score. Of boxes that
+    overlap by half the best one counts. A frame without any is left out.
+
+    Raises:
+        RendezviewError: as of ``boxes_by_frame``.
+    """
+    boxes = _detections(path, sequence, obj_id, most)
+    frames, told = list[Frame](), dict[str, list[float]]()
+    for frame in sequence:
+        for k, box in enumerate(boxes.get(frame.im_id, ())):
+            frames.append(replace(frame, name=f"{frame.name}, box {k + 1}"))
+            told[frames[-1].name] = box.bbox
+    return replace(sequence, frames=tuple(frames)), lambda frame: told[frame.name]
+
+
+def _detections(
+    path: StrPath, sequence: Sequence, obj_id: int | None, most: int
+) -> dict[int, list[_Detection]]:
+    """Of each frame the detections of highest score that do not overlap by half, best first."""
     lines = checked(_DETECTIONS, read_json(path, "detections"), f"{path}: detections")
-    best: dict[int, _Detection] = {}
-    for line in lines:
+    found: dict[int, list[_Detection]] = {}
+    for line in sorted(lines, key=lambda line: -line.score):
         other_scene = line.scene_id not in (None, sequence.scene_id)
         other_object = obj_id is not None and line.category_id not in (None, obj_id)
         if other_scene or other_object:
             continue
-        if line.image_id not in best or line.score > best[line.image_id].score:
-            best[line.image_id] = line
+        kept = found.setdefault(line.image_id, [])
+        if len(kept) < most and all(_apart(line, other) for other in kept):
+            kept.append(line)
     for frame in sequence:
-        x, y, across, down = best[frame.im_id].bbox if frame.im_id in best else (0, 0, 1, 1)
-        camera = frame.camera
-        if not (across > 0 < down and -across < x < camera.width and -down < y < camera.height):
-            raise RendezviewError(
-                f"{path}: the box {[x, y, across, down]} of image {frame.im_id} is empty or lies "
-                f"outside the frame of {camera.width} × {camera.height} px: a box is x, y, width, "
-                "height"
-            )
-    if not any(frame.im_id in best for frame in sequence):
+        for box in found.get(frame.im_id, ()):
+            _check(box, frame.camera, path)
+    if not any(frame.im_id in found for frame in sequence):
         raise RendezviewError(
             f"{path}: none of {len(lines)} detections is of a frame of scene "
             f"{sequence.scene_id}" + ("" if obj_id is None else f" and object {obj_id}")
         )
+    return found
 
-    def of_frame(frame: Frame) -> npt.ArrayLike | None:
-        return best[frame.im_id].bbox if frame.im_id in best else None
 
-    return of_frame
+def _check(detection: _Detection, camera: Camera, path: StrPath) -> None:
+    x, y, across, down = detection.bbox
+    if not (across > 0 < down and -across < x < camera.width and -down < y < camera.height):
+        raise RendezviewError(
+            f"{path}: the box {[x, y, across, down]} of image {detection.image_id} is empty or "
+            f"lies outside the frame of {camera.width} × {camera.height} px: a box is x, y, width, "
+            "height"
+        )
+
+
+def _apart(one: _Detection, other: _Detection) -> bool:
+    """Whether two boxes are of two things."""
+    (x, y, across, down), (x2, y2, across2, down2) = one.bbox, other.bbox
+    common = max(min(x + across, x2 + across2) - max(x, x2), 0.0)
+    common *= max(min(y + down, y2 + down2) - max(y, y2), 0.0)
+    return common <= _SAME * (across * down + across2 * down2 - common)
 
 
 def masks_by_frame(path: Path) -> Where:

@@ -43,6 +43,7 @@ from rendezview_service.client.messages import (
     StateDict,
     camera_message,
     frame_content,
+    frame_query,
 )
 from rendezview_service.client.stream import StreamClient
 
@@ -321,15 +322,17 @@ class SessionClient:
         self.name = name
         self._path = f"/v1/sessions/{quote(name)}"
 
-    def track(self, frame: Frame, time_s: float | None = None) -> StateDict:
-        """Track a frame; its state.
+    def track(
+        self, frame: Frame, time_s: float | None = None, roi: npt.ArrayLike | None = None
+    ) -> StateDict:
+        """Track a frame; its state. ``roi``: where in it the target is, as of `Client.open`.
 
         Raises:
             ServiceError: the frame is refused (422), or too many frames wait (429).
             RendezviewError: the service cannot be reached.
         """
         content, kind = frame_content(frame)
-        query = "" if time_s is None else f"?time_s={float(time_s)!r}"
+        query = frame_query(time_s, roi)
         state: StateDict = self.client.request("POST", f"{self._path}/frames{query}", content, kind)
         return state
 

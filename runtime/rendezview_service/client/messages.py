@@ -40,6 +40,15 @@ def frame_content(frame: Frame) -> tuple[bytes | memoryview, str]:
     return np.ascontiguousarray(image).reshape(-1).data, "application/octet-stream"
 
 
+def frame_query(time_s: float | None, roi: npt.ArrayLike | None) -> str:
+    """What is told of a frame beside its bytes, as the end of its address."""
+    given = [] if time_s is None else [f"time_s={float(time_s)!r}"]
+    if roi is not None:
+        numbers: list[float] = np.asarray(roi, dtype=np.float64).tolist()
+        given.append("roi=" + ",".join(map(repr, numbers)))
+    return "?" + "&".join(given) if given else ""
+
+
 def camera_message(camera: Camera) -> dict[str, Any]:
     """The camera as its `CameraMessage`; what the service takes for granted is left out."""
     names = ("width", "height", "fx", "fy", "cx", "cy")

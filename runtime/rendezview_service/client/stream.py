@@ -10,6 +10,9 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any, Self
 
+import numpy as np
+import numpy.typing as npt
+
 from rendezview.errors import RendezviewError
 from rendezview.io.results import json_line
 from rendezview_service.client.messages import (
@@ -74,13 +77,20 @@ class StreamClient:
         except Exception as error:
             raise RendezviewError(f"{self._url}: the stream does not open ({error})") from None
 
-    def send(self, frame: Frame, time_s: float | None = None) -> None:
+    def send(
+        self, frame: Frame, time_s: float | None = None, roi: npt.ArrayLike | None = None
+    ) -> None:
         """Send a frame; it is dropped if a newer one arrives before it is tracked.
+
+        Args:
+            roi: where in it the target is, as of `Client.open`.
 
         Raises:
             RendezviewError: the stream has ended.
         """
         content, _ = frame_content(frame)
+        if roi is not None:
+            self._send(json_line({"roi": np.asarray(roi, dtype=np.float64).tolist()}))
         head = struct.pack("<d", float("nan") if time_s is None else time_s)
         self._send(b"".join((head, content)))
 

@@ -15,6 +15,7 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.exceptions import RequestValidationError
+from pydantic import TypeAdapter, ValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, HTTPConnection
 from starlette.responses import Response
@@ -27,13 +28,20 @@ from rendezview_service.hub.model_store import NameTaken
 from rendezview_service.hub.service import Service
 from rendezview_service.hub.sessions import Session
 from rendezview_service.messages.frames import Bytes
-from rendezview_service.messages.message_parts import CAMERA, MOST_TIME_S, NAME_PATTERN, Fault
+from rendezview_service.messages.message_parts import (
+    CAMERA,
+    MOST_TIME_S,
+    NAME_PATTERN,
+    Fault,
+    RegionNumbers,
+)
 
 FAULTS: dict[int | str, dict[str, Any]] = {
     code: {"model": Fault} for code in (400, 401, 403, 404, 409, 413, 422, 429, 503)
 }
 JSON = "application/json"
 SENDER_HEADER, KEY_HEADER = "X-Sender", "Idempotency-Key"
+_REGION = TypeAdapter(RegionNumbers)
 _LONGEST_KEY = 128  # characters. Source: a chosen limit
 
 
@@ -125,8 +133,9 @@ async def _pieces(request: Request, most: int) -> AsyncIterator[bytes]:
 
 
 async def track(
-    session: Session, pieces: list[Bytes], time_s: float | None, sender: str, key: str | None
-) -> Answer:
+    session: Session, pieces: list[Bytes], time_s: float | None, roi: list[float] | None,
+    sender: str, key: str | None,
+) -> Answer:  # fmt: skip
     """The answer of the session's tracker to a frame.
 
     Raises:
@@ -135,9 +144,11 @@ async def track(
     """
 
     def put(answer: Callable[[Answer], None]) -> None:
-        session.queue(session.input(pieces, time_s, answer, sender=sender, key=key))
+        waiting = session.input(pieces, time_s, answer, sender=sender, key=key)
+        waiting.roi = roi
+        session.queue(waiting)
 
-    about = "frame", time_s, sum(map(len, pieces))
+    about = "frame", time_s, None if roi is None else tuple(roi), sum(map(len, pieces))
     return await session.once.do(key, about, lambda: _answered(put))
 
 
@@ -206,6 +217,22 @@ def frame_time(time_s: float | None) -> float | None:
     if time_s is not None and not (math.isfinite(time_s) and abs(time_s) <= MOST_TIME_S):
         raise HTTPException(422, f"time_s: must be finite and within ±1e10, not {time_s}")
     return time_s
+
+
+def frame_region(numbers: object) -> list[float]:
+    """Where in a frame its target is, checked: 2 to 4 numbers, or text of them with commas.
+
+    Raises:
+        HTTPException: 422.
+    """
+    try:
+        parts = numbers.split(",") if isinstance(numbers, str) else numbers
+        return _REGION.validate_python(parts)
+    except ValidationError:
+        text = f"{numbers!r:.40}"
+        raise HTTPException(
+            422, f"roi: give x,y,width,height, x,y or x,y,range, not {text}"
+        ) from None
 
 
 def fault(

@@ -17,6 +17,7 @@ from rendezview_service.http.answers import (
     JSON,
     body_of,
     fault,
+    frame_region,
     frame_time,
     key_of,
     measure,
@@ -112,15 +113,18 @@ async def close_session(request: Request, name: str) -> None:
     openapi_extra=_FRAME_BODY,
     responses={200: {"model": State}, 410: FAULTS[404]},
 )
-async def post_frame(request: Request, name: str, time_s: float | None = None) -> Response:
+async def post_frame(
+    request: Request, name: str, time_s: float | None = None,
+    roi: Annotated[str | None, Query(description="of the target: x,y,width,height, px")] = None,
+) -> Response:  # fmt: skip
     """Track a frame: PNG, JPEG, or width × height grey bytes."""
     needs(request, Right.TRACK)
     session = session_of(request, name)
-    at_s = frame_time(time_s)
+    at_s, region = frame_time(time_s), None if roi is None else frame_region(roi)
     pieces = await pieces_of(request, session.frame_bytes)
     if not any(pieces):
         raise HTTPException(422, "the frame is empty: send a PNG, a JPEG or grey bytes")
-    answer = await track(session, pieces, at_s, sender_of(request), key_of(request))
+    answer = await track(session, pieces, at_s, region, sender_of(request), key_of(request))
     if answer.status != 200:
         return fault(answer.status, answer.error, again=False)
     return Response(answer.body, 200, None, JSON)
@@ -132,7 +136,8 @@ async def _post_frame(request: Request) -> Response:
         time_s = None if text is None else float(text)
     except ValueError:
         raise HTTPException(422, f"time_s: must be a number, not {text!r:.40}") from None
-    return await post_frame(request, request.path_params["name"], time_s)
+    roi = request.query_params.get("roi")
+    return await post_frame(request, request.path_params["name"], time_s, roi)
 
 
 # Frames take this plain route. It costs 0.06 ms per frame where FastAPI's costs 0.15 ms (median of

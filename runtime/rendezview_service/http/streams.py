@@ -19,6 +19,7 @@ from rendezview.errors import RendezviewError
 from rendezview.io.files import parse_json
 from rendezview_service.http.answers import (
     SENDER_HEADER,
+    frame_region,
     needs,
     sender_of,
     sensor_name,
@@ -50,6 +51,7 @@ async def stream(socket: WebSocket, name: str) -> None:
     session = await _accepted(socket, name, Right.TRACK)
     if session is None:
         return
+    region: list[float] | None = None  # in the next frame
     sender_name = sender_of(socket) if SENDER_HEADER in socket.headers else f"stream {id(socket)}"
     outbox: deque[Answer] = deque()
     news, room = asyncio.Event(), asyncio.Event()
@@ -83,18 +85,22 @@ async def stream(socket: WebSocket, name: str) -> None:
     sender = asyncio.create_task(send())
     sender.add_done_callback(lambda _: room.set())  # who waits for room sees that it has ended
     try:
-        while not sender.done():
-            message = await socket.receive()
-            if message["type"] != "websocket.receive":
-                break
-            content = message.get("bytes")
-            if content is None:
-                _take_lines(session, service_of(socket).settings, message["text"], answer)
-            elif len(content) <= _TIME.size:
-                answer(Answer(422, b"", "a frame must be 8 bytes of time and a picture"))
-            else:
-                _take(session, content, _counted(socket, len(content), answer), sender_name)
-            await room.wait()
+        with session.streaming(answer):
+            while not sender.done():
+                message = await socket.receive()
+                if message["type"] != "websocket.receive":
+                    break
+                content = message.get("bytes")
+                if content is None:
+                    settings = service_of(socket).settings
+                    region = _take_text(session, settings, message["text"], answer) or region
+                elif len(content) <= _TIME.size:
+                    answer(Answer(422, b"", "a frame must be 8 bytes of time and a picture"))
+                else:
+                    counted = _counted(socket, len(content), answer)
+                    _take(session, content, region, counted, sender_name)
+                    region = None
+                await room.wait()
     except (WebSocketDisconnect, RuntimeError):
         pass
     finally:
@@ -120,7 +126,9 @@ def _counted(socket: WebSocket, count: int, answer: Answering) -> Answering:
     return answered
 
 
-def _take(session: Session, content: bytes, answer: Answering, sender: str) -> None:
+def _take(
+    session: Session, content: bytes, region: list[float] | None, answer: Answering, sender: str
+) -> None:
     (sent_s,) = _TIME.unpack_from(content)
     time_s = None if math.isnan(sent_s) else sent_s
     if time_s is not None and not abs(time_s) <= MOST_TIME_S:
@@ -131,23 +139,30 @@ def _take(session: Session, content: bytes, answer: Answering, sender: str) -> N
         answer(Answer(413, b"", f"the frame is too long: send at most {session.frame_bytes} bytes"))
         return
     try:
-        session.replace(session.input([picture], time_s, answer, sender=sender))
+        waiting = session.input([picture], time_s, answer, sender=sender)
+        waiting.roi = region
+        session.replace(waiting)
     except (RendezviewError, Refused) as error:
         status = error.status if isinstance(error, Refused) else 422
         answer(Answer(status, b"", str(error)))
 
 
-def _take_lines(session: Session, settings: Settings, text: str, answer: Answering) -> None:
-    """A text message ``{"sensor": name, "record": {…}}``."""
+def _take_text(
+    session: Session, settings: Settings, text: str, answer: Answering
+) -> list[float] | None:
+    """A text message ``{"sensor": name, "record": {…}}``, or ``{"roi": […]}``, which is given."""
     most = min(settings.measurement_bytes, settings.frame_bytes)
     if len(text) > most:
         answer(Answer(413, b"", f"the message is too long: send at most {most} bytes"))
-        return
+        return None
     try:
         message = parse_json(text, "the message")
+        if isinstance(message, dict) and set(message) == {"roi"}:
+            return frame_region(message["roi"])
         if not isinstance(message, dict) or set(message) != {"sensor", "record"}:
             raise RendezviewError(
-                'a text message must be {"sensor": name, "record": a line of its log}'
+                'a text message must be {"sensor": name, "record": a line of its log}, or '
+                '{"roi": [x, y, width, height]} of the next frame'
             )
         sensor = sensor_name(message["sensor"])
         content = json.dumps(message["record"]).encode()
@@ -158,6 +173,7 @@ def _take_lines(session: Session, settings: Settings, text: str, answer: Answeri
         answer(Answer(error.status_code, b"", str(error.detail)))
     except (RendezviewError, Refused) as error:
         answer(Answer(error.status if isinstance(error, Refused) else 422, b"", str(error)))
+    return None
 
 
 @router.websocket("/{name}/watch")

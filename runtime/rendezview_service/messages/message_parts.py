@@ -16,6 +16,8 @@ MOST_JUMP_S = 3600.0
 Two = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 Four = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
+# Where a target is: x, y, width, height; x, y; or x, y, range
+RegionNumbers = Annotated[list[FiniteFloat], Field(min_length=2, max_length=4)]
 Six = Annotated[list[FiniteFloat], Field(min_length=6, max_length=6)]
 Matrix6 = Annotated[list[Six], Field(min_length=6, max_length=6)]
 Twelve = Annotated[list[FiniteFloat], Field(min_length=12, max_length=12)]

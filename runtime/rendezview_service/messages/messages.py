@@ -30,6 +30,7 @@ from rendezview_service.messages.message_parts import (
     Name,
     PoseMessage,
     ProtectionLevels,
+    RegionNumbers,
     Three,
 )
 
@@ -87,7 +88,7 @@ class SessionRequest(Message):
         default=None, description="pose at the first frame, attitude within about 20°"
     )
     sun_camera: Direction | None = Field(default=None, description="towards the Sun, camera frame")
-    roi: Annotated[list[FiniteFloat], Field(min_length=2, max_length=4)] | None = Field(
+    roi: RegionNumbers | None = Field(
         default=None, description="target at first: x, y, width, height, px; x, y; or x, y, range"
     )
     trees: bool = Field(default=True, description="find active nodes on every frame")

@@ -143,7 +143,12 @@ class SessionTracker:
         self._last_pose_s: float | None = None
 
     def track(
-        self, image: GreyImage, time_s: float, received_unix_s: float, drops: int = 0
+        self,
+        image: GreyImage,
+        time_s: float,
+        received_unix_s: float,
+        drops: int = 0,
+        roi: list[float] | None = None,
     ) -> tuple[StateDict, AppearanceObservation]:
         """The state of a frame; the caller sets ``latency_ms`` and ``recorded``.
 
@@ -152,20 +157,24 @@ class SessionTracker:
             time_s: of the frame.
             received_unix_s: when it arrived.
             drops: frames of the session that newer ones replaced, so far.
+            roi: where in it the target is, as in `SessionRequest`; None: not told.
 
         Raises:
-            RendezviewError: the time is not later than the last frame's, or the image does not
-                fit the camera. The tracker does not change then.
+            RendezviewError: the time is not later than the last frame's, the image does not fit
+                the camera, or the region lies outside. The tracker does not change then.
         """
         if not (abs(time_s) <= MOST_TIME_S and time_s > self._last_s):
             raise RendezviewError(
                 f"time_s: {time_s} is not later than that of the last frame ({self._last_s}), or "
                 "beyond 1e10: send frames in order of time"
             )
+        if roi is not None:
+            Region.of(roi, self.camera)
         start = time.perf_counter()
         if self.tracker.lost and (known := self.filter.expected(time_s)) is not None:
             self.tracker.expect(*known)
-        roi = self._roi if self.tracker.prior is None else None
+        if roi is None and self.tracker.prior is None:
+            roi = self._roi
         observation = self.tracker.update(time_s, image, self.sun_camera, roi)
         track_ms = 1e3 * (time.perf_counter() - start)
         self._last_s = time_s

@@ -190,7 +190,7 @@ class WorkerProcess:
             image = read_frame(content, tracker.camera)
         time_s = request["time_s"]
         state, observation = tracker.track(
-            image, time_s, request["received_unix_s"], request["drops"]
+            image, time_s, request["received_unix_s"], request["drops"], request["roi"]
         )
         state["frame"] += request["first_frame"]
         if session.log is not None:

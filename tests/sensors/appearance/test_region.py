@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from rendezview import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.appearance import Recognizer
+from rendezview.sensors.appearance import Recognizer, Tracker
 from rendezview.sensors.appearance.edges.contour_at import target_box
 from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search.windows import overlap
@@ -139,3 +139,22 @@ def test_a_box_leaves_room_for_its_own_error():
     )
     corner = Region.of([-10.0, -10.0, 60.0, 40.0], CAMERA)
     assert corner.part[:2] == (0, 0)
+
+
+def test_a_tracker_that_lost_its_target_looks_where_it_was_in_any_attitude(recognizer, bumpy_mesh):
+    """Behind a hand for three frames the body has turned; a search without a box finds nothing."""
+    model = recognizer.model
+    pose = pose_of(model, 4)
+    turn = Rotation.from_rotvec([0.0, np.deg2rad(150.0), 0.0]).as_matrix() @ pose.rotation
+    centre = pose.apply(model.centre_m)
+    turned = Pose(turn, centre - turn @ model.centre_m)
+    first, _ = room(bumpy_mesh, pose, 4)
+    last, _ = room(bumpy_mesh, turned, 4)
+    assert recognizer.recognize(last, thorough=False).pose is None
+    tracker = Tracker(recognizer, pose)
+    assert tracker.update(0.0, first).pose.angle_to(pose) < RIGHT_RAD
+    hand = np.full_like(first, 150)
+    assert all(tracker.update(k, hand).pose is None for k in (1.0, 2.0, 3.0))
+    looks = [tracker.update(k, last).pose for k in (4.0, 5.0)]
+    assert looks[1] is not None  # it has turned far: the first look is confirmed
+    assert looks[1].angle_to(turned) < RIGHT_RAD

@@ -33,6 +33,7 @@ class Script:
         self.model = SimpleNamespace(centre_m=np.zeros(3), target_radius_m=1.0, symmetries=())
         self.search = None
         self.overflows = lambda pose: False
+        self.place_of = lambda image, pose: None
 
     def recognize(
         self,

@@ -127,7 +127,7 @@ class Recognizer:
         *,
         angles_rad: npt.ArrayLike | None = None,
         time_s: float | None = None,
-        roi: npt.ArrayLike | None = None,
+        roi: npt.ArrayLike | Region | None = None,
         thorough: bool = True,
     ) -> AppearanceObservation:
         """Look at one frame.
@@ -146,7 +146,7 @@ class Recognizer:
             time_s: when the frame was taken; the observation carries it.
             roi: where the whole target is: a box (4,) x, y, width, height, px, right to a fifth; a
                 mask (H, W), not 0 on the target; a place on it (2,) x, y, px, or that and its
-                range (3,) x, y, m, right to a quarter. ``None``: anywhere.
+                range (3,) x, y, m, right to a quarter; or of ``place_of``. ``None``: anywhere.
             thorough: without a prior or a region, search a frame that shows other things in
                 windows, too, where nothing else finds a pose. It takes a second or two.
 
@@ -157,7 +157,7 @@ class Recognizer:
         frame, near = check_frame(image, self.camera), check_prior(prior)
         finders, region = self._finders, None
         if roi is not None:
-            region = Region.of(roi, self.camera)
+            region = roi if isinstance(roi, Region) else Region.of(roi, self.camera)
             frame = region.cut(frame)
             finders = tuple(finder.looking_at(region) for finder in finders)
         with self._lock:
@@ -202,6 +202,15 @@ class Recognizer:
         others = around(self.model.joints, best.found.best.angles_rad)
         again = [_turned_to(at(angles), angles, near) for angles in others]
         return best_of([*observations, *again], models, judged)
+
+    def place_of(self, image: npt.ArrayLike, pose: Pose) -> Region | None:
+        """Where to look in a frame for the target in any attitude at the place of a pose.
+
+        ``None``: before a dark sky, where the target alone stands out, or outside the frame.
+        """
+        if Sky.of(check_frame(image, self.camera)).dark:
+            return None
+        return Region.at_place(self.model, self.camera, pose)
 
     def second_estimate(self, image: npt.ArrayLike, pose: Pose) -> Second | None:
         """The pose that the sketch of a frame shows, searched without a prior, beside another one.

@@ -94,6 +94,20 @@ class Region:
         right, bottom = np.ceil(box[2:] + more + 0.5).astype(int).tolist()
         return cls((left, top, min(right, camera.width), min(bottom, camera.height)), box)
 
+    @classmethod
+    def at_place(cls, model: ViewModel, camera: Camera, pose: Pose) -> Region | None:
+        """Around the target at a pose, whatever its attitude; None where it is not ahead."""
+        centre = pose.apply(model.centre_m)
+        place = np.asarray(camera.project(centre))
+        if centre[2] <= model.target_radius_m or not np.isfinite(place).all():
+            return None
+        half = max(camera.fx, camera.fy) * model.target_radius_m / centre[2]
+        if (place < 0.0).any() or (place > [camera.width - 1.0, camera.height - 1.0]).any():
+            return None
+        region = cls.around(np.concatenate([place - half, place + half]), camera)
+        range_m = float(np.linalg.norm(centre))
+        return replace(region, box_px=None, place_px=place, range_m=range_m)
+
     @property
     def is_open(self) -> bool:
         """Whether the size of the target's picture is not known."""

@@ -18,6 +18,8 @@ from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, In
 from rendezview.sensors.appearance.joints import JointFilter
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
+from rendezview.sensors.appearance.region import Region
+from rendezview.sensors.appearance.verdict import unconfirmed
 from rendezview.sensors.arguments import check_prior, check_recognizer, check_time
 from rendezview.sensors.observation import Status
 
@@ -87,7 +89,7 @@ class _Frame(NamedTuple):
     time_s: float
     image: npt.ArrayLike
     sun_camera: npt.ArrayLike | None
-    roi: npt.ArrayLike | None
+    roi: npt.ArrayLike | Region | None
 
 
 class Tracker:
@@ -287,17 +289,29 @@ class Tracker:
             due = self._misses % options.close_restart == options.close_restart - 1
             late = due and observation.silhouette is not None
         if late and observation.pose is None and self.recognizer.search is not None:
-            again = self._seen(frame, thorough=self._motion is None)
-            if again.pose is not None and (again.confidence or 0.0) >= options.restart_confidence:
+            again = self._restarted(frame, prior)
+            if again is not None:
                 restarted = self._as_before(again, prior, frame)
                 if prior is None or self._may_follow(prior, restarted, error_rad):
                     self._motion = None  # a restart: no rates from the pose before
                     return restarted
                 self._jump = restarted.pose
-                return _unconfirmed(restarted)
+                return unconfirmed(restarted)
         if observation.status is Status.AMBIGUOUS and self._motion is None:
             self._rivals = [(pose, 0.0) for pose in observation.candidates]
         return observation
+
+    def _restarted(self, frame: _Frame, prior: Pose | None) -> AppearanceObservation | None:
+        """A confident pose of any attitude: next to the expected place, or else anywhere."""
+        place = None
+        if frame.roi is None and prior is not None:
+            place = self.recognizer.place_of(frame.image, prior)
+        for roi in (frame.roi,) if place is None else (place, None):
+            again = self._seen(frame._replace(roi=roi), thorough=self._motion is None)
+            sure = (again.confidence or 0.0) >= self.options.restart_confidence
+            if again.pose is not None and sure:
+                return again
+        return None
 
     def _may_follow(self, prior: Pose, seen: AppearanceObservation, error_rad: float) -> bool:
         """Whether a restart lies where the target may have moved to since the last pose."""
@@ -382,14 +396,3 @@ class Tracker:
             self._confirmed = (self._confirmed[0], self._confirmed[1] + 1)
         else:
             self._confirmed = (found.best.inlier_ratio, 0)
-
-
-def _unconfirmed(seen: AppearanceObservation) -> AppearanceObservation:
-    return replace(
-        seen,
-        status=Status.AMBIGUOUS,
-        reason="the pose found is far from where the target was lost; the next frame decides",
-        pose=None,
-        covariance=None,
-        joints=None,
-    )

@@ -122,3 +122,15 @@ def refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObser
         outline=replace(seen.reading, points_m=np.zeros((0, 3))),
         found=found,
     )
+
+
+def unconfirmed(seen: AppearanceObservation) -> AppearanceObservation:
+    """The observation of a pose that the next frame must confirm."""
+    return replace(
+        seen,
+        status=Status.AMBIGUOUS,
+        reason="the pose found is far from where the target was lost; the next frame decides",
+        pose=None,
+        covariance=None,
+        joints=None,
+    )
