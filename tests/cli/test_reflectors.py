@@ -49,7 +49,7 @@ def reflector_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_run_becomes_readings_pictures_and_a_calibration(run, reflector_run, tmp_path):
     lit, dark = reflector_run / "lit", reflector_run / "dark"
     constants, log = tmp_path / "c.json", tmp_path / "r.jsonl"
-    ran = run("reflectors", "calibrate", lit, dark, "--target", CLIENT, "--group", "far",
+    ran = run("calibrate", "reflectors", lit, dark, "--target", CLIENT, "--group", "far",
               "-o", constants)  # fmt: skip
     assert ran.code == 0, ran
     ran = run("reflectors", lit, dark, "--target", CLIENT, "-o", log, "--overlay",

@@ -36,7 +36,7 @@ def laboratory() -> Laboratory:
 def rig(laboratory: Laboratory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("rig")
     save_record(laboratory.calibration(np.random.default_rng(71), scans=4), folder / "record.json")
-    arguments = ["stereo", "calibrate", folder / "record.json", "-o", folder / "rig.json"]
+    arguments = ["calibrate", "rig", folder / "record.json", "-o", folder / "rig.json"]
     done = subprocess.run(
         [sys.executable, "-c", RUN, *map(str, arguments)],
         capture_output=True, text=True, check=False,
@@ -86,9 +86,7 @@ def test_the_papers_normalisation_is_an_option_that_the_rig_file_keeps(
     usual = json.loads(rig.read_text())
     assert usual["cameras"][0]["photodiode"]["normalisation"] == "total"
     out = tmp_path / "pair.json"
-    done = run(
-        "stereo", "calibrate", rig.parent / "record.json", "-o", out, "--normalisation", "pair"
-    )
+    done = run("calibrate", "rig", rig.parent / "record.json", "-o", out, "--normalisation", "pair")
     assert done.code == 0, done
     pair = json.loads(out.read_text())
     assert {c["photodiode"]["normalisation"] for c in pair["cameras"]} == {"pair"}

@@ -104,11 +104,18 @@ def test_ways_to_start_a_track(
 def test_help_has_an_example_in_one_line_that_names_real_options(run, command: str):
     ran = run(command, "--help")
     assert (ran.code, ran.err) == (0, "")
+    assert run(command, "-h").out == ran.out
     (example,) = [line for line in ran.out.splitlines() if "Example:" in line]
     words = example.split()
     assert words[1:3] == ["rendezview", command]
     for option in (word for word in words if word.startswith("-")):
         assert option in ran.out.split("Options:")[1]
+
+
+def test_the_help_has_every_command_on_a_line_that_is_not_cut(run):
+    commands = run("-h").out.split("Commands:")[1]
+    assert set(main._SUMMARIES) <= set(commands.split())
+    assert "..." not in commands
 
 
 @pytest.mark.parametrize("command", main._MAIN_OPTIONS)

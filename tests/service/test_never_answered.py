@@ -24,6 +24,8 @@ import httpx
 import pytest
 from tests.waiting import MOST_S, wait_until
 
+from rendezview.errors import RendezviewError
+from rendezview_service.client import ServiceError
 from rendezview_service.http import streams
 from rendezview_service.hub import source_process, viewers, worker_handle
 from rendezview_service.hub.inputs import Answer, InputQueue, SessionInput
@@ -83,8 +85,20 @@ def test_a_queue_that_is_closed_answers_at_once() -> None:
     queue.close(end)
     queue.append(frame())
     assert queue.replace(frame()) is None
-    assert answers == [end] * 4
+    with queue.streaming(answers.append):  # its session was found before the end
+        assert answers == [end] * 5
     assert not queue
+
+
+def test_a_stream_that_only_receives_is_told_that_its_session_has_ended(client, camera):
+    session = client.open(camera)
+    with session.stream() as stream:
+        session.close()
+        with pytest.raises(ServiceError, match="closed by a request") as told:
+            stream.receive(MOST_S)
+        assert told.value.status == 410
+        with pytest.raises(RendezviewError, match="the stream has ended"):
+            stream.receive(MOST_S)
 
 
 def test_a_watcher_that_comes_after_the_end_is_told() -> None:
@@ -112,7 +126,8 @@ def test_a_stream_that_is_cut_off_with_its_answers_unread_is_over(monkeypatch) -
             raise RuntimeError("it is closed")
 
     async def accepted(*_: object) -> Any:
-        return SimpleNamespace(lease=SimpleNamespace(release=lambda sender: None))
+        lease = SimpleNamespace(release=lambda sender: None)
+        return SimpleNamespace(lease=lease, streaming=InputQueue().streaming)
 
     monkeypatch.setattr(streams, "_accepted", accepted)
     cut: Any = Cut()

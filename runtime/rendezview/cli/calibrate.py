@@ -1,4 +1,4 @@
-"""``rendezview calibrate``: a camera, a card of dots, the shape of a target."""
+"""``rendezview calibrate``: cameras, a card of dots, the shape of a target, a ring's size."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ from rendezview.calibration.board import Chessboard
 from rendezview.calibration.one_camera import CharucoBoard, calibrate_camera
 from rendezview.cli.inputs import given_sequence
 from rendezview.cli.progress import say
+from rendezview.cli.reflectors import calibrate_reflectors
+from rendezview.cli.ring import size
+from rendezview.cli.stereo import calibrate_rig
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.camera_files import save_camera
@@ -33,7 +36,7 @@ from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.beacons.card import write_card
 
 calibrate = typer.Typer(
-    help="Calibrate a camera from pictures of a board, or a target's shape from frames.",
+    help="Calibrate cameras from pictures of a board; measure a target from frames.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -54,7 +57,7 @@ def camera(
         str, typer.Option(help="OpenCV's dictionary of the markers.")
     ] = "DICT_4X4_50",
 ) -> None:
-    """Calibrate one camera: intrinsics and lens, into a file that every command takes.
+    """Calibrate one camera, into a file that every command takes.
 
     \b
     Example: rendezview calibrate camera boards/*.jpg --board 9x6 --pitch-mm 25 -o webcam.yaml
@@ -90,7 +93,7 @@ def card(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write.")],
     diameter_mm: Annotated[float, typer.Option(help="Of the dots.")] = 16.0,
 ) -> None:
-    """Make a card of three dots to print (A4, PDF), with its target file.
+    """Make a card of dots to print (A4, PDF), with its target file.
 
     \b
     Example: rendezview calibrate card -o card
@@ -149,11 +152,11 @@ def shape(
         typer.Option(help="PNG to write: residuals over the surface, before and after."),
     ] = None,
 ) -> None:
-    """Estimate how a target differs from its CAD model, from a fly-around, and correct the model.
+    """Estimate how a target differs from its CAD model; correct it.
 
     \b
-    The difference is a strain: other sizes along x, y and z, and shears; with --parts also parts
-    that are turned or shifted. Poses need not be known.
+    Frames of a fly-around show it. The difference is a strain: other sizes along x, y and z, and
+    shears; with --parts also parts that are turned or shifted. Poses need not be known.
     Example: rendezview calibrate shape tango.rvm fly-around -o as-built.rvm --length x=0.571/0.560
     """
     check_place(output, "the model")
@@ -188,6 +191,11 @@ def shape(
     if picture is not None:
         write_png(picture, shape_picture(found, f"{loaded.name}: {found.used} frames"))
     _tell(found, output, len(chosen))
+
+
+calibrate.command("rig")(calibrate_rig)
+calibrate.command("reflectors")(calibrate_reflectors)
+calibrate.command("ring")(size)
 
 
 def _known_length(text: str, error: float) -> tuple[int, tuple[float, float]]:

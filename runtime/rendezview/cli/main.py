@@ -32,22 +32,22 @@ _SUMMARIES = {
     "catalogue": "Train models of many targets, shells and lights.",
     "simulate": "Render camera frames of a target with the truth of every one.",
     "track": "Recognise and track a target through a sequence of frames.",
-    "ring": "Find a docking ring: its ellipses, and with its radius its pose.",
+    "ring": "Find a docking ring, and with its radius its pose.",
     "stereo": "Track a target's lights with two or more cameras.",
-    "calibrate": "Calibrate a camera, or a target's shape; print a card of dots.",
-    "reflectors": "Read a video guidance sensor: reflectors to six numbers, or calibrate it.",
-    "fuse": "Join several sensors' logs into one state: pose, rates, covariance.",
-    "guide": "Fit the path of a log of poses, and say the correction back to a plan.",
-    "warm": "Compile for this machine now what commands would compile when they first run.",
+    "calibrate": "Calibrate cameras, a shape, a ring; print a card.",
+    "reflectors": "Measure a target with retro-reflectors: the six numbers.",
+    "fuse": "Join several sensors' logs into one state.",
+    "guide": "Fit the path of a log of poses; corrections to a plan.",
+    "warm": "Compile now what commands compile when they first run.",
     "serve": "Serve poses: frames in, poses out, a page to watch them.",
     "replay": "Repeat a recorded run bit for bit, or mend its log.",
     "rrd": "Convert a run into a recording for the Rerun viewer.",
     "evaluate": "Compare results with the truth of their scene.",
     "assess": "Say how accurate a model is on its craft, on simulated frames.",
-    "fly": "Fly to a target's port in a closed loop, and report the contact.",
+    "fly": "Fly to a target's port in a closed loop.",
     "campaign": "The former name of assess.",
     "show": "Draw any file that rendezview writes.",
-    "export": "Print a model's decision trees, or write flight code: C99, ONNX.",
+    "export": "Print a model's trees, or write flight code: C99, ONNX.",
 }
 
 # What the help of a command with many options shows; --help-all shows the others, too.
@@ -107,6 +107,7 @@ def make_app(called: str | None, *, everything: bool = False) -> typer.Typer:
         add_completion=True,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},  # of all commands below
     )
     app.callback()(_root)
     points = {point.name: point for point in metadata.entry_points(group=GROUP)}

@@ -1,4 +1,4 @@
-"""``rendezview reflectors`` and ``rendezview reflectors calibrate``."""
+"""``rendezview reflectors`` and ``rendezview calibrate reflectors``."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ from rendezview.sensors.beacons.triangulation import Iteration
 from rendezview.sensors.observation import Status
 from rendezview.sensors.run import Line, run
 
-_CALIBRATE = "calibrate"
+_CALIBRATE = "calibrate"  # as a first word: `rendezview calibrate reflectors`; until version 0.4
 # Readings without a pose, from the start. Source: by construction, two make a first find
 _READINGS_TO_HINT = 8
 
@@ -69,7 +69,7 @@ def reflectors(
         typer.Argument(
             help="A target file, if there is no --target; then pictures: one folder, scene or "
             "video with lit and dark ones in turn, or one of each, or a camera (0, /dev/video0, "
-            "rtsp://...). The word 'calibrate' first fits the closed form to a run with truth."
+            "rtsp://...)."
         ),
     ],
     target: Annotated[
@@ -80,7 +80,7 @@ def reflectors(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="JSON lines of readings; calibrate: the calibration."),
+        typer.Option("-o", "--output", help="JSON lines of readings."),
     ] = None,
     cameras: Annotated[
         Path | None,
@@ -141,13 +141,12 @@ def reflectors(
         bool, typer.Option("--budget", help="Print the errors of the poses by cause, at the end.")
     ] = False,
 ) -> None:
-    """Read a video guidance sensor: reflectors to six numbers, or calibrate it.
+    """Read a video guidance sensor: reflectors to six numbers.
 
     \b
     Example: rendezview reflectors lit dark --camera camera.yaml --target client -o readings.jsonl
              rendezview reflectors card/target.toml 0 --camera webcam.yaml --invert --overlay seen
              rendezview reflectors client --cameras cameras.toml -o readings.jsonl
-             rendezview reflectors calibrate run/lit run/dark --target client -o calibration.json
     """
     calibrating = frames[0] == _CALIBRATE
     places = frames[1:] if calibrating else frames
@@ -155,7 +154,7 @@ def reflectors(
         target, *places = places
     if target is None or not (places or cameras):
         raise RendezviewError(
-            "reflectors calibrate: name the run: the pictures with their truth"
+            "calibrate reflectors: name the run: the pictures with their truth"
             if calibrating
             else "reflectors: name a target file (or --target) and the pictures"
         )
@@ -198,7 +197,7 @@ def reflectors(
     pairs, total = _pairs(places, camera, mode, lit_from_dark, invert, rate, readings)
     if calibrating:
         if output is None:
-            raise RendezviewError("reflectors calibrate: give -o, the file for the calibration")
+            raise RendezviewError("calibrate reflectors: give -o, the file for the calibration")
         _calibrate(list(itertools.islice(pairs, total)), patterns[0], options, acquisition, output)
         return
     read = follow(
@@ -208,6 +207,34 @@ def reflectors(
     )  # fmt: skip
     steps = (_Step(*step, {}) for step in read)
     _run(steps, patterns, forms, overlay, output, total, options, BudgetReport(budget))
+
+
+def calibrate_reflectors(
+    frames: Annotated[
+        list[str], typer.Argument(help="A run with its truth: a scene, or lit and dark ones.")
+    ],
+    target: Annotated[
+        str, typer.Option(help="Target file with reflectors, its folder, or client.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Calibration to write (JSON).")],
+    camera: Annotated[
+        Path | None, typer.Option(help="Camera file; wins over that of the pictures.")
+    ] = None,
+    group: Annotated[str | None, typer.Option(help="The group; the first, if not given.")] = None,
+    mode: Annotated[
+        Mode | None, typer.Option(help="Default: pairs; two folders: splitter.")
+    ] = None,
+    centroid: Annotated[Centroid, typer.Option(help="A spot's place.")] = Centroid.WINDOWED,
+) -> None:
+    """Fit the closed form of Book et al. to a run with truth.
+
+    \b
+    Example: rendezview calibrate reflectors run/lit run/dark --target client -o calibration.json
+    """
+    reflectors(
+        [_CALIBRATE, *frames], target, camera, output, group=[group] if group else None, mode=mode,
+        centroid=centroid,
+    )  # fmt: skip
 
 
 _SEPARATE = "Dots are found, but no reading follows the one before: separate poses? --independent"

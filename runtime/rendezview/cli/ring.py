@@ -1,4 +1,4 @@
-"""``rendezview ring``."""
+"""``rendezview ring`` and ``rendezview calibrate ring``."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _FIND = "find"  # the command of `rendezview ring FRAMES`
 
 
 class _RingGroup(TyperGroup):
-    """`rendezview ring FRAMES` finds rings; `rendezview ring size` has a command of its own."""
+    """Takes the first word `size`, until version 0.4: `rendezview calibrate ring`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, args if args[:1] == ["size"] else [_FIND, *args])
@@ -107,7 +107,7 @@ def find(
     \b
     Example: rendezview ring frames --camera camera.yaml --radius-m 0.597 -o ring.jsonl
     After track: rendezview ring frames --target client --track track.jsonl -o ring.jsonl
-    A ring of unknown size: rendezview ring size --help
+    A ring of unknown size: rendezview calibrate ring --help
     """
     check_place(output, "the readings")
     known = None if target is None else _ring_of(target)
@@ -174,13 +174,14 @@ def size(
         float, typer.Option(min=1.0, max=255.0, help="Grey levels of the ring's weakest edge.")
     ] = 8.0,
 ) -> None:
-    """Measure a docking ring of unknown size: its radius and its place over a panel.
+    """Measure a docking ring of unknown size.
 
-    The frames show a rectangular panel of unknown size with the ring before or behind it, in a
-    plane parallel to it. The ranges give the scale.
+    This gives its radius and its place over a panel. The frames show a rectangular panel of
+    unknown size with the ring before or behind it, in a plane parallel to it. The ranges give the
+    scale.
 
     \b
-    Example: rendezview ring size flyaround --camera camera.yaml --ranges laser.jsonl -o size.json
+    Example: rendezview calibrate ring flight --camera camera.yaml --ranges laser.jsonl -o size.json
     """
     check_place(output, "the size")
     sequence = given_sequence(frames, camera)

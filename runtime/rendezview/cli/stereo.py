@@ -1,4 +1,4 @@
-"""``rendezview stereo calibrate`` and ``rendezview stereo track``."""
+"""``rendezview stereo track`` and ``rendezview calibrate rig``."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ stereo = typer.Typer(
 )
 
 
-@stereo.command()
-def calibrate(
+@stereo.command("calibrate", hidden=True)  # until version 0.4
+def calibrate_rig(
     source: Annotated[
         Path,
         typer.Argument(help="Folder of board pictures, or a laboratory's record (*.json)."),
@@ -75,11 +75,11 @@ def calibrate(
         typer.Option(help="Divisor of a photodiode's currents: pair as in the paper's eq. 1, 2."),
     ] = Normalisation.TOTAL,
 ) -> None:
-    """Calibrate cameras, lenses and their places.
+    """Calibrate two or more cameras, lenses and their places.
 
     \b
     Pictures are left01.png right01.png ... or left/01.png right/01.png ...
-    Example: rendezview stereo calibrate pictures --board 9x6 --pitch-mm 25 -o rig.json
+    Example: rendezview calibrate rig pictures --board 9x6 --pitch-mm 25 -o rig.json
     """
     check_place(output, "the rig")
     rig = (

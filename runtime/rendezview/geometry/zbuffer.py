@@ -25,7 +25,7 @@ NOBODY = -1  # owner of a sample that no triangle covers. Source: by constructio
 _NEARER = np.float32(1.0 + 2e-6)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def fill_triangle(
     x0: float, y0: float, w0: float, x1: float, y1: float, w1: float, x2: float, y2: float,
     w2: float, face: int, nearness: Float32s, owner: Int32s,
@@ -69,7 +69,7 @@ def fill_triangle(
                 owner[row, column] = face
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def draw_perspective(
     vertices: Float64s, faces: Int32s, fx: float, fy: float, cx: float, cy: float, near: float,
     nearness: Float32s, owner: Int32s,
@@ -117,7 +117,7 @@ def draw_perspective(
             )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def draw_parallel(vertices: Float64s, faces: Int32s, nearness: Float32s, owner: Int32s) -> None:
     """Draw triangles whose vertices are (x, y, w) on the sample plane."""
     for face in range(faces.shape[0]):
@@ -130,7 +130,7 @@ def draw_parallel(vertices: Float64s, faces: Int32s, nearness: Float32s, owner: 
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def draw_chosen(
     vertices: Float64s, faces: Int32s, chosen: npt.NDArray[np.intp], nearness: Float32s,
     owner: Int32s,

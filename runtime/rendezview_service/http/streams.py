@@ -85,21 +85,22 @@ async def stream(socket: WebSocket, name: str) -> None:
     sender = asyncio.create_task(send())
     sender.add_done_callback(lambda _: room.set())  # who waits for room sees that it has ended
     try:
-        while not sender.done():
-            message = await socket.receive()
-            if message["type"] != "websocket.receive":
-                break
-            content = message.get("bytes")
-            if content is None:
-                settings = service_of(socket).settings
-                region = _take_text(session, settings, message["text"], answer) or region
-            elif len(content) <= _TIME.size:
-                answer(Answer(422, b"", "a frame must be 8 bytes of time and a picture"))
-            else:
-                counted = _counted(socket, len(content), answer)
-                _take(session, content, region, counted, sender_name)
-                region = None
-            await room.wait()
+        with session.streaming(answer):
+            while not sender.done():
+                message = await socket.receive()
+                if message["type"] != "websocket.receive":
+                    break
+                content = message.get("bytes")
+                if content is None:
+                    settings = service_of(socket).settings
+                    region = _take_text(session, settings, message["text"], answer) or region
+                elif len(content) <= _TIME.size:
+                    answer(Answer(422, b"", "a frame must be 8 bytes of time and a picture"))
+                else:
+                    counted = _counted(socket, len(content), answer)
+                    _take(session, content, region, counted, sender_name)
+                    region = None
+                await room.wait()
     except (WebSocketDisconnect, RuntimeError):
         pass
     finally:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import mmap
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -178,6 +179,7 @@ class InputQueue:
     _newest: SessionInput | None = None  # frame of a stream or a source
     shows_last: SessionInput | None = None  # is taken when nothing else waits
     _closed: Answer | None = None  # to all that comes
+    _streams: set[Callable[[Answer], None]] = field(default_factory=set)
 
     def __bool__(self) -> bool:
         return bool(self._inputs) or self._newest is not None or self.shows_last is not None
@@ -214,10 +216,23 @@ class InputQueue:
         """Number of appended frames, or of messages with sensor lines."""
         return sum((waiting.sensor is None) is frames for waiting in self._inputs)
 
+    @contextlib.contextmanager
+    def streaming(self, answer: Callable[[Answer], None]) -> Iterator[None]:
+        """A stream that is open meanwhile; it is told of the end, whether it sends or not."""
+        self._streams.add(answer)
+        try:
+            if self._closed is not None:
+                answer(self._closed)
+            yield
+        finally:
+            self._streams.discard(answer)
+
     def close(self, answer: Answer) -> None:
-        """Answer all inputs, and those that come later: their bodies were still arriving."""
+        """Answer all inputs and streams, and those that come later, on their way meanwhile."""
         waiting = [*self._inputs, *([] if self._newest is None else [self._newest])]
         self._inputs.clear()
         self._newest, self.shows_last, self._closed = None, None, answer
         for one in waiting:
             one.answer(answer)
+        for stream in self._streams:
+            stream(answer)

@@ -86,6 +86,7 @@ class Session:
         self._metrics = metrics
         metrics.begin(name)
         self._queue = InputQueue()
+        self.streaming = self._queue.streaming
         self.frame_base = 0  # number of frames before the present worker
         self.drops = 0
         self.events = SessionEvents(name, lambda: self.clock.now_unix_s)

@@ -18,15 +18,15 @@ from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.geometry.camera import Camera
 from rendezview.io.target import Target
 from rendezview.sensors.beacons import (
-    Acquirer,
     LitDark,
+    ReflectorPattern,
     ReflectorSensor,
     Rig,
     StereoTracker,
     TrackerOptions,
-    find_spots,
     patterns_of,
 )
+from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import RingDetector
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview_ground.simulate.reflector_frames import render_pair
@@ -34,6 +34,7 @@ from rendezview_ground.simulate.ring_frames import RingSceneOptions, random_scen
 
 REFLECTOR_SEED, RING_SEED, STEREO_SEED = 41, 81, 21
 REFLECTOR_RANGE_M = 6.0
+WIDE = Camera(3840, 2160, 3667.0, 3667.0, 1919.5, 1079.5)
 RING_PX = (640, 480)
 STEREO_READINGS = 100
 
@@ -54,23 +55,37 @@ def reflectors(bench: Bench) -> Iterator[Row]:
     """A reading of the reflectors beside what OpenCV needs for three centroids."""
     rng = np.random.default_rng(REFLECTOR_SEED)
     pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
-    acquirer, sensor = Acquirer(CAMERA, [pattern]), ReflectorSensor(CAMERA, [pattern])
     pose, _ = random_pose(rng, pattern, REFLECTOR_RANGE_M)
-    pairs = [LitDark(*render_pair(CAMERA, pattern, pose, OPTIONS, rng)) for _ in range(5)]
-    first, readings = pairs[0], count(1)
+    for camera, where in ((CAMERA, ""), (WIDE, f", {WIDE.width} × {WIDE.height}")):
+        pairs = [LitDark(*render_pair(camera, pattern, pose, OPTIONS, rng)) for _ in range(5)]
+        spent = bench.race(reflector_ways(camera, pattern, pairs, where))
+        floor = f"difference, threshold, contours, moments{where}"
+        yield from times("reflector-accuracy", spent, {n: (floor,) for n in spent if n != floor})
+
+
+def reflector_ways(
+    camera: Camera, pattern: ReflectorPattern, pairs: list[LitDark], where: str
+) -> dict[str, Callable[[], object]]:
+    """What a user calls at the first reading and at later ones, and the floor."""
+    new, sensor = ReflectorSensor(camera, [pattern]), ReflectorSensor(camera, [pattern])
+    readings = count(1)
+
+    def acquire() -> None:
+        new.forget()
+        assert new.update(0.0, pairs[0]).status is Status.UNCONFIRMED
 
     def track() -> None:
         k = next(readings)
         reading = sensor.update(0.1 * k, pairs[k % len(pairs)])
         assert k < 3 or (reading.tracked and reading.pose is not None)
 
-    floor = "difference, threshold, contours, moments"
-    ours: dict[str, Callable[[], object]] = {
-        "reflectors, acquisition": lambda: acquirer.acquire(find_spots(first)),
-        "reflectors, tracking": track,
+    return {
+        f"reflectors, acquisition{where}": acquire,
+        f"reflectors, tracking{where}": track,
+        f"difference, threshold, contours, moments{where}": (
+            lambda: moments(pairs[0].lit, pairs[0].dark_or_nothing)
+        ),
     }
-    spent = bench.race(ours | {floor: lambda: moments(first.lit, first.dark)})
-    yield from times("reflector-accuracy", spent, dict.fromkeys(ours, (floor,)))
 
 
 def chain_ellipses(frame: np.ndarray) -> list[tuple[object, ...]]:

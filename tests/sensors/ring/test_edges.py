@@ -91,7 +91,7 @@ def test_chains_hold_every_strong_crest_once_and_in_order():
 
 def test_a_rough_ellipse_is_moved_onto_its_edge_and_a_false_one_dropped():
     edges = find_edges(picture(SHAPE), 8.0, 5.0)
-    lens = lens_vector(CAMERA)
+    lens = np.append(lens_vector(CAMERA), float(CAMERA.is_distorted))
     near = SHAPE + np.array([1.5, -1.0, 1.0, -0.5, 1.0])
     again = SHAPE + np.array([-1.0, 1.0, -1.0, 0.5, 0.5])
     nowhere = np.array([60.0, 60.0, 30.0, 0.0, 30.0])

@@ -45,7 +45,7 @@ def faces_beside(mesh: Mesh) -> npt.NDArray[np.int32]:
     return beside.reshape(-1, 3)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def face_normals(vertices: Array, faces: Int32s) -> Array:
     """Unit normals (F, 3) towards the camera; (0, 0, −1) for a face without area."""
     normals = np.empty((faces.shape[0], 3))
@@ -64,7 +64,7 @@ def face_normals(vertices: Array, faces: Int32s) -> Array:
     return normals
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def depth_on(
     vertices: Array, faces: Int32s, face: int, normals: Array, rx: float, ry: float
 ) -> float:
@@ -77,7 +77,7 @@ def depth_on(
     return (nx * vertices[a, 0] + ny * vertices[a, 1] + nz * vertices[a, 2]) / down  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def line_in_face(
     points: Array, faces: Int32s, face: int, px: float, py: float, dx: float, dy: float
 ) -> tuple[float, float, int]:
@@ -108,7 +108,7 @@ def line_in_face(
     return enter, leave, edge
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _is_step(
     vertices: Array, faces: Int32s, normals: Array, focal: float, middle: float, face: int,
     near: float, other: float, step: float, x: int, y: int,
@@ -122,7 +122,7 @@ def _is_step(
     return 1.0 / other - 1.0 / near > step and (z <= 0.0 or 1.0 / other - z > step)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _followed(
     vertices: Array, points: Array, faces: Int32s, normals: Array, beside: Int32s, focal: float,
     middle: float, nearness: Float32s, owner: Int32s, step: float, x: int, y: int, dx: int, dy: int,
@@ -157,7 +157,7 @@ def _followed(
     return last, leave, edge
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _write_crossing(
     row: Array, vertices: Array, a: int, b: int, u: float, v: float, dx: int, dy: int, focal: float,
     middle: float, kind: int,
@@ -227,7 +227,7 @@ def edge_pixels(
     return rows[:count], marks
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _borders(owner: Int32s, rows: Int32s) -> int:
     """List the pixels (x, y, 0) beside another face on the right, (x, y, 1) below.
 
@@ -259,7 +259,7 @@ def _borders(owner: Int32s, rows: Int32s) -> int:
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _kept_edges(
     vertices: Array, faces: Int32s, normals: Array, look: Float32s, focal: float, middle: float,
     nearness: Float32s, owner: Int32s, step: float, rows: Int32s, marks: npt.NDArray[np.bool_],
@@ -304,7 +304,7 @@ def _kept_edges(
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def edge_crossings(
     vertices: Array, points: Array, faces: Int32s, normals: Array, beside: Int32s, pixels: Int32s,
     focal: float, middle: float, nearness: Float32s, owner: Int32s, step: float,

@@ -28,7 +28,7 @@ def evenly_spread(u: Int32s, v: Int32s, length: Array, count: int) -> npt.NDArra
     return np.sort(_at_steps(_along_curve(u, v), length, count))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _along_curve(u: Int32s, v: Int32s) -> npt.NDArray[np.int64]:
     """The places in the order of the Z-order curve over square cells: a radix sort."""
     count = len(u)
@@ -51,7 +51,7 @@ def _along_curve(u: Int32s, v: Int32s) -> npt.NDArray[np.int64]:
     return order
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _apart(number: int) -> int:
     """The bits of a number of 12 bits, with a zero before each."""
     number = (number | number << 8) & 0x00FF00FF
@@ -60,7 +60,7 @@ def _apart(number: int) -> int:
     return (number | number << 1) & 0x55555555
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _at_steps(order: npt.NDArray[np.int64], length: Array, count: int) -> npt.NDArray[np.int64]:
     """The places in which equal steps of length end; ``count`` of them at most.
 

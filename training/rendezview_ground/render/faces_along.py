@@ -35,7 +35,7 @@ class Scratch(NamedTuple):
     line: npt.NDArray[np.int64]  # (1,) number of the line
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def scratch_for(places: int, faces: int) -> Scratch:
     """Arrays for lines of so many places on a mesh of so many faces."""
     return Scratch(
@@ -48,7 +48,7 @@ def scratch_for(places: int, faces: int) -> Scratch:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def faces_along(
     line: Array, places: Array, vertices: Array, corners: Array, faces: Int32s, beside: Int32s,
     focal: float, middle: float, owner: Int32s, normals: Array, scratch: Scratch,
@@ -104,7 +104,7 @@ def faces_along(
                 )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _faces_near(
     line: Array, first: float, last: float, owner: Int32s, near: Int64s, stamp: Int64s,
     number: int,
@@ -126,7 +126,7 @@ def _faces_near(
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _pixel_face(u: float, v: float, owner: Int32s) -> tuple[int, bool]:
     """The face of a place's pixel, −1 if sky is around; and whether faces and sky are around."""
     height, width = owner.shape
@@ -143,7 +143,7 @@ def _pixel_face(u: float, v: float, owner: Int32s) -> tuple[int, bool]:
     return -1 if sky else int(owner[row, column]), some and sky
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _cover(
     face: int, line: Array, places: Array, enter: float, leave: float, vertices: Array,
     corners: Array, faces: Int32s, focal: float, middle: float, normals: Array, visible: Int64s,

@@ -87,7 +87,7 @@ def _projected(vertices_m: Array, pose: Pose, window: Window, columns: int) -> A
     return points_px
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _project(
     vertices: Array,
     rotation: Array,

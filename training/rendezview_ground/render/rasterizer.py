@@ -58,7 +58,7 @@ class NumpyRenderer:
         return mask
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def fill_silhouette(
     points_px: Array, faces: npt.NDArray[np.int32], mask: npt.NDArray[np.uint8]
 ) -> None:
@@ -99,7 +99,11 @@ def fill_silhouette(
             x1 = ax + upper_slope * (y - ay) if upper else bx + lower_slope * (y - by)
             left = math.ceil(max(0.0, min(x0, x1)))
             right = math.floor(min(width - 1.0, max(x0, x1)))
-            row = mask[y]
+            if left > right:
+                continue
             # Unsigned numbers need no test for a place counted from the end.
-            for x in range(np.uint64(left), np.uint64(max(left, right + 1))):
-                row[x] = 255
+            row, first, last = mask[np.uint64(y)], np.uint64(left), np.uint64(right)
+            row[first] = row[last] = 255
+            if right - left > 1:  # most rows of a fine mesh have one pixel or two
+                for x in range(first + np.uint64(1), last):
+                    row[x] = 255

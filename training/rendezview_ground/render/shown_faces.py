@@ -43,7 +43,7 @@ class ShownFaces:
         return _set_bits(self.bits, nearest)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _set_bits(bits: npt.NDArray[np.uint8], rows: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
     """The numbers of the bits that are set in any of some rows, ascending, lowest bit first."""
     numbers = np.empty(8 * bits.shape[1], dtype=np.intp)

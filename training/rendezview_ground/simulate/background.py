@@ -125,7 +125,7 @@ def ground_rotation(direction: Array, angle_rad: float) -> Array:
     return np.asarray(Rotation.from_rotvec(rotvec).as_matrix())
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _lattice(i: int, j: int, k: int) -> float:
     """A pseudo-random number in [0, 1) from three integers (an integer hash)."""
     h = np.uint32(i * 374761393 + j * 668265263 + k * 1274126177)
@@ -134,7 +134,7 @@ def _lattice(i: int, j: int, k: int) -> float:
     return float(h ^ (h >> np.uint32(16))) / 4294967296.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _noise(x: float, y: float, z: float) -> float:
     """Value noise in [0, 1): lattice numbers with smooth interpolation."""
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
@@ -150,7 +150,7 @@ def _noise(x: float, y: float, z: float) -> float:
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fractal(x: float, y: float, z: float, frequency: float, footprint: float) -> float:
     """Octaves of noise around 0, none finer than the pixel's footprint on the ground."""
     total, weight = 0.0, 0.5
@@ -163,14 +163,14 @@ def _fractal(x: float, y: float, z: float, frequency: float, footprint: float) -
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _step(x: float, low: float, high: float) -> float:
     """Smooth step from 0 at ``low`` to 1 at ``high``."""
     t = min(max((x - low) / (high - low), 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _ground_albedo(x: float, y: float, z: float, footprint: float, slant: float) -> float:
     """Albedo of clouds, land, sea and haze at a place of the unit sphere.
 
@@ -193,7 +193,7 @@ def _ground_albedo(x: float, y: float, z: float, footprint: float, slant: float)
     return albedo * (1.0 - haze) + haze * 0.9
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _paint_earth(
     rays: Array, centre: Array, sun: Array, distance: float, pixel: float, turn: Array,
     offset: Array, radiance: Float32s, clear: Float32s,

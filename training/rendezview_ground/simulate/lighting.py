@@ -18,7 +18,7 @@ _FOLD_TEXELS = 2.0  # texels; a surface that close above a face's plane does not
 _FAINTEST = 1e-4  # highlights below are not computed
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sunlight(
     point: Array, normals: Array, face: int, nearness: Float32s, owner: Int32s, axes: Array,
     origin: Array, texel: float,
@@ -57,7 +57,7 @@ def _sunlight(
     return light
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _highlight(
     point: Array, normals: Array, face: int, sun: Array, shininess: float, faintest: float
 ) -> float:
@@ -74,7 +74,7 @@ def _highlight(
     return 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def shade_samples(
     nearness: Float32s, owner: Int32s, samples: int, fx: float, fy: float, cx: float, cy: float,
     normals: Array, diffuse: Array, sun_cosine: Array, glow: Array, specular: float,

@@ -1,4 +1,4 @@
-"""The echoes of a laser ranger beside the camera, as `fuse` and `ring size` read them."""
+"""The echoes of a laser ranger beside the camera, as `fuse` and `calibrate ring` read them."""
 
 from __future__ import annotations
 

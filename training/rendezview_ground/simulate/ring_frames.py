@@ -226,7 +226,7 @@ def _row(plate: Plate) -> list[float]:
     return [*homography.ravel(), kind, *sizes, *plate.sector_rad, plate.grey, *plate.shade, 0.0]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _plate_at(table: Array, x: float, y: float) -> int:
     """Number of the first plate that a ray hits, −1 for the sky."""
     for j in range(table.shape[0] - 1, -1, -1):
@@ -248,7 +248,7 @@ def _plate_at(table: Array, x: float, y: float) -> int:
     return -1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _grey(table: Array, j: int, x: float, y: float, sky: float) -> float:
     """Grey level of plate ``j`` where a ray hits it, or of the sky."""
     if j < 0:
@@ -259,7 +259,7 @@ def _grey(table: Array, j: int, x: float, y: float, sky: float) -> float:
     return float(max(0.0, t[14] + t[15] * a + t[16] * b))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _paint(rays: Array, table: Array, sky: float, out: Float32s) -> None:
     """Grey levels of all pixels; pixels whose four quarters hit different plates are averaged."""
     height, width = out.shape

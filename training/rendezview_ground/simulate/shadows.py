@@ -73,7 +73,7 @@ def shadow_map(
     return ShadowMap(nearness, owner, axes, corner @ axes, texel_m)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _visible_bounds(
     nearness: Float32s, owner: Int32s, fx: float, fy: float, cx: float, cy: float, incidence: Array,
     axes: Array,

@@ -14,7 +14,7 @@ SPOTS = "spots"  # the only cause that differs from reading to reading
 # What a user can give so that a cause is known. Source: by construction, a message
 _REMEDIES = {
     "camera": "the camera file has no intrinsics_covariance (calibrate camera writes it)",
-    "calibration": "the rig file has no covariance (stereo calibrate writes it)",
+    "calibration": "the rig file has no covariance (calibrate rig writes it)",
     "places": "the target file has no position_sigma_m of every reflector or light",
 }
 

@@ -172,7 +172,7 @@ def joined(parts: list[Arrays]) -> ScoreForest:
     return ScoreForest(roots=np.concatenate(roots).astype(np.int32), **others)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _rolled_bytes(
     readings: Bytes, rows: npt.NDArray[np.intp], rolls_rad: Array,
     strain: npt.NDArray[np.float32], out: Bytes,

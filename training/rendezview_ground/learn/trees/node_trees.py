@@ -237,7 +237,7 @@ def _rolled_rows(readings: Readings, rows: npt.NDArray[np.intp], rolls_rad: Arra
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _roll_rows(
     readings: Readings, rows: npt.NDArray[np.intp], rolls_rad: Array, out: Readings
 ) -> None:

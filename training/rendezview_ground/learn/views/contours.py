@@ -209,7 +209,7 @@ def _of_both(
     return np.concatenate(chosen)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _free_runs(
     points: Array,
     focal: float,

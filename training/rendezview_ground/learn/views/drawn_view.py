@@ -76,7 +76,7 @@ def draw_view(
     return DrawnView(rotation, vertices, on_plane, faces, float(focal), middle, nearness, owner)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _in_camera(
     vertices: Array, rotation: Array, translation: Array, focal: float, middle: float
 ) -> tuple[Array, Array]:

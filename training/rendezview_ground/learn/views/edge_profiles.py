@@ -74,7 +74,7 @@ def edge_profiles(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _joined(
     samples: Array, depth: Array, weights: Array, most: int, step: float
 ) -> npt.NDArray[np.int64]:
@@ -132,7 +132,7 @@ def _joined(
     return first[:parts]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sample(
     point: Array, tx: float, ty: float, places_px: Array, aside: float, vertices: Array,
     corners: Array, faces: Int32s, beside: Int32s, focal: float, middle: float, owner: Int32s,
@@ -159,7 +159,7 @@ def _sample(
                 depth[i] = 1.0 / scratch.nearness[i]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _nearest_start(first: npt.NDArray[np.int64], places: Array, wide: Array) -> int:
     """The stretch that begins nearest to the edge itself; stretches before it are sky."""
     sky, nearest = 0, np.inf
@@ -170,7 +170,7 @@ def _nearest_start(first: npt.NDArray[np.int64], places: Array, wide: Array) -> 
     return sky
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _average(
     first: npt.NDArray[np.int64], sky: int, places: Array, wide: Array, weights: Array,
     samples: Array, depth: Array, normal: Array, colour: Array, starts: Array,
@@ -198,7 +198,7 @@ def _average(
             starts[part - 1, 1] = nearer
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _profiles(
     points: Array, outer: Array, outer_wide: Array, inner: Array, inner_wide: Array,
     vertices: Array, corners: Array, faces: Int32s, beside: Int32s, focal: float, middle: float,

@@ -233,7 +233,7 @@ def _noise_tile() -> npt.NDArray[np.int16]:
     return _noise
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def exposed(
     cover: Mask,
     gain: float,

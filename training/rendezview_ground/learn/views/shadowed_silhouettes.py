@@ -133,7 +133,7 @@ def shadowed_silhouettes(
     }
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _shown(
     nearness: Float32s, owner: Int32s, focal: float, middle: float, range_m: float,
     rotation: Array, normals: Array,
@@ -167,7 +167,7 @@ def _shown(
     return pixels, places, facing
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _light(
     pixels: Int32s, places: Array, facing: Array, sun: Array, axes: Array, corner: Array,
     texel_m: float, sunward: Float32s, mask: npt.NDArray[np.uint8],

@@ -102,7 +102,7 @@ def chosen_surface(
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _look_up(
     places: Array,
     faces: Int32s,

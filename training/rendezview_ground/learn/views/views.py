@@ -55,7 +55,7 @@ def look_from(direction: Array, roll_rad: float = 0.0) -> Array:
     return rotation
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _look(direction: Array, up: Array, roll_rad: float, rotation: Array) -> None:
     z = -direction
     x = np.cross(-up, z)
@@ -124,7 +124,7 @@ def rays(points_px: Array, window: Window) -> Array:
     return plane_rays(points_px, window.focal_px, window.cx, window.cy)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def plane_rays(points_px: Array, focal_px: float, cx: float, cy: float) -> Array:
     """Rays (M, 3), z = 1, of pixels (M, 2) of an undistorted picture plane."""
     out = np.empty((len(points_px), 3))

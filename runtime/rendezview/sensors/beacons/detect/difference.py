@@ -22,8 +22,9 @@ from rendezview.geometry.camera import Camera
 
 Grey = npt.NDArray[np.uint8]
 
-# rows; the noise is measured on one row in so many. Source: by construction, a bound of time
-_NOISE_STEP = 12
+# rows; the noise is measured on one row in so many, and on not many more than so many in all.
+# Source: by construction, a bound of time
+_NOISE_STEP, _NOISE_ROWS = 12, 60
 _CELL_PX = 8  # px, of the coarse background. Source: by construction, its median takes 0.1 ms
 _MEDIAN_CELLS = (25, 9, 5)  # of the medians: 200 px. Source: by construction, over the largest disc
 _FILTER_PX = 1.0  # σ. Source: by construction, that of a spot of 2 px FWHM and pixel
@@ -198,7 +199,7 @@ def noise_grey(frames: LitDark) -> float:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _count_steps(lit: Grey, dark: Grey, counts: npt.NDArray[np.int64]) -> None:
     """How often neighbours in a row differ by so many grey levels; the difference's where dark."""
-    for v in range(0, lit.shape[0], _NOISE_STEP):
+    for v in range(0, lit.shape[0], max(_NOISE_STEP, lit.shape[0] // _NOISE_ROWS)):
         if dark.shape[0] > 0:
             last = np.int64(lit[v, 0]) - np.int64(dark[v, 0])
             for u in range(1, lit.shape[1]):

@@ -33,8 +33,12 @@ from rendezview.sensors.beacons.detect.spots import (
 
 _CELLS_PX = (4, 8, 16, 32)  # Source: by construction, the extents of spots of σ 1 to 8 px
 _CELLS_A_SIZE = 4.0  # px of a cell for each of a spot's σ. Source: experiment reflector-nees
-_CHANCE = 1.15  # of the variance of cells. Source: by construction, 3 σ of 1500 cells
+_CHANCE = 1.15  # of the variance of slopes. Source: by construction, 3 σ of 1500 cells
+# / √N: that of N steps between cells by chance. Source: 4 σ of their median, were they independent
+_STEPS_CHANCE = 9.5
 _DIFFERENCE_CELLS = 3  # of a difference: spots reach into most wider cells. Source: by construction
+_MOST_CELLS = 2000  # that are looked at. Source: by construction, a chance of 1.2
+_BAND = 8  # rows of cells. Source: by construction, few steps are lost between bands
 _FEWEST_STEPS = 50  # between cells. Source: by construction, their median is within 20 %
 _EVERY = 4  # rows. Source: by construction, a bound of time
 # × a spot's size, and px: the Gaussian with the slope of the plane through the ring about the spot.
@@ -44,7 +48,8 @@ _RING, _RING_PX = 1.8, 2.0
 _LEAST_LEFT = 0.02  # of a variance whose texture is taken out. Source: by construction, white noise
 _MOST, _MOST_SIGMA = 0.8, 1.2816  # share of the slopes, σ. Source: normal distribution
 _BLOCK = 8  # px. Source: ITU-T T.81
-_ROWS = 3  # of blocks: one row in so many is looked at. Source: by construction, 0.1 ms
+_MOST_BLOCKS = 1000  # that are looked at first. Source: by construction, 0.1 ms
+_SLOWEST = ((0, 1), (1, 0), (1, 1))  # coefficients down, across. Source: by construction
 _FEWEST = 12  # multiples of a step. Source: by construction, chance is below 1e-6
 _LEAST_STEP = 1.5  # grey of a coefficient. Source: by construction, five times its rounding
 # Source: by construction, qualities 30 to 88; smaller steps hide less than a grey level
@@ -80,11 +85,12 @@ class HiddenNoise:
             difference = cv2.subtract(frames.lit, background_of(frames.lit), dtype=cv2.CV_32F)
             return cls(_slopes(difference, noise_grey(frames), len(_CELLS_PX)), compression, True)
         compression += _STEP_VARIANCE * quantisation_step(frames.dark) ** 2
-        difference = cv2.subtract(frames.lit, frames.dark, dtype=cv2.CV_32F)
         noise = noise_grey(frames)
-        lights = _lights(difference.shape, np.zeros((0, COLUMNS)) if table is None else table)
-        slow = _slow(difference, noise, lights)
+        table = np.zeros((0, COLUMNS)) if table is None else table
+        slow = _slow(frames, noise, table)
         if slow.any():  # behind small spots, most of a smooth pattern goes with their ring's plane
+            lights = _lights(frames.lit.shape, table)
+            difference = cv2.subtract(frames.lit, frames.dark, dtype=cv2.CV_32F)
             difference[lights > 0] = np.median(difference[::_EVERY, ::_EVERY])
             slopes = _slopes(difference, noise, _DIFFERENCE_CELLS, lights)
             slow = np.minimum(slow, slopes)
@@ -108,39 +114,48 @@ class HiddenNoise:
         table[:, SIGMA] = np.sqrt(np.maximum(table[:, SIGMA] ** 2 + hidden * moved**2, least))
 
 
-def _lights(shape: tuple[int, ...], table: Array) -> Grey:
-    """(H, W) 1 where a spot's light is: in its box and half as far again, as far as its ring."""
-    mask = np.zeros(shape, np.uint8)
+def _lights(shape: tuple[int, ...], table: Array, cell: int = 1) -> Grey:
+    """(H // cell, W // cell) 1 in cells with a spot's light: its box and half as far again."""
+    mask = np.zeros((shape[0] // cell, shape[1] // cell), np.uint8)
     for left, top, right, bottom in table[:, LEFT : BOTTOM + 1].astype(int):
-        grow = 3 + (max(right - left, bottom - top) + 1) // 2
-        mask[max(top - grow, 0) : bottom + grow + 1, max(left - grow, 0) : right + grow + 1] = 1
+        grow = 3 + (max(right - left, bottom - top) + 1) // 2  # as far as its ring
+        rows = slice(max(top - grow, 0) // cell, (bottom + grow) // cell + 1)
+        mask[rows, max(left - grow, 0) // cell : (right + grow) // cell + 1] = 1
     return mask
 
 
-def _slow(difference: cv2.typing.MatLike, noise: float, lights: Grey) -> Array:
+def _slow(frames: LitDark, noise: float, table: Array) -> Array:
     """(4,) variance of cells of the difference beyond that of white noise, as noise of a pixel."""
-    height, width = difference.shape
+    assert frames.dark is not None
     found = np.zeros(len(_CELLS_PX))
     for k, cell in enumerate(_CELLS_PX[:_DIFFERENCE_CELLS]):
-        if min(height, width) < 8 * cell:
+        if min(frames.lit.shape) < _BAND * cell:
             break
-        size = (width // cell, height // cell)
-        cells = cv2.resize(
-            difference[: size[1] * cell, : size[0] * cell], size, interpolation=cv2.INTER_AREA
-        )
-        lit = cv2.resize(
-            lights[: size[1] * cell, : size[0] * cell], size, interpolation=cv2.INTER_AREA
-        )
-        dark = np.where(lit > 0, np.nan, cells)
-        steps = np.concatenate([np.diff(dark, axis=1).ravel(), np.diff(dark, axis=0).ravel()])
-        steps = steps[np.isfinite(steps)]
-        if len(steps) < _FEWEST_STEPS:
+        lit, dark = _bands(frames.lit, cell), _bands(frames.dark, cell)
+        difference = cv2.subtract(lit, dark, dtype=cv2.CV_32F)
+        size = (lit.shape[1] // cell, lit.shape[0] // cell)
+        cells = np.asarray(cv2.resize(difference, size, interpolation=cv2.INTER_AREA))
+        cells = cells.reshape(-1, _BAND, size[0])
+        free = _bands(_lights(frames.lit.shape, table, cell), 1).reshape(cells.shape) == 0
+        steps = [np.diff(cells, axis=2)[free[..., 1:] & free[..., :-1]],
+                 np.diff(cells, axis=1)[free[:, 1:] & free[:, :-1]]]  # fmt: skip
+        sizes = np.abs(np.concatenate(steps))
+        if len(sizes) < _FEWEST_STEPS:
             break
         # Spots and edges are few: the median of |steps| is 0.6745 √2 σ of a normal distribution.
-        sigma = float(np.median(np.abs(steps))) / (0.6745 * math.sqrt(2.0))
+        middle = len(sizes) // 2
+        sigma = float(np.partition(sizes, middle)[middle]) / (0.6745 * math.sqrt(2.0))
         variance = (cell * sigma) ** 2
-        found[k:] = variance - noise**2 if variance > _CHANCE * noise**2 else 0.0
+        chance = 1.0 + _STEPS_CHANCE / math.sqrt(len(sizes))
+        found[k:] = variance - noise**2 if variance > chance * noise**2 else 0.0
     return found
+
+
+def _bands(picture: Grey, cell: int) -> Grey:
+    """Some of a picture's bands of rows of cells, one under the other; whole cells only."""
+    height, width = picture.shape[0] // (_BAND * cell), picture.shape[1] // cell
+    bands = picture[: _BAND * cell * height, : cell * width].reshape(height, -1)
+    return bands[:: 1 + _BAND * height * width // _MOST_CELLS].reshape(-1, cell * width)
 
 
 def _slopes(
@@ -182,10 +197,11 @@ def quantisation_step(picture: Grey) -> float:
     blocks = picture[: rows * _BLOCK, : columns * _BLOCK].reshape(rows, _BLOCK, columns, _BLOCK)
     angle = math.pi * (np.arange(_BLOCK) + 0.5) / _BLOCK
     basis = np.stack([np.full(_BLOCK, math.sqrt(0.125)), 0.5 * np.cos(angle)], axis=1)
-    for every in (_ROWS, 1):  # in a dark picture only the spots' own blocks have any
-        across = blocks[::every].astype(np.float64) @ basis  # (rows, 8, columns, 2)
-        whole = np.einsum("rycu,yv->vurc", across, basis)
-        steps = [_common_step(np.abs(whole[v, u].ravel())) for v, u in ((0, 1), (1, 0), (1, 1))]
+    # In a dark picture only the spots' own blocks have any.
+    for every in (1 + rows * columns // _MOST_BLOCKS, 1):
+        across = blocks[::every].astype(np.float32) @ basis  # (rows, 8, columns, 2)
+        whole = np.tensordot(basis, across, ((0,), (1,)))  # (v, rows, columns, u)
+        steps = [_common_step(np.abs(whole[v, ..., u].ravel())) for v, u in _SLOWEST]
         known = [step for step in steps if step is not None]
         found = [step for step in known if step > 0]
         if len(known) > 1:
@@ -198,9 +214,10 @@ def _common_step(sizes: Array) -> int | None:
     sizes = sizes[sizes > _LEAST_STEP]
     if len(sizes) < _FEWEST:
         return None
-    for step in _STEPS:
+    largest = sizes.min() / (1.0 - 3.0 * _OFF_GRID)  # of which the least may be a multiple
+    for step in (step for step in _STEPS if step <= largest):
         some = sizes[sizes < _MULTIPLES * step] / step
-        if len(some) < _FEWEST or some.min() < 1.0 - 3.0 * _OFF_GRID:
+        if len(some) < _FEWEST:
             continue
         if np.abs(some - np.rint(some)).mean() < _OFF_GRID:
             return step
