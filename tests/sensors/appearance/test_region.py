@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
@@ -12,7 +15,12 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker
 from rendezview.sensors.appearance.edges.contour_at import target_box
+from rendezview.sensors.appearance.edges.network import Sketch
+from rendezview.sensors.appearance.model.sketches import COVER, MAPS
 from rendezview.sensors.appearance.region import Region
+from rendezview.sensors.appearance.search import windows
+from rendezview.sensors.appearance.search.sketch_search import SketchSearch
+from rendezview.sensors.appearance.search.starts import quarter_turns, rotated_by
 from rendezview.sensors.appearance.search.windows import overlap
 from rendezview_ground.simulate.scene import SceneOptions, render_frame
 
@@ -158,3 +166,56 @@ def test_a_tracker_that_lost_its_target_looks_where_it_was_in_any_attitude(recog
     looks = [tracker.update(k, last).pose for k in (4.0, 5.0)]
     assert looks[1] is not None  # it has turned far: the first look is confirmed
     assert looks[1].angle_to(turned) < RIGHT_RAD
+
+
+class Halves:
+    """A sketcher whose network sees a body of 140 × 120 px of a frame, wherever it is looked."""
+
+    body = np.array([150.0, 100.0, 290.0, 220.0])
+
+    def look(self, frame, box) -> Sketch:
+        left, top, right, bottom = np.round(np.clip(box, 0.0, [640.0, 480.0, 640.0, 480.0]))
+        maps = np.zeros((MAPS, int(bottom - top), int(right - left)), np.float32)
+        x0, y0, x1, y1 = (self.body - [left, top, left, top]).astype(int)
+        maps[COVER, max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)] = 1.0
+        crossed = np.zeros((2, 2), bool)
+        return Sketch(maps, maps[0].astype(np.uint8), 1.0, -left, -top, crossed, 1.0)
+
+
+def test_a_body_that_every_window_cuts_is_looked_at_whole(monkeypatch):
+    alike = SimpleNamespace(likeness=lambda sketch: 1.0)
+    cut = [(150.0 - x, 60.0, 250.0 - x, 300.0) for x in (20.0, 40.0)]
+    monkeypatch.setattr(windows, "_windows", lambda height, width: iter(cut))
+    frame = np.zeros((480, 640), np.uint8)
+    [body] = windows.bodies_in_windows(Halves(), alike, frame, 3)
+    assert body.box_px == pytest.approx(Halves.body, abs=1.0)
+
+
+def test_edges_that_the_sketch_contradicts_give_no_pose(recognizer, bumpy_mesh, monkeypatch):
+    """Before a bright sky other things have edges, too."""
+    model, pose = recognizer.model, pose_of(recognizer.model, 1)
+    frame, _ = room(bumpy_mesh, pose, 1)
+    box, best = told(pose, model), SketchSearch.best
+
+    def another(self, frame, sky):
+        found = best(self, frame, sky)
+        rotation = Rotation.from_rotvec([0.0, 2.0, 0.0]).as_matrix() @ found.best.pose.rotation
+        there = Pose(rotation, pose.apply(model.centre_m) - rotation @ model.centre_m)
+        return replace(found, best=replace(found.best, pose=there), probability=0.3)
+
+    assert recognizer.recognize(frame, roi=box).pose.angle_to(pose) < RIGHT_RAD
+    monkeypatch.setattr(SketchSearch, "best", another)
+    seen = recognizer.recognize(frame, roi=box)
+    assert seen.pose is None
+    assert "grey edges and the sketch show poses" in seen.reason
+
+
+def test_quarter_turns_turn_the_target_about_its_middle(recognizer):
+    model, pose = recognizer.model, pose_of(recognizer.model, 1)
+    turned = rotated_by(pose, quarter_turns(model), model.centre_m)
+    assert len(turned) == 6
+    for one in turned:
+        assert one.angle_to(pose) == pytest.approx(0.5 * np.pi)
+        assert one.apply(model.centre_m) == pytest.approx(pose.apply(model.centre_m))
+    apart = [a.angle_to(b) for k, a in enumerate(turned) for b in turned[:k]]
+    assert min(apart) > 1.0

@@ -38,6 +38,7 @@ from rendezview.sensors.appearance.verdict import (
     LEAST_POSTERIOR,
     Near,
     beside_look_alikes,
+    contradicted,
     is_known,
     refused,
 )
@@ -157,7 +158,9 @@ class PoseFinder:
         if traced.outlines:
             found = by_outline(give_up=0.0 if self.sketch is None else _LEAST_CONFIDENT)
             clock.lap("refine")
-        best = found if self._confident(found) else None
+        # Before a bright sky other things have edges, too: two estimators must agree.
+        alone = sky.dark or self.sketch is None
+        best = found if alone and self._confident(found) else None
         if best is None and self.sketch is not None:
             sketched = self.sketch.best(frame, sky)
             clock.lap("sketch")
@@ -177,10 +180,15 @@ class PoseFinder:
                 found = by_outline(again=True, also=answers, sketched=sketched)
                 best = self._likelier(search, frame, sky, found, sketched)
             clock.lap("refine")
-        if best is not None:
+        apart_rad = 0.0
+        if not alone and best is not None and sketched is not None:
+            poses = best.best.pose, sketched.best.pose
+            apart_rad = angle_between(*poses, self.model.symmetries)
+        if best is not None and apart_rad <= NEAR_RAD:
             return self._given(self.outline.seen(traced, best.best.pose, clock), best)
         view = self.outline.recognize(traced, None, None, clock)
-        return refused(view, self._refusable(found, sketched))
+        seen = refused(view, self._refusable(found, sketched))
+        return contradicted(seen, apart_rad) if apart_rad > NEAR_RAD else seen
 
     def _among_others(self, seen: AppearanceObservation, request: Request) -> AppearanceObservation:
         """The pose of the body that is the target, where a frame is full of other things.

@@ -124,6 +124,13 @@ def refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObser
     )
 
 
+def contradicted(seen: AppearanceObservation, apart_rad: float) -> AppearanceObservation:
+    """The refused observation of a frame whose grey edges and sketch show two poses."""
+    apart = f"grey edges and the sketch show poses {np.rad2deg(apart_rad):.0f}° apart"
+    reason = f"{apart}: give a prior, or say where the target is (roi)"
+    return replace(seen, status=Status.AMBIGUOUS, reason=reason)
+
+
 def unconfirmed(seen: AppearanceObservation) -> AppearanceObservation:
     """The observation of a pose that the next frame must confirm."""
     return replace(

@@ -108,12 +108,12 @@ class Sketcher:
         box = _box_of(glance)
         if box is None:
             return None
-        sketch = self.look(frame, _around(box), turned=turned)
+        sketch = self.look(frame, around(box), turned=turned)
         better = _box_of(sketch)
         if better is None:
             return None
         if _differ(box, better):
-            sketch = self.look(frame, _around(better), turned=turned)
+            sketch = self.look(frame, around(better), turned=turned)
             better = _box_of(sketch)
         return sketch if better is not None else None
 
@@ -129,7 +129,7 @@ class Sketcher:
         left, top, right, bottom = box
         if right < 0.0 or bottom < 0.0 or left > width - 1.0 or top > height - 1.0:
             return None
-        square = _around(box)
+        square = around(box)
         if fineness > 1:
             scale = _scale(_inside(frame, square), (fineness * SIDE_PX, fineness * SIDE_PX))
             part = _inside(frame, _widened(box, _CLOSER_MARGIN))
@@ -137,7 +137,7 @@ class Sketcher:
         sketch = self.look(frame, square, turned=turned)
         better = _box_of(sketch)
         if better is not None and _differ(box, better):
-            sketch = self.look(frame, _around(better), turned=turned)
+            sketch = self.look(frame, around(better), turned=turned)
         return sketch
 
     def look(
@@ -259,7 +259,7 @@ def _box_of(sketch: Sketch) -> Box | None:
     return sketch.box_in_frame((int(box[0]), int(box[1]), int(box[2]), int(box[3])))
 
 
-def _around(box: Box) -> Box:
+def around(box: Box) -> Box:
     """The square to sketch around the box of a target."""
     x, y = 0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3])
     half = 0.5 * max(_MARGIN * max(box[2] - box[0], box[3] - box[1]), _LEAST_SIDE * SIDE_PX)

@@ -29,8 +29,10 @@ from rendezview.sensors.appearance.outline.retrieval import Retrieval
 from rendezview.sensors.appearance.search.levels import Levels
 from rendezview.sensors.appearance.search.starts import (
     half_turns,
+    quarter_turns,
     rotated_about,
     rotated_about_axes,
+    rotated_by,
     within,
 )
 from rendezview.sensors.appearance.sky import Sky
@@ -97,7 +99,7 @@ class PoseSearch:
         self.bounds: tuple[Bound, ...] = ()  # of all poses
         self._retrieval = Retrieval(model)
         self._forest_scores = model.forest_scores()  # None: the model has no forest
-        self._half_turns = half_turns(model)
+        self._half_turns, self._quarter_turns = half_turns(model), quarter_turns(model)
 
     def with_camera(self, camera: Camera, *bounds: Bound) -> PoseSearch:
         """The same search in the frames of another camera, and within more bounds."""
@@ -206,6 +208,8 @@ class PoseSearch:
                 break
             asked.append(found.best.pose)
             others = rivals.look_alikes(found.best.pose)
+            if not candidates.sky.dark:  # boxes of rooms look alike after quarter turns
+                others += rotated_by(found.best.pose, self._quarter_turns, self.model.centre_m)
             candidates.refine(others, least=found.best.inlier_ratio - _MOST_BEHIND)
             found = candidates.choose()
         if sketched is None:

@@ -49,12 +49,29 @@ def rotated_about_axes(pose: Pose, centre_m: Array, error_rad: float) -> list[Po
 
 def half_turns(model: ViewModel) -> Array:
     """(3, 3, 3) rotations by 180° about the principal axes of the model's contour points."""
+    return np.array([2.0 * np.outer(axis, axis) - np.eye(3) for axis in _axes(model)])
+
+
+def quarter_turns(model: ViewModel) -> Array:
+    """(6, 3, 3) rotations by ±90° about the principal axes of the model's contour points."""
+    turns = [sign * 0.5 * np.pi * axis for axis in _axes(model) for sign in (1.0, -1.0)]
+    return np.asarray(Rotation.from_rotvec(turns).as_matrix())
+
+
+def rotated_by(pose: Pose, turns: Array, centre_m: Array) -> list[Pose]:
+    """A pose with the target rotated by each of some turns (K, 3, 3) about the view centre."""
+    rotations, centre = pose.rotation @ turns, pose.apply(centre_m)
+    return [Pose(rotation, centre - rotation @ centre_m) for rotation in rotations]
+
+
+def _axes(model: ViewModel) -> Array:
+    """(3, 3) the principal axes of the model's contour points, a row each."""
     contours = model.contours
     if contours is None:
         raise ValueError("the model has no contour points")
     shape = (-1, contours.point.shape[-1])
     _, axes = np.linalg.eigh(second_moments(contours.point.reshape(shape), contours.kind.ravel()))
-    return np.array([2.0 * np.outer(axis, axis) - np.eye(3) for axis in axes.T])
+    return np.asarray(axes.T)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -15,7 +15,15 @@ import numpy as np
 
 from rendezview.geometry.pose import Array
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.network import COVERED, Box, Sketch, Sketcher
+from rendezview.sensors.appearance.edges.network import (
+    COVERED,
+    Bools,
+    Box,
+    Part,
+    Sketch,
+    Sketcher,
+    around,
+)
 from rendezview.sensors.appearance.model.sketches import COVER
 from rendezview.sensors.appearance.search.by_sketch import SketchRetrieval
 
@@ -25,6 +33,8 @@ _SIDES = (1.0, 0.62, 0.38)
 _STEP = 0.5  # of a window, to the next one. Source: by construction, a body is whole in one
 # Of a window: a smaller body has a smaller window of its own. Source: by construction
 _LEAST_SIDE = 0.25
+# Of the longer side of what a window shows of a body: so much more lies beyond. Source: drawn rooms
+_BEYOND = 0.3
 SAME_BODY = 0.5  # intersection over union of boxes of the same body. Source: as in detection
 
 
@@ -44,11 +54,16 @@ def bodies_in_windows(
 
     ``may_be``: whether a body with a box (4,), px, may be the target.
     """
-    found = [
-        Body(np.array(part.box_in_frame(box)), retrieval.likeness(part))
-        for window in _windows(*frame.shape)
-        for part, box in _bodies(sketcher.look(frame, window))
-    ]
+    found, cut = list[Body](), list[Box]()
+    for window in _windows(*frame.shape):
+        sketch = sketcher.look(frame, window)
+        found += [Body(np.array(box), retrieval.likeness(part)) for part, box in _whole(sketch)]
+        for box in _cut(sketch, frame.shape):
+            if all(overlap(box, other) < SAME_BODY for other in cut):
+                cut.append(box)
+    for box in cut:
+        sketch = sketcher.look(frame, around(box))
+        found += [Body(np.array(box), retrieval.likeness(part)) for part, box in _whole(sketch)]
     kept: list[Body] = []
     for body in sorted(found, key=lambda b: -b.likeness):
         if len(kept) == most:
@@ -83,14 +98,37 @@ def _starts(whole: int, side: float) -> Array:
     return np.linspace(0.0, room, 1 + int(np.ceil(room / (_STEP * side))))
 
 
-def _bodies(sketch: Sketch) -> Iterator[tuple[Sketch, tuple[int, int, int, int]]]:
-    """Each body that lies whole within a sketch: the sketch of it alone, and its box."""
+def _whole(sketch: Sketch) -> Iterator[tuple[Sketch, Box]]:
+    """Each body that lies whole within a sketch: the sketch of it alone, and its box, frame px."""
+    for inside, box, crossed in _bodies(sketch):
+        if not crossed.any():
+            yield replace(sketch, maps=sketch.maps * inside), sketch.box_in_frame(box)
+
+
+def _cut(sketch: Sketch, shape: tuple[int, int]) -> Iterator[Box]:
+    """Where the rest of each body may be that leaves the window, but not a frame (H, W)."""
+    for _, box, crossed in _bodies(sketch):
+        left, top, right, bottom = sketch.box_in_frame(box)
+        more = _BEYOND * max(right - left, bottom - top)
+        at_border = left < 0.0 or top < 0.0 or right > shape[1] - 1.0 or bottom > shape[0] - 1.0
+        if crossed.any() and not crossed.all(1).any() and not at_border:
+            (to_left, to_right), (above, below) = more * crossed
+            yield left - to_left, top - above, right + to_right, bottom + below
+
+
+def _bodies(sketch: Sketch) -> Iterator[tuple[Bools, Part, Bools]]:
+    """Each body of a sketch that is not small in it.
+
+    Yields:
+        Where it is (h, w), its box, sketch px, and which sides it crosses (2, 2): the left, the
+        right; the upper, the lower.
+    """
     covered = (sketch.maps[COVER] > COVERED).astype(np.uint8)
     height, width = covered.shape
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(covered, connectivity=8)
     for k in range(1, count):
         left, top, across, down = (int(side) for side in boxes[k, :4])
-        inside = left > 0 and top > 0 and left + across < width and top + down < height
-        if inside and max(across, down) >= _LEAST_SIDE * max(height, width):
-            maps = sketch.maps * (labels == k)
-            yield replace(sketch, maps=maps), (left, top, left + across, top + down)
+        right, bottom = left + across, top + down
+        crossed = np.array([[left == 0, right == width], [top == 0, bottom == height]])
+        if max(across, down) >= _LEAST_SIDE * max(height, width):
+            yield labels == k, (left, top, right, bottom), crossed
