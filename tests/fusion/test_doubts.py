@@ -122,3 +122,12 @@ def test_readings_beside_one_error_of_the_state_say_together_what_one_does():
         found.append(_own_share(Rival(Kind.DOUBT, main, 0.0, 4.5), seen))
     assert found[0] == pytest.approx(1.0, abs=1e-3)
     assert found[1] < 0.01
+
+
+def test_what_else_may_be_true_is_told_with_its_probability():
+    world, fusion = World(0), Fusion()
+    for k in range(20):
+        fusion.add(world.pose(0.5 * k))
+    assert Kind.START not in fusion.rivals
+    fusion.add(world.pose(10.0, 40.0 * SIGMA))
+    assert 0.0 < fusion.rivals[Kind.START] < 0.1
