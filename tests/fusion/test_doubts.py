@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from tests.fusion.scenes import SIGMA, World, along_axis
 
-from rendezview.fusion import Fusion
-from rendezview.fusion.choice import _outlived
-from rendezview.fusion.hypothesis import Hypothesis
+from rendezview.fusion import Fusion, FusionOptions
+from rendezview.fusion.choice import _outlived, _own_share
+from rendezview.fusion.hypothesis import Hypothesis, look
 from rendezview.fusion.rivals import Kind, Rival
 from rendezview.fusion.trust import LOCK_AFTER, Trust
 
@@ -106,3 +106,28 @@ def test_a_doubt_that_wins_is_no_rival_of_itself_and_an_unknown_sensor_stays_in_
     assert (kept.kind, kept.doubts, kept.hypothesis) == (Kind.DOUBT, "laser", loser)
     trusting = loser._replace(trusts={"laser": Trust("laser")})
     assert _outlived(kept._replace(fitting=3), trusting, (kept,), 1.0) == ()
+
+
+def test_readings_beside_one_error_of_the_state_say_together_what_one_does():
+    """How much a reading says anew, beside a sharp state and beside a wide one."""
+    world, fusion = World(0), Fusion()
+    for k in range(10):
+        fusion.add(world.pose(0.5 * k))
+    told = world.range(4.5)
+    main = fusion._newest.main
+    found = []
+    for sigma_m in (10.0, 0.001):
+        reading = replace(told, sigma_m=sigma_m)
+        seen = look(main.state, reading, FusionOptions())
+        found.append(_own_share(Rival(Kind.DOUBT, main, 0.0, 4.5), seen))
+    assert found[0] == pytest.approx(1.0, abs=1e-3)
+    assert found[1] < 0.01
+
+
+def test_what_else_may_be_true_is_told_with_its_probability():
+    world, fusion = World(0), Fusion()
+    for k in range(20):
+        fusion.add(world.pose(0.5 * k))
+    assert Kind.START not in fusion.rivals
+    fusion.add(world.pose(10.0, 40.0 * SIGMA))
+    assert 0.0 < fusion.rivals[Kind.START] < 0.1

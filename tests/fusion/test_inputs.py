@@ -45,6 +45,24 @@ def test_a_gyroscope_carries_the_attitude_through_a_gap():
     assert np.linalg.norm(world.error(guessed.pose, world.truth(23.9))[:3]) > 0.15
 
 
+def test_a_thrust_within_a_gyroscopes_interval_takes_no_part_of_its_turn():
+    """A push of nothing, in the middle of each interval of a rate that changes."""
+    rng, tells, alone = np.random.default_rng(3), Fusion(), Fusion()
+    world = World(3)
+    for fusion in (tells, alone):
+        for k in range(20):
+            pose = world.truth(0.5 * k)
+            fusion.add(PoseMeasurement(0.5 * k, "camera", pose, np.diag(SIGMA**2)))
+        fusion.add(RateMeasurement(9.5, "gyro", np.zeros(3), 1e-4))
+    for k in range(20, 25):
+        time_s, rate = 0.5 * k, 0.02 * rng.standard_normal(3)
+        tells.add(ThrustMeasurement(time_s - 0.25, "thrust", np.zeros(3), 1e-9))
+        for fusion in (tells, alone):
+            fusion.add(RateMeasurement(time_s, "gyro", rate, 1e-4))
+    one, other = (fusion.state_at(12.0).pose for fusion in (tells, alone))
+    assert one.angle_to(other) < 2e-4  # 5 mrad with the first half of each at the rate before
+
+
 def test_a_thrust_that_is_told_is_no_surprise():
     change = np.array([0.3, -0.2, 0.1])  # of the camera: the target moves the other way
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rendezview.errors import RendezviewError
+from rendezview.io.bundled import find_target
 from rendezview.io.target import METRES_PER_UNIT, Target
 
 MESH = '[mesh]\npath = "client.glb"\nunit = "m"\n'
@@ -187,3 +188,12 @@ def test_a_target_file_that_is_not_text_is_named(tmp_path):
     (tmp_path / "target.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(RendezviewError, match="not text in UTF-8"):
         Target.load(tmp_path)
+
+
+def test_a_folder_of_results_does_not_hide_a_bundled_vehicle_of_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hubble").mkdir()
+    assert find_target("hubble").name == "hubble"
+    (tmp_path / "hubble" / "target.toml").write_text("wrong")
+    with pytest.raises(RendezviewError):
+        find_target("hubble")

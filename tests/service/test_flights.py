@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import struct
 import threading
 import time
 from dataclasses import replace
@@ -12,7 +14,9 @@ import numpy as np
 import pytest
 from tests.ground.fly.test_rendered import PLAN
 from tests.service.page_feed import text_has, until
-from tests.waiting import MOST_S, wait_until
+from tests.service.test_ros_viewer import node
+from tests.waiting import MOST_S, free_port, wait_until
+from websockets.sync.client import connect
 
 from rendezview.errors import RendezviewError
 from rendezview.io.target import Target
@@ -149,6 +153,63 @@ def test_the_state_of_the_service_is_near_the_truth_and_a_refused_reading_is_los
         assert estimate.covariance.shape == (12, 12)
         assert 0.0 < estimate.protection.position_m < 1.0
         assert estimator.update(truth.time_s, []).estimate.pose is None  # nothing came back
+
+
+def test_foxglove_and_ros_see_the_fused_states_and_the_orders_of_a_flight(start_service, setup):
+    pytest.importorskip("zenoh")
+    pytest.importorskip("foxglove")
+    port, endpoint = free_port(), f"tcp/127.0.0.1:{free_port()}"
+    sensors, dynamics = LiveSensors(setup, 0), OrbitDynamics(setup.plan, setup.port, 0)
+    guidance, fused, seen, channels = Guidance(setup.plan, setup.port), {}, {}, {}
+    with node(endpoint) as received:
+        served = start_service("--foxglove", str(port), "--ros", endpoint)
+        with (
+            served.client() as client,
+            connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"]) as viewer,
+            ServiceEstimator(client, sensors, guidance, speed=0.0) as estimator,
+        ):
+            truth, known = dynamics.start(), None
+            for k in range(60):
+                known = estimator.update(truth.time_s, sensors.read(truth, known))
+                if known.estimate.pose is not None:
+                    fused[round(1e3 * truth.time_s)] = known.estimate.pose.translation_m
+                truth = dynamics.step(truth, guidance.command(known))
+                name = estimator.session.name
+                if k == 30:
+                    _order(client, name, do="hold")
+                _listen(viewer, seen, channels)
+                if "hold ordered" in str(seen.get(f"/{name}/flight")):
+                    break
+        served.stop()
+    assert {f"/{name}/state", f"/{name}/target/fused", f"/{name}/flight"} <= set(seen)
+    told = [line for line in received if line["topic"].endswith("/flight")]
+    assert all(line["known"] for line in received)
+    assert [json.loads(line["text"])["reason"] for line in told][-1] == "hold ordered"
+    places = [line for line in received if line["topic"].endswith("target/fused")]
+    both = [(line["xyz"], fused.get(round(1e3 * line["sec"] + 1e-6 * line["nanosec"])))
+            for line in places]  # fmt: skip
+    steered = [(seen_m, used_m) for seen_m, used_m in both if used_m is not None]
+    assert len(steered) > 3
+    for seen_m, used_m in steered:
+        assert seen_m == pytest.approx(used_m, abs=1e-6)
+
+
+def _listen(viewer, seen: dict, channels: dict) -> None:
+    """Subscribe to what a Foxglove server offers, and keep the last of each topic."""
+    for topic in channels:
+        if topic not in seen:
+            asked = [{"id": channels[topic], "channelId": channels[topic]}]
+            viewer.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+    names = {number: topic for topic, number in channels.items()}
+    with contextlib.suppress(TimeoutError):
+        while True:
+            message = viewer.recv(0.05)
+            if isinstance(message, str):
+                told = json.loads(message)
+                new = told.get("channels", []) if told["op"] == "advertise" else []
+                channels.update({channel["topic"]: channel["id"] for channel in new})
+            elif message[0] == 1:
+                seen[names[struct.unpack("<I", message[1:5])[0]]] = message[13:]
 
 
 def test_serve_flies_by_itself_and_its_flight_ends_with_it(start_service):

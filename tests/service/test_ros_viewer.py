@@ -37,6 +37,10 @@ with zenoh.open(config) as session:
         attached = bytes(sample.attachment)
         number, stamp, length = struct.unpack_from("<qqB", attached)
         message = types.deserialize_cdr(bytes(sample.payload), kind)
+        if kind.endswith("String"):
+            known = types.hash_rihs01(kind) == hashed
+            print(json.dumps({"topic": "/".join(topic), "known": known, "text": message.data}))
+            return
         last = message.transforms[0] if hasattr(message, "transforms") else message
         moving = hasattr(last, "transform")
         moved = last.transform.translation if moving else last.pose.pose.position

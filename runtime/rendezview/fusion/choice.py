@@ -246,7 +246,7 @@ def _scored(
     hypothesis, fits = judged(rival.hypothesis, measurement, seen, options)
     if name == rival.doubts:  # it never believes its sensor: what speaks for that speaks against it
         if fits:
-            prior += math.log(hypothesis.trusts[name].fault)
+            prior += _own_share(rival, seen) * math.log(hypothesis.trusts[name].fault)
             known = rival.hypothesis.trusts[name]
             known = after_reading(known, measurement.time_s, False, 1.0, seen.size)
             trusts = {**rival.hypothesis.trusts, name: known}
@@ -258,6 +258,13 @@ def _scored(
     fitting = rival.fitting + (fits and seen.size > 1)
     rival = rival._replace(prior=prior, ratios=ratios, heard=heard, fitting=fitting)
     return rival._replace(hypothesis=hypothesis), fits
+
+
+def _own_share(rival: Rival, seen: Found) -> float:
+    """Share of an innovation's variance that is the reading's own; the state's is the same next."""
+    own = np.diag(seen.forecast.root @ seen.forecast.root.T)
+    whole = np.einsum("m,mij,mij->i", rival.hypothesis.state.weights, *2 * (seen.comparison[2],))
+    return float(np.minimum(own / whole, 1.0).mean())
 
 
 def _relief(rival: Rival, main: Hypothesis, time_s: float) -> float:

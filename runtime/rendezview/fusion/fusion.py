@@ -188,6 +188,14 @@ class Fusion:
         return dict(self._newest.trusts)
 
     @property
+    def rivals(self) -> dict[str, float]:
+        """Probability of what else may be true, by kind: the likeliest of each."""
+        found: dict[str, float] = {}
+        for rival in self._newest.rivals:
+            found[rival.kind] = max(float(expit(rival.score)), found.get(rival.kind, 0.0))
+        return found
+
+    @property
     def starts(self) -> int:
         """How often the filter began, the first time included."""
         return self._newest.starts

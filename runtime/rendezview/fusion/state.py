@@ -184,18 +184,24 @@ def predict(state: FilterState, dt_s: float, options: FusionOptions) -> FilterSt
             motion.jitter_stay_s,
         )  # fmt: skip
     rotation, place, rate, velocity, deviations, covariances, weights = now
-    if turning is not None:
-        swing = so3.exp(-dt_s * turning)
-        rotation = swing @ rotation
-        deviations, covariances = deviations.copy(), covariances.copy()
-        for rows in (slice(0, 3), slice(12, 15)):  # both are in the camera's axes
-            deviations[:, rows] = deviations[:, rows] @ swing.T
-            covariances[:, rows] = swing @ covariances[:, rows]
-            covariances[:, :, rows] = covariances[:, :, rows] @ swing.T
-    return state._replace(
+    state = state._replace(
         time_s=time_s, rotation=rotation, place_m=place, rate=rate, velocity=velocity,
         deviations=deviations, covariances=covariances, weights=weights,
     )  # fmt: skip
+    return state if turning is None else _swung(state, -dt_s * turning)
+
+
+def _swung(state: FilterState, swing_rad: Array) -> FilterState:
+    """The state after a turn of the camera (3,), on the left of its attitude."""
+    swing = so3.exp(swing_rad)
+    deviations, covariances = state.deviations.copy(), state.covariances.copy()
+    for rows in (slice(0, 3), slice(12, 15)):  # both are in the camera's axes
+        deviations[:, rows] = deviations[:, rows] @ swing.T
+        covariances[:, rows] = swing @ covariances[:, rows]
+        covariances[:, :, rows] = covariances[:, :, rows] @ swing.T
+    return state._replace(
+        rotation=swing @ state.rotation, deviations=deviations, covariances=covariances
+    )
 
 
 _HOLD_S = 1.0  # s for which a rate of the camera is taken to go on. Source: chosen
@@ -225,9 +231,13 @@ def _models(motion: MotionOptions) -> tuple[Array, Array]:
 
 
 def turned(state: FilterState, measurement: RateMeasurement, options: FusionOptions) -> FilterState:
-    """The state at the time of a reading of the camera's own rotation."""
+    """The state at the time of a reading of the camera's own rotation, since the one before."""
     dt_s = max(measurement.time_s - state.time_s, 0.0)
     since_s = max(measurement.time_s - state.turning_s, 1e-3)
+    # A reading between two of these, as of a thrust, was reached with the rate before.
+    ahead_s = state.time_s - max(state.turning_s, state.pose_s)
+    if state.turning is not None and ahead_s > 0.0 and since_s <= _HOLD_S:
+        state = _swung(state, ahead_s * (state.turning - measurement.rate_rad_s))
     # White noise of a mean rate over an interval is a random walk of the angle.
     sigma = measurement.sigma_rad_s * math.sqrt(min(since_s, _HOLD_S))
     state = state._replace(

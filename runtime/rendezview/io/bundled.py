@@ -23,11 +23,13 @@ def find_target(text: str) -> Target:
     Raises:
         RendezviewError: neither; the message lists the bundled names.
     """
-    if split_node(Path(text))[0].exists():
+    path = split_node(Path(text))[0]
+    named = [f / text for f in _FOLDERS if text.isidentifier() and (f / text).is_dir()]
+    # A folder of results may have the name of a bundled vehicle.
+    if path.exists() and not (named and path.is_dir() and not (path / "target.toml").is_file()):
         return Target.load(Path(text))
-    for folder in _FOLDERS:
-        if text.isidentifier() and (folder / text / "target.toml").is_file():
-            return Target.load(folder / text)
+    for folder in named:
+        return Target.load(folder)
     raise RendezviewError(
         f"{text}: no such target; give a mesh, a target.toml or its folder, or one of "
         f"{', '.join(bundled_names())}"

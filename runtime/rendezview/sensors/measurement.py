@@ -212,7 +212,7 @@ class RangeMeasurement:
 class RateMeasurement:
     """The camera's own rotation: a gyroscope's, or between two attitudes of a star tracker.
 
-    It is the mean since the sensor's reading before, or since the filter's last measurement.
+    It is the mean since the sensor's reading before; of the first, since the filter's last.
 
     Raises:
         ValueError: a number is not finite, or σ not positive.

@@ -20,12 +20,17 @@ from rendezview_service.messages.messages import SessionInfo
 from rendezview_service.messages.ros import pose_with_covariance_stamped, transform_stamped
 
 _POSE, _TREE = "geometry_msgs/msg/PoseWithCovarianceStamped", "tf2_msgs/msg/TFMessage"
+_TEXT = "std_msgs/msg/String"
 
 Json = dict[str, Any]
 
 
 class RosViewer:
-    """Publishes ``/SESSION/target/pose`` and ``/tf`` to a Zenoh router, or to peers."""
+    """Publishes poses, ``/tf`` and flights to a Zenoh router, or to peers.
+
+    ``/SESSION/target/pose`` and ``/SESSION/target/fused``; ``/SESSION/flight``, the JSON of a
+    `Flight` in a string.
+    """
 
     def __init__(self, endpoint: str) -> None:
         """Connect.
@@ -60,6 +65,12 @@ class RosViewer:
         pose, transform = pose_with_covariance_stamped(state), transform_stamped(state)
         if pose is not None:
             self._send(f"{name}/target/pose", _POSE, _framed(pose, name))
+        fused = state.get("fused")
+        told = fused and pose_with_covariance_stamped(fused)
+        if told:
+            self._send(f"{name}/target/fused", _POSE, _framed(told, name))
+        if info.flight is not None:
+            self._send(f"{name}/flight", _TEXT, {"data": info.flight.model_dump_json()})
         if transform is not None:
             self._send("tf", _TREE, {"transforms": [_framed(transform, name)]})
 

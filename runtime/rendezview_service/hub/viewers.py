@@ -150,6 +150,8 @@ class FoxgloveViewer:
         stamp = parts.Timestamp(sec=whole, nsec=int(1e9 * (state["received_unix_s"] - whole)))
         frame = f"{info.id}/camera"
         self._channel(f"{at}/state", self._of_states).log(state)
+        if info.flight is not None:
+            self._channel(f"{at}/flight", self._of_states).log(info.flight.model_dump(mode="json"))
         poses = {"pose": state["pose"], "fused": (state.get("fused") or {}).get("pose")}
         for name, pose in poses.items():
             if pose is None:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from experiments.frame import show, table_of
+from experiments.fusion.fly_sensors import measure
 from experiments.fusion.trials import Flight, fly, load_run, make_run
 from rendezview.sensors.appearance import ViewModel
 
@@ -61,24 +62,31 @@ def consistency_table(flights: list[Flight]) -> None:
 def run(
     runs: Annotated[Path, "folder of the runs, kept"],
     model: Annotated[Path, "view model of the client"], *,
-    seeds: int = 50,
+    seeds: int = 50, flights: int = 0, jobs: int = 1,
 ) -> None:  # fmt: skip
     """An approach from 60 m to 1 m through recognizer, ring detector, laser ranger and filter.
 
     Every seed is another approach: motion, Sun (10–40° from behind the camera), roll, noise. Frames
     are rendered, and the recognizer and the ring detector run on them as the commands do. RUNS
     keeps their logs: a second call only joins them. The filter is that of rendezview fuse.
+
+    --flights 10 measures the sensors on rendered flights instead: RUNS/measured.json, the tables
+    that modelled flights draw from.
     """
     views = ViewModel.load(model)
-    flights = []
+    if flights:
+        runs.mkdir(parents=True, exist_ok=True)
+        measure(views, runs / "measured.json", flights, 100, jobs)
+        return
+    flown = []
     for seed in range(seeds):
         make_run(runs / str(seed), seed, views)
         flight = fly(load_run(runs / str(seed), views))
-        flights.append(flight)
+        flown.append(flight)
         print(f"seed {seed}: {len(flight.samples)} frames, {flight.without_state} without a state, "
               f"begun {flight.starts}", flush=True)  # fmt: skip
-    error_tables(flights)
-    consistency_table(flights)
+    error_tables(flown)
+    consistency_table(flown)
     print(f"\n{seeds} approaches: frames without a state "
-          f"{sum(f.without_state for f in flights)}; restarted "
-          f"{sum(f.starts > 1 for f in flights)}")  # fmt: skip
+          f"{sum(f.without_state for f in flown)}; restarted "
+          f"{sum(f.starts > 1 for f in flown)}")  # fmt: skip

@@ -15,7 +15,7 @@ from rendezview_ground.fly.faults import Fault, fault_of_run
 from rendezview_ground.fly.guidance import Guidance
 from rendezview_ground.fly.loop import FusedEstimator, Loop
 from rendezview_ground.fly.options import FlyPlan
-from rendezview_ground.fly.report import write_campaign_page, write_flight_page
+from rendezview_ground.fly.report import replayed, write_campaign_page, write_flight_page
 from rendezview_ground.fly.sensors import ModelledSensors
 from rendezview_ground.learn.jobs.cores import Cores
 
@@ -105,6 +105,22 @@ def test_contacts_of_one_distribution_agree_and_of_another_do_not(setup, tmp_pat
     page = write_campaign_page(tmp_path, "client", setup, one, other).read_text()
     assert "Kolmogorov" in page
     assert "Kolmogorov" not in write_campaign_page(tmp_path, "client", setup, one).read_text()
+
+
+def test_the_worst_flights_of_each_end_are_linked(setup, tmp_path):
+    touch = {"tilt_rad": 0.0, "roll_rad": 0.0, "closing_m_s": 0.075, "lateral_m_s": 0.0,
+             "across_rad_s": 0.0, "about_rad_s": 0.0}  # fmt: skip
+    line = {"fault": None, "time_s": 240.0, "beyond": 0, "steps": 480, "end": "contact"}
+    lines = [
+        line | {"seed": k, "touch_m": [0.0, 0.0], "contact": touch | {"lateral_m": 0.01 * k}}
+        for k in range(5)
+    ]
+    lost = line | {"seed": 9, "end": "aborted", "contact": None, "fault": "laser"}
+    lines.append(lost)
+    kept = [one["seed"] for one in replayed(lines, setup)]
+    assert sorted(kept) == [3, 4, 9]
+    page = write_campaign_page(tmp_path, "client", setup, lines).read_text()
+    assert [f'href="seed-{k}/flight.html"' in page for k in (2, 3, 4, 9)] == [False, *[True] * 3]
 
 
 def test_one_run_in_ten_has_a_fault_each_kind_in_turn():

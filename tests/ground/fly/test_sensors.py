@@ -27,44 +27,59 @@ def readings(setup, start_m: float, count: int, fault: Fault | None = None):
     return truth, found
 
 
-def test_the_recognizers_errors_have_the_measured_sigmas(setup):
+def test_the_recognizers_errors_have_the_measured_share_of_their_claims(setup):
     truth, found = readings(setup, 20.0, 400)
     poses = [m for m in found if isinstance(m, PoseMeasurement) and m.sensor == "camera"]
     centre = truth.pose.apply(setup.port.centre_m)
-    away = float(np.linalg.norm(centre))
-    _, sigma, _ = measured()[0]["camera"].at(away)
+    known = measured()[0]["camera"].at(float(np.linalg.norm(centre)))
     off = np.array([m.pose.apply(setup.port.centre_m) - centre for m in poses])
     turns = np.array([so3.log(m.pose.rotation @ truth.pose.rotation.T) for m in poses])
-    assert turns[:, :2].std() == pytest.approx(sigma[0], rel=0.1)
-    assert off[:, :2].std() == pytest.approx(away * sigma[2], rel=0.15)
-    assert off[:, 2].std() == pytest.approx(away * sigma[3], rel=0.15)
+    claims = np.array([np.sqrt(m.covariance.diagonal()[:3]) for m in poses])
+    usual = np.exp(np.log(claims[:, 0]).mean())
+    times = claims[:, 0] / usual  # a frame is better or worse than the usual one, in all at once
+    share = known.sigma / known.claimed
+    assert usual == pytest.approx(known.claimed[0], rel=0.1)
+    assert np.log(times).std() == pytest.approx(known.scatter, rel=0.1)
+    # By medians: a wild reading is none of these.
+    assert spread((turns / claims)[:, :2]) == pytest.approx(share[0], rel=0.1)
+    assert spread(off[:, 2] / times) == pytest.approx(centre[2] * known.sigma[3], rel=0.15)
+    wild = (np.abs(turns / claims) > 5.0).any(axis=1).mean()
+    assert 0.0 < wild < 2.0 * known.wild
+
+
+def spread(values):
+    """σ of normal values that a few wild ones do not change."""
+    return np.median(np.abs(values)) / 0.6745
 
 
 def test_the_table_is_interpolated_between_its_rows():
     table = measured()[0]["camera"]
     k = 4
-    _, sigma, claimed = table.at(table.range_m[k])
-    np.testing.assert_allclose([sigma, claimed], [table.sigma[k], table.claimed[k]])
-    between = table.at(float(np.sqrt(table.range_m[k] * table.range_m[k + 1])))[1]
+    known = table.at(table.range_m[k])
+    np.testing.assert_allclose([known.sigma, known.claimed], [table.sigma[k], table.claimed[k]])
+    between = table.at(float(np.sqrt(table.range_m[k] * table.range_m[k + 1]))).sigma
     np.testing.assert_allclose(between, np.sqrt(table.sigma[k] * table.sigma[k + 1]))
 
 
-def test_the_reflectors_error_is_that_of_their_covariance(setup):
+def test_the_reflectors_error_is_the_measured_share_of_their_covariance(setup):
     truth, found = readings(setup, 6.0, 200)
     poses = [m for m in found if m.sensor == "reflectors"]
-    assert len(poses) == 200
+    known = measured()[0]["reflectors"].at(float(truth.pose.apply(setup.port.centre_m)[2]))
+    assert len(poses) == pytest.approx(200 * known.answered, abs=8)
+    times = (known.sigma / known.claimed).mean()
     squared = []
     for m in poses:
         turn = so3.log(truth.pose.rotation @ m.pose.rotation.T)
         off = np.r_[turn, truth.pose.translation_m - m.pose.translation_m]
         squared.append(off @ np.linalg.solve(m.covariance, off))
-    assert np.mean(squared) == pytest.approx(6.0, rel=0.15)
+    assert np.mean(squared) == pytest.approx(6.0 * times**2, rel=0.15)
 
 
 @pytest.mark.parametrize("kind", ["camera", "ring", "laser", "reflectors", "glare"])
 def test_a_fault_strikes_its_sensor(setup, kind: str):
     drawn = Fault.drawn(kind, 0)
-    fault = Fault(kind, 0.0, 100.0, drawn.size)
+    size = 1600.0 if kind == "glare" else drawn.size
+    fault = Fault(kind, 0.0, 100.0, size)
     truth, good = readings(setup, 5.0, 30)
     _, bad = readings(setup, 5.0, 30, fault)
 
@@ -74,7 +89,7 @@ def test_a_fault_strikes_its_sensor(setup, kind: str):
     if kind == "camera":
         assert {m.sensor for m in bad} <= {"gyro", "laser", "thrust"}
     elif kind == "glare":
-        assert len(of(bad, "camera")) < 0.7 * len(of(good, "camera"))
+        assert len(of(bad, "camera")) < len(of(good, "camera"))
     elif kind == "reflectors":
         assert of(good, "reflectors")
         assert not of(bad, "reflectors")

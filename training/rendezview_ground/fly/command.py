@@ -21,8 +21,15 @@ from rendezview.sensors.appearance import ViewModel
 from rendezview_ground.fly.campaign import Setup, agreement, campaign, fly_once, record
 from rendezview_ground.fly.faults import FAULTS, Fault
 from rendezview_ground.fly.live import fly_live
+from rendezview_ground.fly.loop import Flight
 from rendezview_ground.fly.options import load_fly_plan
-from rendezview_ground.fly.report import FILM, write_campaign_page, write_flight_page
+from rendezview_ground.fly.report import (
+    FILM,
+    replay_folder,
+    replayed,
+    write_campaign_page,
+    write_flight_page,
+)
 from rendezview_ground.learn.command_options import Dask, Jobs
 from rendezview_ground.learn.job import train
 from rendezview_ground.learn.jobs.open_executor import open_executor
@@ -105,21 +112,34 @@ def fly(
             if live is not None:
                 with Client(live, token) as client:
                     flight = fly_live(setup, client, seed, fault, speed)
+                page = write_flight_page(output, found.name, setup, flight, seed, fault, live)
             else:
-                with VideoWriter(output / FILM, _FILM_HZ) as film:  # without frames: no file
-                    flight = fly_once(setup, seed, fault, film)
-            page = write_flight_page(output, found.name, setup, flight, seed, fault, live)
-            Console(highlight=False).print(_words(record(flight, seed, fault)))
+                page, flight = _one(output, found.name, setup, seed, fault)
+            Console(highlight=False, soft_wrap=True).print(_words(record(flight, seed, fault)))
         else:
             with open_executor(jobs, dask, processes=True, tell=console.print) as executor:
                 lines = campaign(
                     setup, output / "runs.jsonl", runs, seed, kinds, every, executor, progress
                 )
+            for line in replayed(lines, setup):
+                kind, name = line["fault"], replay_folder(line)
+                again = None if kind is None else Fault.drawn(kind, line["seed"])
+                _one(output / name, found.name, setup, line["seed"], again)
             page = write_campaign_page(output, found.name, setup, lines, others)
-            Console(highlight=False).print(_table(lines))
+            Console(highlight=False, soft_wrap=True).print(_table(lines))
             for key, some, other, p in agreement(lines, others or []):
                 console.print(f"{key}: p {p:.2g}, {some} beside {other} contacts")
     console.print(f"{page}, in {time.perf_counter() - start:.0f} s")
+
+
+def _one(
+    folder: Path, name: str, setup: Setup, seed: int, fault: Fault | None
+) -> tuple[Path, Flight]:
+    """Fly once; the page of the flight, and the flight."""
+    make_folder(folder)
+    with VideoWriter(folder / FILM, _FILM_HZ) as film:  # without frames: no file
+        flight = fly_once(setup, seed, fault, film)
+    return write_flight_page(folder, name, setup, flight, seed, fault), flight
 
 
 def _words(line: dict[str, Any]) -> str:

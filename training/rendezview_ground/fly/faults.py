@@ -9,10 +9,10 @@ import numpy as np
 
 from rendezview.errors import RendezviewError
 
-# Kind: (longest, s; size). Source: the requirement; glare, offset and radius as of `fusion-faults`.
+# Kind: (longest, s; size). Source: the requirement; offset and radius as of `fusion-faults`.
 _KINDS = {
     "camera": (30.0, 0.0),  # no frame of the camera
-    "glare": (30.0, 10.0),  # seven frames in ten give nothing, the others are off by so many σ
+    "glare": (30.0, 0.0),  # grey levels of stray light at the brightest side; drawn
     "ring": (math.inf, 1.08),  # an edge of so many times the radius is taken for the ring
     "laser": (math.inf, 0.3),  # m, on every range
     "reflectors": (math.inf, 0.0),  # one of three is gone: they give no pose
@@ -21,6 +21,7 @@ _KINDS = {
 }
 FAULTS = tuple(_KINDS)
 _BEGIN_S = (20.0, 220.0)  # of a fault. Source: within a flight of 240 s
+_GLARE_GREY = (100.0, 1600.0)  # log. Source: chosen, from harmless to white
 _STREAM = 2  # of the seed
 
 
@@ -35,7 +36,7 @@ class Fault:
 
     @classmethod
     def drawn(cls, kind: str, seed: int) -> Fault:
-        """A fault that begins at a random time.
+        """A fault that begins at a random time; glare of a random strength.
 
         Raises:
             RendezviewError: no such fault.
@@ -43,7 +44,10 @@ class Fault:
         if kind not in _KINDS:
             raise RendezviewError(f"no fault {kind!r}: choose from {', '.join(FAULTS)}")
         longest_s, size = _KINDS[kind]
-        begin_s = float(np.random.default_rng([_STREAM, seed]).uniform(*_BEGIN_S))
+        rng = np.random.default_rng([_STREAM, seed])
+        begin_s = float(rng.uniform(*_BEGIN_S))
+        if kind == "glare":
+            size = math.exp(rng.uniform(*np.log(_GLARE_GREY)))
         return cls(kind, begin_s, begin_s + longest_s, size)
 
     def strikes(self, kind: str, time_s: float) -> bool:

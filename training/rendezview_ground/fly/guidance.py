@@ -50,6 +50,7 @@ class Known:
     estimate: Estimate
     turning: Array  # (3,) by its gyroscope, rad/s, camera frame
     used: tuple[str, ...] = ()  # sensors whose readings were accepted since the last step
+    rivals: tuple[tuple[str, float], ...] = ()  # what else may be true, and how likely
 
 
 @lru_cache(maxsize=256)

@@ -61,7 +61,8 @@ class FusedEstimator:
                 used.append(reading.sensor)
             if isinstance(reading, RateMeasurement):
                 self._turning = reading.rate_rad_s
-        return Known(time_s, self.fusion.state_at(time_s), self._turning, tuple(used))
+        state, rivals = self.fusion.state_at(time_s), tuple(self.fusion.rivals.items())
+        return Known(time_s, state, self._turning, tuple(used), rivals)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +83,7 @@ class Moment:
     alarm: bool
     used: tuple[str, ...]
     spent_m_s: float
+    rivals: tuple[tuple[str, float], ...] = ()  # and how likely each is
 
 
 @dataclass
@@ -175,5 +177,5 @@ def _moment(port: Port, truth: Truth, known: Known, command: Command, true: Rela
         level_m, level_rad, alarm = levels.position_m, levels.attitude_rad, levels.alarm
     return Moment(
         truth.time_s, command.mode, command.reason, str(estimate.status), true, place, seen,
-        error_m, error_rad, level_m, level_rad, alarm, known.used, truth.spent_m_s,
+        error_m, error_rad, level_m, level_rad, alarm, known.used, truth.spent_m_s, known.rivals,
     )  # fmt: skip

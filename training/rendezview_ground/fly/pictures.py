@@ -71,9 +71,9 @@ def corridor_picture(flight: Flight, setup: Setup) -> Figure:
 
 
 def error_picture(flight: Flight) -> Figure:
-    """Errors of the fused state with their protection levels; sensors in use; modes; fuel."""
-    figure = new_figure(11.0, 8.6)
-    grid = figure.add_gridspec(4, 1, height_ratios=[3, 3, 2, 2])
+    """Errors of the fused state with their levels; sensors in use; rivals; modes; fuel."""
+    figure = new_figure(11.0, 10.2)
+    grid = figure.add_gridspec(5, 1, height_ratios=[3, 3, 2, 2, 2])
     times = np.array([m.time_s for m in flight.moments])
     factors = (("place, m", 1.0, "error_m", "level_m"),
                ("attitude, °", 180.0 / math.pi, "error_rad", "level_rad"))  # fmt: skip
@@ -86,7 +86,7 @@ def error_picture(flight: Flight) -> Figure:
             axes.plot(times, values, color=colour, linewidth=width, label=name)
         axes.set_yscale("log")
         if row == 0:
-            legend_below(figure, axes)
+            _legend(axes)
     axes = figure.add_subplot(grid[2])
     dress(axes, y="")
     rows = [*_SENSORS, "alarm"]
@@ -97,12 +97,31 @@ def error_picture(flight: Flight) -> Figure:
     axes.set_yticks(range(len(rows)), rows)
     axes.set_ylim(-0.7, len(rows) - 0.3)
     axes.set_xlim(figure.axes[0].get_xlim())
-    axes = figure.add_subplot(grid[3])
+    _rivals(figure.add_subplot(grid[3], sharex=figure.axes[0]), flight)
+    axes = figure.add_subplot(grid[4], sharex=figure.axes[0])
     dress(axes, x="time, s", y="thrust, m/s")
     axes.plot(times, [m.spent_m_s for m in flight.moments], color=ACTIVE, linewidth=1.4)
     _shade_modes(axes, flight, times)
     axes.set_title("shaded: hold, retreat or abort", color=MUTED, fontsize=9, loc="left")
     return figure
+
+
+def _rivals(axes: Axes, flight: Flight) -> None:
+    """How likely the other hypotheses are that the filter weighs."""
+    dress(axes, y="rivals,\nprobability")
+    colours = (ACTIVE, ESTIMATE, PROBLEM, GREEN, MUTED)
+    kinds = sorted({kind for moment in flight.moments for kind, _ in moment.rivals})
+    for kind, colour in zip(kinds, colours, strict=False):
+        some = [(m.time_s, p) for m in flight.moments for name, p in m.rivals if name == kind]
+        axes.plot(*np.transpose(some), ".", color=colour, markersize=3, label=kind)
+    axes.set_yscale("log")
+    axes.set_ylim(1e-3, 1.5)
+    if kinds:
+        _legend(axes)
+
+
+def _legend(axes: Axes) -> None:
+    axes.legend(loc="upper right", fontsize=8, frameon=False, ncols=2, labelcolor=INK)
 
 
 def _shade_modes(axes: Axes, flight: Flight, times: Array) -> None:

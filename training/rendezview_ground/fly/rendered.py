@@ -37,9 +37,21 @@ from rendezview_ground.simulate.reflector_frames import (
     render_pair,
 )
 
-_STREAM = 5  # of the seed
-_GLARE_GREY = 180.0  # glow of the sky in glare. Source: chosen; the target's faces have 200
+_STREAM, _GLARE_STREAM = 5, 6  # of the seed
+_GLARE_PX = 400.0  # px over which stray light falls by e. Source: chosen, half of the picture
 _SAMPLES = 2  # of shading, a pixel side. Source: `fusion-approach`
+
+
+def stray_light(peak_grey: float, seed: int) -> npt.NDArray[np.float32]:
+    """Light (H, W) that a lens scatters over all of the picture, in grey levels.
+
+    It falls from a side of the picture, which is drawn.
+    """
+    way = np.random.default_rng([_GLARE_STREAM, seed]).uniform(0.0, 2.0 * math.pi)
+    y, x = np.mgrid[: CAMERA.height, : CAMERA.width]
+    depth = math.cos(way) * x + math.sin(way) * y
+    fallen = peak_grey * np.exp(-(depth - depth.min()) / _GLARE_PX)
+    return np.asarray(fallen, dtype=np.float32)
 
 
 class Pictures:
@@ -55,6 +67,7 @@ class Pictures:
         self._reflectors = ReflectorSensor(CAMERA, patterns) if patterns else None
         self._pattern = merged(patterns) if patterns else None
         self._sun: Array | None = None  # (3,) towards it, inertial
+        self._glare = stray_light(fault.size, seed) if fault and fault.kind == "glare" else None
 
     def begin(self, truth: Truth) -> Pose:
         """Place the Sun; the recognizer's first prior, an attitude with an error."""
@@ -71,11 +84,11 @@ class Pictures:
         time_s = truth.time_s
         if not self.own.due(time_s, self.plan.sensors.frame_s) or self.own.struck("camera", time_s):
             return None
-        glare = _GLARE_GREY if self.own.struck("glare", time_s) else 0.0
-        options = SceneOptions(shading=ShadingOptions(samples=_SAMPLES), sky_level_grey=glare)
+        glare = self._glare if self.own.struck("glare", time_s) else None
+        options = SceneOptions(shading=ShadingOptions(samples=_SAMPLES))
         assert self._sun is not None
         sun = truth.inertial_from_camera.T @ self._sun
-        return render_frame(self.mesh, CAMERA, truth.pose, sun, options, self._rng)
+        return render_frame(self.mesh, CAMERA, truth.pose, sun, options, self._rng, light=glare)
 
     def spots(self, image: npt.NDArray[np.uint8], truth: Truth) -> ReflectorObservation | None:
         """The reflectors, lit and dark, on top of the same scene; None: none are read."""

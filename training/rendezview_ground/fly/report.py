@@ -25,7 +25,8 @@ from rendezview_ground.fly.pictures import (
 
 FILM = "approach.webm"  # of rendered frames, in the folder of the page
 _TALL = 1.115  # height over width of a drawn frame, with its bar of text
-_WORST = 12  # flights in the table of worst cases
+_WORST = 12  # flights of an end in the table of worst cases
+_REPLAYED = 2  # of these with a page
 
 
 def write_flight_page(
@@ -48,7 +49,8 @@ def write_flight_page(
     cards: tuple[Card, ...] = (
         Card("corridor", "In the corridor", "The chaser's port before the target's. Grey: the "
              "corridor; dotted: hold points.", png(corridor_picture(flight, setup))),
-        Card("errors", "The fused state", "Errors with protection levels, sensors in use, thrust.",
+        Card("errors", "The fused state", "Errors with protection levels, sensors in use, "
+             "rival hypotheses weighed, thrust.",
              png(error_picture(flight))),
     )  # fmt: skip
     film = folder / FILM
@@ -113,9 +115,9 @@ def write_campaign_page(
 {table_of(("", "median", "largest", "limit"), _statistics(setup.plan.envelope, lines))}
 {compared}
 <h2>Worst flights</h2>
-<p class="quiet">A flight again, with its page: add <code>--seed</code>, and
+<p class="quiet">The first have a page. Any flight again, with its page: <code>--seed</code>, and
 <code>--faults</code> where it had one.</p>
-{table_of(("end", "of a limit, %", "time, s", "again"), _worst_rows(lines, setup))}
+{_worst_table(shown(lines, setup), replayed(lines, setup))}
 """
     path = folder / "flights.html"
     atomic_write_text(path, document(f"{name}: flights", body))
@@ -175,11 +177,41 @@ def _decisions(flight: Flight) -> list[tuple[str, ...]]:
     return rows
 
 
-def _worst_rows(lines: list[dict[str, Any]], setup: Setup) -> list[tuple[str, ...]]:
+def shown(lines: list[dict[str, Any]], setup: Setup) -> list[tuple[float, dict[str, Any]]]:
+    """The worst flights and the largest share of a limit that each used, NaN without contact.
+
+    Contacts outside the envelope first, then flights without one, then the rest.
+    """
     missed = [(math.nan, line) for line in lines if line["contact"] is None]
-    shown = [*missed[:_WORST], *worst(lines, setup)[:_WORST]]
-    return [
-        (line["end"], "–" if math.isnan(used) else f"{100.0 * used:.0f}", f"{line['time_s']:.0f}",
-         f"--seed {line['seed']}" + (f" --faults {line['fault']}" if line["fault"] else ""))
-        for used, line in shown
-    ]  # fmt: skip
+    touched = worst(lines, setup)
+    outside = [pair for pair in touched if pair[1]["end"] == "outside"]
+    inside = [pair for pair in touched if pair[1]["end"] != "outside"]
+    return [*outside[:_WORST], *missed[:_WORST], *inside[:_WORST]]
+
+
+def replayed(lines: list[dict[str, Any]], setup: Setup) -> list[dict[str, Any]]:
+    """The flights whose pages a campaign keeps: the worst of each end."""
+    ends: dict[str, list[dict[str, Any]]] = {}
+    for _, line in shown(lines, setup):
+        ends.setdefault(line["end"], []).append(line)
+    return [line for some in ends.values() for line in some[:_REPLAYED]]
+
+
+def replay_folder(line: dict[str, Any]) -> str:
+    """Where the page of a campaign's flight is, beside that of the campaign."""
+    return f"seed-{line['seed']}"
+
+
+def _worst_table(rows: list[tuple[float, dict[str, Any]]], kept: list[dict[str, Any]]) -> str:
+    cells = []
+    for used, line in rows:
+        again = f"--seed {line['seed']}" + (f" --faults {line['fault']}" if line["fault"] else "")
+        if line in kept:
+            again = f'<a href="{replay_folder(line)}/flight.html">{again}</a>'
+        share = "–" if math.isnan(used) else f"{100.0 * used:.0f}"
+        told = "".join(
+            f"<td>{x}</td>" for x in (line["end"], share, f"{line['time_s']:.0f}", again)
+        )
+        cells.append(f"<tr>{told}</tr>")
+    head = "<th>end</th><th>of a limit, %</th><th>time, s</th><th>again</th>"
+    return f'<div class="table"><table><tr>{head}</tr>{"".join(cells)}</table></div>'

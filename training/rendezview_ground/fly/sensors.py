@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 from typing import Any
@@ -36,44 +36,80 @@ from rendezview_ground.fly.options import FlyPlan
 # Source: `fusion-approach`, of which the error tables are
 CAMERA = Camera(1024, 1024, 800.0, 800.0, 511.5, 511.5)
 _STREAM = 3  # of the seed
-_GLARE_LOSES = 0.7  # share of the frames in glare that give nothing. Source: chosen
 _LEAST_THRUST_M_S = 1e-4  # σ of a pulse that is told. Source: a quarter of the least impulse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Quality:
+    """How often a sensor answers, its σ (K,) and the σ that it claims (K,)."""
+
+    answered: float
+    sigma: Array
+    claimed: Array
+    scatter: float  # σ of the logarithm of both, from frame to frame
+    wild: float  # share of the readings that are of something else
+    wild_sigma: Array  # (K,) of these
+
+    def in_frame(self, rng: np.random.Generator) -> Quality:
+        """As good or as bad as one frame is."""
+        times = math.exp(self.scatter * rng.standard_normal())
+        sigma = self.wild_sigma if rng.random() < self.wild else times * self.sigma
+        return replace(self, sigma=sigma, claimed=times * self.claimed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ErrorTable:
-    """How often a sensor answers, its errors and the errors that it claims, by range."""
+    """The quality of a sensor by range."""
 
     range_m: Array  # (N,) rising
     answered: Array  # (N,)
     sigma: Array  # (N, K)
     claimed: Array  # (N, K)
+    scatter: Array  # (N,)
+    wild: Array  # (N,)
+    wild_sigma: Array  # (N, K)
 
-    def at(self, range_m: float) -> tuple[float, Array, Array]:
-        """Answered, σ (K,) and claimed σ (K,), interpolated in the logarithms."""
+    def at(self, range_m: float) -> Quality:
+        """Interpolated in the logarithms."""
         x, known = math.log(max(range_m, 1e-3)), np.log(self.range_m)
-        share = float(np.interp(x, known, self.answered))
         columns = [
             np.array([math.exp(np.interp(x, known, np.log(column))) for column in table.T])
-            for table in (self.sigma, self.claimed)
+            for table in (self.sigma, self.claimed, self.wild_sigma)
         ]
-        return share, columns[0], columns[1]
+        answered, scatter, wild = (
+            float(np.interp(x, known, some)) for some in (self.answered, self.scatter, self.wild)
+        )
+        return Quality(answered, columns[0], columns[1], scatter, wild, columns[2])
 
 
 @lru_cache(maxsize=1)
-def measured() -> tuple[dict[str, ErrorTable], dict[str, Any]]:
-    """The tables of recognizer ("camera") and ring, and the share of roll outliers."""
+def measured() -> tuple[dict[str, ErrorTable], list[dict[str, Any]]]:
+    """The tables of the sensors that look at frames, and what glare leaves of each."""
     data = json.loads(files("rendezview_ground.fly").joinpath("measured.json").read_text("utf-8"))
     rows = sorted(data["rows"], key=lambda row: float(row["range_m"]))
     ranges = np.array([row["range_m"] for row in rows])
     tables = {
         name: ErrorTable(
             ranges, *(np.array([row[name][key] for row in rows])
-                      for key in ("answered", "sigma", "claimed")),
+                      for key in ("answered", "sigma", "claimed", "scatter", "wild", "wild_sigma")),
         )
-        for name in ("camera", "ring")
+        for name in ("camera", "ring", "reflectors")
     }  # fmt: skip
-    return tables, data["roll_outliers"]
+    return tables, data["glare"]
+
+
+def in_glare(sensor: str, quality: Quality, peak_grey: float) -> Quality:
+    """What stray light leaves of a sensor."""
+    rows = measured()[1]
+    peaks = [math.log(row["peak_grey"]) for row in rows]
+    answered, error, claimed = (
+        float(np.interp(math.log(peak_grey), peaks, [row[sensor][key] for row in rows]))
+        for key in ("answered", "error", "claimed")
+    )
+    return replace(
+        quality, answered=answered * quality.answered, sigma=error * claimed * quality.sigma,
+        claimed=claimed * quality.claimed,
+    )  # fmt: skip
 
 
 class OwnSensors:
@@ -176,31 +212,33 @@ class ModelledSensors:
         error: Array = math.sqrt(share) * fresh + math.sqrt(1.0 - share) * white
         return error
 
-    def _camera(self, truth: Truth, centre: Array) -> list[Measurement]:
-        tables, outliers = measured()
-        away, rng = float(np.linalg.norm(centre)), self._rng
-        share, sigma, claimed = tables["camera"].at(away)
-        error = _six(sigma, away) * self._error("camera", 6, truth.time_s)
-        if away < outliers["below_m"] and rng.random() < outliers["share"]:
-            error[2] = rng.choice([-1.0, 1.0]) * rng.uniform(*outliers["rad"])
+    def _quality(self, sensor: str, truth: Truth, away_m: float) -> Quality:
+        """Of a sensor in a frame; in glare, of what it leaves."""
+        quality = measured()[0][sensor].at(away_m)
         if self._own.struck("glare", truth.time_s):
             assert self.fault is not None
-            share *= 1.0 - _GLARE_LOSES
-            error *= self.fault.size
-        if rng.random() >= share:
+            quality = in_glare(sensor, quality, self.fault.size)
+        return quality.in_frame(self._rng)
+
+    def _camera(self, truth: Truth, centre: Array) -> list[Measurement]:
+        away, rng = float(np.linalg.norm(centre)), self._rng
+        quality = self._quality("camera", truth, away)
+        error = _six(quality.sigma, away) * self._error("camera", 6, truth.time_s)
+        if rng.random() >= quality.answered:
             return []
         arm = truth.pose.rotation @ self.centre_m
         pose, into = _about(truth.pose, self.centre_m, error), np.eye(6)
         into[3:, :3] = so3.hat(arm)  # t = centre − R arm: turning the arm moves the origin
-        covariance = into @ np.diag(_six(claimed, away) ** 2) @ into.T
+        covariance = into @ np.diag(_six(quality.claimed, away) ** 2) @ into.T
         return [PoseMeasurement(truth.time_s, "camera", pose, covariance)]
 
     def _ring(self, truth: Truth, centre: Array, ring: DockingRing) -> list[Measurement]:
         """Both circles of the ellipse; an edge of another radius looks nearer or farther."""
         away, rng = float(np.linalg.norm(centre)), self._rng
-        share, sigma, claimed = measured()[0]["ring"].at(away)
+        quality = self._quality("ring", truth, away)
+        sigma, claimed = quality.sigma, quality.claimed
         error = self._error("ring", 5, truth.time_s)
-        if rng.random() >= share or self._own.struck("glare", truth.time_s):
+        if rng.random() >= quality.answered:
             return []
         sight = centre / away
         place = centre + _across_and_along(sight, away * sigma[1:]) @ error[:3]
@@ -224,8 +262,9 @@ class ModelledSensors:
 
     def _reflectors(self, truth: Truth, centre: Array) -> list[Measurement]:
         """A pose by the first group that is whole in the picture; σ of the Cramér–Rao bound."""
-        sensors = self.plan.sensors
-        if float(np.linalg.norm(centre)) > sensors.reflectors_m:
+        sensors, away = self.plan.sensors, float(np.linalg.norm(centre))
+        quality = self._quality("reflectors", truth, away)
+        if away > sensors.reflectors_m or self._rng.random() >= quality.answered:
             return []
         for pattern in self.patterns:
             spots = predict_spots(CAMERA, pattern, truth.pose)
@@ -241,7 +280,8 @@ class ModelledSensors:
             sigma = sensors.reflector_bound * sensors.reflector_px
             covariance = sigma**2 * np.linalg.inv(slope.T @ slope)
             root = np.linalg.cholesky(covariance)
-            error = root @ self._error(f"reflectors {pattern.name}", 6, truth.time_s)
+            times = float((quality.sigma / quality.claimed).mean())
+            error = times * root @ self._error(f"reflectors {pattern.name}", 6, truth.time_s)
             pose = truth.pose.perturbed(error)
             return [PoseMeasurement(truth.time_s, "reflectors", pose, covariance)]
         return []

@@ -141,14 +141,15 @@ def render_frame(
     options: SceneOptions,
     rng: np.random.Generator,
     time_s: float = 0.0,
+    light: Float32s | None = None,
 ) -> UInt8s:
     """One 8-bit picture (H, W). An automatic exposure uses this frame only.
 
-    The mesh is drawn as it is: ``mesh_error`` and ``insulation`` belong to scenes.
+    The mesh is drawn as it is: ``mesh_error`` and ``insulation`` belong to scenes. ``light`` (H, W)
+    is added behind the optics, grey levels.
     """
-    return _frame(
-        mesh, camera, camera_from_target, unit(sun_direction_camera, "sun"), options, rng, time_s
-    )[0]
+    sun = unit(sun_direction_camera, "sun")
+    return _frame(mesh, camera, camera_from_target, sun, options, rng, time_s, light)[0]
 
 
 def simulate(
