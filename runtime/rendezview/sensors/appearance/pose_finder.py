@@ -158,8 +158,8 @@ class PoseFinder:
         if traced.outlines:
             found = by_outline(give_up=0.0 if self.sketch is None else _LEAST_CONFIDENT)
             clock.lap("refine")
-        # Before a bright sky other things have edges, too: two estimators must agree.
-        alone = sky.dark or self.sketch is None
+        # In a window of a bright frame other things have edges, too: two estimators must agree.
+        alone = sky.dark or self.sketch is None or self.region is None
         best = found if alone and self._confident(found) else None
         if best is None and self.sketch is not None:
             sketched = self.sketch.best(frame, sky)
