@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry.boxes import overlap
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.io.files import StrPath, checked, read_json
@@ -128,10 +129,8 @@ def _check(detection: _Detection, camera: Camera, path: StrPath) -> None:
 
 def _apart(one: _Detection, other: _Detection) -> bool:
     """Whether two boxes are of two things."""
-    (x, y, across, down), (x2, y2, across2, down2) = one.bbox, other.bbox
-    common = max(min(x + across, x2 + across2) - max(x, x2), 0.0)
-    common *= max(min(y + down, y2 + down2) - max(y, y2), 0.0)
-    return common <= _SAME * (across * down + across2 * down2 - common)
+    boxes = [(x, y, x + across, y + down) for x, y, across, down in (one.bbox, other.bbox)]
+    return overlap(*boxes) <= _SAME
 
 
 def masks_by_frame(path: Path) -> Where:

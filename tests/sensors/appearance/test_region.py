@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview import RendezviewError
+from rendezview.geometry.boxes import overlap
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker
@@ -21,7 +22,6 @@ from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search import windows
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.search.starts import quarter_turns, rotated_by
-from rendezview.sensors.appearance.search.windows import overlap
 from rendezview_ground.simulate.scene import SceneOptions, render_frame
 
 CAMERA = Camera.from_fov(640, 480, np.deg2rad(50.0))

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy.typing as npt
 
 from rendezview.estimation.hypotheses import choose
+from rendezview.geometry.boxes import overlap
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
@@ -32,7 +33,7 @@ from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search.close import CloseSearch
 from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
-from rendezview.sensors.appearance.search.windows import SAME_BODY, overlap
+from rendezview.sensors.appearance.search.windows import SAME_BODY
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.appearance.verdict import (
     LEAST_POSTERIOR,

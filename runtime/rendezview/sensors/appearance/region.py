@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry.boxes import overlap
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
@@ -16,7 +17,6 @@ from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.reading import LateReading, OutlineReading
 from rendezview.sensors.appearance.search.starts import RANGE_ERROR
-from rendezview.sensors.appearance.search.windows import overlap
 
 # Of the longer side of a box: what is looked at around it. A detector's box that is 20 % too small
 # and 20 % aside still leaves the whole target, and some sky. Source: by construction

@@ -360,5 +360,5 @@ class PoseSearch:
         """
         rotations = pose.rotation @ self._half_turns
         centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
-        starts = map(Pose, rotations, centres - rotations @ self.model.centre_m)
+        starts = rotated_by(pose, self._half_turns, self.model.centre_m)
         return candidates.refine(starts) | candidates.refine_best(rotations, centres, 2)

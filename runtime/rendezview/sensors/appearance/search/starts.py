@@ -60,8 +60,8 @@ def quarter_turns(model: ViewModel) -> Array:
 
 def rotated_by(pose: Pose, turns: Array, centre_m: Array) -> list[Pose]:
     """A pose with the target rotated by each of some turns (K, 3, 3) about the view centre."""
-    rotations, centre = pose.rotation @ turns, pose.apply(centre_m)
-    return [Pose(rotation, centre - rotation @ centre_m) for rotation in rotations]
+    rotations = pose.rotation @ turns
+    return list(map(Pose, rotations, pose.apply(centre_m) - rotations @ centre_m))
 
 
 def _axes(model: ViewModel) -> Array:

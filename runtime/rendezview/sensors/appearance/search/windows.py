@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from rendezview.geometry.boxes import overlap
 from rendezview.geometry.pose import Array
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.network import (
@@ -72,14 +73,6 @@ def bodies_in_windows(
         if told and all(overlap(body.box_px, other.box_px) < SAME_BODY for other in kept):
             kept.append(body)
     return kept
-
-
-def overlap(a: Box | Array, b: Box | Array) -> float:
-    """Intersection over union of two boxes: left, top, right, bottom."""
-    across, down = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
-    common = max(across, 0.0) * max(down, 0.0)
-    areas = sum((box[2] - box[0]) * (box[3] - box[1]) for box in (a, b))
-    return float(common / max(areas - common, 1e-9))
 
 
 def _windows(height: int, width: int) -> Iterator[Box]:
