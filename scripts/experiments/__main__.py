@@ -21,7 +21,6 @@ EXPERIMENTS = {
         "reflector-hidden": ("reflectors.hidden", "every three to five of five reflectors"),
         "reflector-nees": ("reflectors.nees", "errors against covariances, by condition"),
         "stereo-accuracy": ("stereo.accuracy", "pose errors in the simulated laboratory"),
-        "stereo-board": ("stereo.board", "NEES of a pair calibrated from a dozen board pairs"),
     },
     "trajectory and fusion": {
         "trajectory-accuracy": ("trajectory.accuracy", "errors of segments, predictions and spin"),

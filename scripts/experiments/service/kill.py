@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from mcap.reader import make_reader
 
-from experiments.service.log_faults import campaign
+from experiments.frame import tests_module
 from experiments.service.serving import Loop, Served
 from rendezview.errors import RendezviewError
 from rendezview_service.client import Client
@@ -52,7 +52,7 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0, log_faults
     files and processes under the writer of a log instead, all kinds in turns.
     """
     if log_faults:
-        sys.exit(not campaign(log_faults, seed))
+        sys.exit(not tests_module("service.log_faults").campaign(log_faults, seed))
     rng = np.random.default_rng(seed)
     total = lost = unreadable = cut_bytes = 0
     for done in range(1, kills + 1):
