@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import multiprocessing
+import os
 import sys
 from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +76,7 @@ def test_processes_feed_different_batches_until_closed(monkeypatch: pytest.Monke
     monkeypatch.setattr(sketch_feed, "LEAST_POOL", 4)
     monkeypatch.setattr(sketch_feed, "MOST_S", 60.0)
     monkeypatch.setattr(sketch_feed, "LARGE_SHARE", 0.5)
-    feed = sketch_feed.Feed(1, 4, 4.0, seed=3)
+    feed = sketch_feed.batches(1, 4, 4.0, seed=3)
     shapes, sums = set(), set()
     for pictures, maps in itertools.islice(feed, 8):
         assert pictures.size == 4 * SIDE_PX**2
@@ -82,7 +85,14 @@ def test_processes_feed_different_batches_until_closed(monkeypatch: pytest.Monke
         sums.add(float(pictures.astype(np.float64).sum()))
     assert shapes == {(4, SIDE_PX, SIDE_PX), (1, 2 * SIDE_PX, 2 * SIDE_PX)}
     assert len(sums) == 8
+    before = multiprocessing.active_children()
     feed.close()
-    assert not any(process.is_alive() for process in feed._processes)
-    with pytest.raises(ChildProcessError, match="has ended or hangs"):
-        list(feed)
+    assert len(multiprocessing.active_children()) == len(before) - 1
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.usefixtures("threads_of_opencv")
+def test_a_process_that_ends_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sketch_feed, "_batch", os._exit)
+    with pytest.raises(BrokenProcessPool):
+        next(sketch_feed.batches(1, 4, 4.0, seed=3))

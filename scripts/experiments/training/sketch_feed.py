@@ -2,18 +2,16 @@
 
 Each process keeps a pool of drawings. It takes photographs of them, and after every few it replaces
 the oldest drawing with a new one, so that no two batches are alike and few pictures share a craft.
-Batches lie in memory that all processes share.
 """
 
 from __future__ import annotations
 
-import mmap
 import multiprocessing
-import multiprocessing.connection
+import os
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -46,8 +44,8 @@ CROWDED_SHARE, ALONE_SHARE = 0.5, 0.06  # of objects and of craft have other bod
 MOST_OTHERS = 2
 POOL, LEAST_POOL = 160, 16  # drawings of SIDE_PX; there are a quarter as many large ones
 DRAWINGS_A_BACKGROUND = 3
-SLOTS = 3  # batches for each process
-MOST_S = 600.0  # s, for the next batch; with more, the processes hang. Source: a chosen limit
+AHEAD = 3  # batches for each process
+MOST_S = 600.0  # s, for the next batch; with more, the processes hang
 
 Grey = npt.NDArray[np.float16]  # (N, S, S) grey levels
 Maps = npt.NDArray[np.uint8]  # (N, MAPS, S, S) of ``sketch_maps``, 0 … 255
@@ -66,7 +64,7 @@ class Pool:
 
     def __init__(self, rng: np.random.Generator, reuse: float) -> None:
         """``reuse``: photographs that are taken of each drawing, on average."""
-        self._rng, self._reuse = rng, reuse
+        self.rng, self._reuse = rng, reuse
         self._targets = {
             1: deque[Target](maxlen=POOL), LARGE: deque[Target](maxlen=POOL // LARGE**2)
         }  # fmt: skip
@@ -86,16 +84,16 @@ class Pool:
         pictures = np.empty((count, side, side), np.float16)
         maps = np.empty((count, MAPS, side, side), np.uint8)
         for k in range(count):
-            target = targets[self._rng.integers(len(targets))]
+            target = targets[self.rng.integers(len(targets))]
             behind = self._rooms if target.indoors else self._skies
-            sky = behind[self._rng.integers(len(behind))]
+            sky = behind[self.rng.integers(len(behind))]
             options = INDOORS if target.indoors else None
-            pictures[k], drawn = take(target.drawing, sky, self._rng, options)
+            pictures[k], drawn = take(target.drawing, sky, self.rng, options)
             maps[k] = np.rint(255.0 * drawn)
         return pictures, maps
 
     def _new(self, side: int, around: deque[Target]) -> Target:
-        rng = self._rng
+        rng = self.rng
         if self._drawn % DRAWINGS_A_BACKGROUND == 0:
             self._skies.append(draw_sky(rng))
             self._rooms.append(room(SKY_PX, rng))
@@ -121,72 +119,43 @@ class Pool:
         return Target(drawing, indoors)
 
 
-class Feed:
-    """Processes that make batches until ``close``; iterate over it for batches."""
+def batches(
+    workers: int, batch: int, reuse: float, seed: int
+) -> Generator[tuple[Grey, Maps], None, None]:
+    """Batches without end, by processes that begin now and end with the generator.
 
-    def __init__(self, workers: int, batch: int, reuse: float, seed: int) -> None:
-        """``batch``: pictures of SIDE_PX; of larger ones there are as many pixels.
+    ``batch``: pictures of SIDE_PX; of larger ones there are as many pixels.
 
-        OpenCV's own threads end here: a child of a fork would wait for them for ever.
-        """
-        cv2.setNumThreads(1)
-        self._batch = batch
-        # Children of a fork have all compiled loops at once.
-        context = multiprocessing.get_context("fork")
-        self._pixels = batch * SIDE_PX**2
-        slots = SLOTS * workers
-        self._pictures = _shared(slots * self._pixels, np.float16).reshape(slots, -1)
-        self._maps = _shared(slots * MAPS * self._pixels, np.uint8).reshape(slots, -1)
-        self._free: Any = context.SimpleQueue()
-        self._full: Any = context.SimpleQueue()
-        for slot in range(slots):
-            self._free.put(slot)
-        seeds = np.random.SeedSequence([seed, 2]).spawn(workers)
-        self._processes = [
-            context.Process(target=self._work, args=(one, reuse), daemon=True) for one in seeds
-        ]
-        for process in self._processes:
-            process.start()
+    Raises:
+        BrokenProcessPool: a process has ended.
+        TimeoutError: none makes a batch.
+    """
+    cv2.setNumThreads(1)  # a child of a fork would wait for OpenCV's own threads for ever
+    # Children of a fork have all compiled loops at once.
+    context = multiprocessing.get_context("fork")
+    pool = ProcessPoolExecutor(workers, context, _begin, (reuse, seed))
+    due = deque(pool.submit(_batch, batch) for _ in range(AHEAD * workers))
 
-    def _work(self, seed: np.random.SeedSequence, reuse: float) -> None:
-        cv2.setNumThreads(1)
-        threadpool_limits(1, "blas")
-        rng = np.random.default_rng(seed)
-        pool = Pool(rng, reuse)
-        while True:
-            larger = LARGE if rng.random() < LARGE_SHARE else 1
-            pictures, maps = pool.photographs(self._batch // larger**2, larger)
-            slot = self._free.get()
-            self._pictures[slot] = pictures.ravel()
-            self._maps[slot] = maps.ravel()
-            self._full.put((slot, larger))
+    def made() -> Generator[tuple[Grey, Maps], None, None]:
+        try:
+            while True:
+                yield due.popleft().result(MOST_S)
+                due.append(pool.submit(_batch, batch))
+        finally:
+            pool.shutdown(cancel_futures=True)
 
-    def __iter__(self) -> Iterator[tuple[Grey, Maps]]:
-        """Batches; each is overwritten after the next one was asked for.
-
-        Raises:
-            ChildProcessError: a process has ended, or none makes a batch.
-        """
-        ends = [process.sentinel for process in self._processes]
-        while True:
-            ready = multiprocessing.connection.wait([self._full._reader, *ends], MOST_S)
-            if self._full._reader not in ready:
-                raise ChildProcessError("a process that makes batches has ended or hangs")
-            slot, larger = self._full.get()
-            count, side = self._batch // larger**2, larger * SIDE_PX
-            yield (
-                self._pictures[slot].reshape(count, side, side),
-                self._maps[slot].reshape(count, MAPS, side, side),
-            )
-            self._free.put(slot)
-
-    def close(self) -> None:
-        """End the processes."""
-        for process in self._processes:
-            process.terminate()
-            process.join()
+    return made()
 
 
-def _shared(count: int, dtype: Any) -> npt.NDArray[Any]:
-    """(N,) zeros in memory that children of a fork share."""
-    return np.frombuffer(mmap.mmap(-1, count * np.dtype(dtype).itemsize), dtype)
+_pools: list[Pool] = []  # of this process
+
+
+def _begin(reuse: float, seed: int) -> None:
+    cv2.setNumThreads(1)
+    threadpool_limits(1, "blas")
+    _pools[:] = [Pool(np.random.default_rng([seed, 2, os.getpid()]), reuse)]
+
+
+def _batch(count: int) -> tuple[Grey, Maps]:
+    larger = LARGE if _pools[0].rng.random() < LARGE_SHARE else 1
+    return _pools[0].photographs(count // larger**2, larger)

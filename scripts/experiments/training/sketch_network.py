@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import sys
 from pathlib import Path
@@ -10,8 +9,9 @@ from typing import Annotated
 
 import cv2
 import numpy as np
+from joblib import Parallel, delayed
 
-from experiments.training.sketch_feed import LARGE, Feed, Grey, Maps, Pool
+from experiments.training.sketch_feed import LARGE, Grey, Maps, Pool, batches
 from rendezview.sensors.appearance.edges.network import channels_of
 
 # Held-out pictures of SIDE_PX, and larger ones: parts, and pictures of each. Their craft are drawn
@@ -29,11 +29,9 @@ def part(seed: tuple[int, ...], counts: tuple[int, int]) -> list[tuple[Grey, Map
     return [pool.photographs(count, k) for count, k in zip(counts, (1, LARGE), strict=True)]
 
 
-def parts(
-    pool: multiprocessing.pool.Pool, seed: int, count: int, counts: tuple[int, int]
-) -> list[tuple[Grey, Maps]]:
+def parts(workers: int, seed: int, count: int, counts: tuple[int, int]) -> list[tuple[Grey, Maps]]:
     """As ``part``, from several seeds, each size in one batch."""
-    each = pool.starmap(part, [((seed, k), counts) for k in range(count)], chunksize=1)
+    each = Parallel(workers)(delayed(part)((seed, k), counts) for k in range(count))
     return [
         (np.concatenate([p for p, _ in same]), np.concatenate([m for _, m in same]))
         for same in zip(*each, strict=True)
@@ -68,12 +66,10 @@ def run(
     if batch < LARGE**2 or batch % LARGE**2:
         sys.exit(f"--batch must be a multiple of {LARGE**2}, not {batch}")
     workers = workers or max(1, (os.cpu_count() or 2) - 1)
-    # Compiles the drawing before all processes do so, and ends OpenCV's threads: see `Feed`.
-    part((seed, 0), (1, 0))
-    with multiprocessing.get_context("fork").Pool(workers) as pool:
-        held = parts(pool, HELD_SEED, HELD_PARTS, (HELD, LARGE_HELD))
-        shown = parts(pool, SHOWN_SEED, SHOWN_PARTS, (SHOWN, LARGE_SHOWN))
-    feed = Feed(workers, batch, reuse, seed)
+    part((seed, 0), (1, 0))  # compiles the drawing before all processes do so
+    held = parts(workers, HELD_SEED, HELD_PARTS, (HELD, LARGE_HELD))
+    shown = parts(workers, SHOWN_SEED, SHOWN_PARTS, (SHOWN, LARGE_SHOWN))
+    feed = batches(workers, batch, reuse, seed)
     print(f"{workers} processes draw, {HELD_PARTS * (HELD + LARGE_HELD)} pictures held out",
           flush=True)  # fmt: skip
     widths = {network: unet.WIDTHS}
