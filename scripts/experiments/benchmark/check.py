@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 from experiments.timing import Way, race
-from rendezview.sensors.appearance import ViewModel
+from rendezview import ViewModel
 from rendezview_ground.mesh.mesh import Mesh
 
 ALLOWED = 1.5

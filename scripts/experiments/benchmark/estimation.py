@@ -12,17 +12,9 @@ from scipy.spatial.transform import Rotation
 from experiments.benchmark.check import Bench, Row, times
 from experiments.frame import CLIENT
 from experiments.timing import Way
-from rendezview.fusion import (
-    BeamSurface,
-    Fusion,
-    Measurement,
-    PoseMeasurement,
-    RangeMeasurement,
-    RingCandidate,
-    RingMeasurement,
-)
-from rendezview.geometry.pose import Array, Pose
-from rendezview.io.target import Target
+from rendezview import BeamSurface, Fusion, Pose, RangeMeasurement, Target
+from rendezview.fusion import Measurement, PoseMeasurement, RingCandidate, RingMeasurement
+from rendezview.geometry.pose import Array
 from rendezview.trajectory import FitOptions, Method, PointCloud, Segment, Shape, fit_segment
 from rendezview.trajectory.relative_orbit import transition
 from rendezview.trajectory.shapes import code_of

@@ -16,14 +16,12 @@ from scipy.spatial.transform import Rotation
 
 from experiments.frame import mesh_of, tests_module, unit
 from experiments.recognition.accuracy import flight_camera, frame_of, random_pose, signature_of
+from rendezview import Camera, Pose, Status, ViewModel
 from rendezview.export import write_onnx
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance import ViewModel
+from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.model.signature import Readings, Signature, twist
 from rendezview.sensors.appearance.outline.silhouette import Missing, Silhouette, find_silhouette
 from rendezview.sensors.appearance.outline.votes import Matcher, MatchOptions
-from rendezview.sensors.observation import Status
 
 PERTURBED = 9  # signatures for each that a frame gave
 PRIOR_RAD = np.deg2rad(20.0)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.frame import show, table_of
-from rendezview.geometry.pose import Pose
+from rendezview import Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.io.results import json_line
 

@@ -17,17 +17,14 @@ from experiments.pose.frames import random_pose
 from experiments.pose.photo_accuracy import PRIOR_DEG, near
 from experiments.pose.sketch_confidence import frame
 from experiments.service.serving import Served
+from rendezview import Client, Pose, Recognizer, Target, Tracker, ViewModel, open_sequence
 from rendezview.geometry.joint import within
-from rendezview.geometry.pose import Pose
-from rendezview.io.sequences import open_sequence
-from rendezview.io.target import Target
-from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
 from rendezview_ground.mesh.joints import posed, with_parts
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate import SceneOptions, render_frame, sun_at_phase
 from rendezview_ground.simulate.command import default_camera
-from rendezview_service.client import Client, pose_of_state
+from rendezview_service.client import pose_of_state
 
 _PRIOR_RAD = np.deg2rad(2.0 * PRIOR_DEG)  # as given
 _TREES = (float(np.deg2rad(20.0)), RIGHT_SHARE)  # limits: there are few nodes

@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from experiments.golden.answers import Answers
+from rendezview import Target, TrainingOptions, ViewModel, load_mesh
 from rendezview.export.c_code import write_c
-from rendezview.io.target import Target
-from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.model.container import read_container
-from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.learn.target_job import train_target
-from rendezview_ground.mesh.mesh import Mesh, load_mesh
+from rendezview_ground.mesh.mesh import Mesh
 
 QUICK = TrainingOptions(
     order=2, bins=120, smooth_bins=3, resolution_px=160, perturbed_views=1500, held_out_views=100,

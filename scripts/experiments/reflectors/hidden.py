@@ -13,9 +13,8 @@ from experiments.frame import show, table_of
 from experiments.peers.pnp import PEERS, one_camera
 from experiments.reflectors.plain import CAMERA, FIVE, PINHOLE, apart, pictures, plain
 from experiments.reflectors.rivals import compare
-from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, find_spots
-from rendezview.sensors.observation import Status
+from rendezview import LitDark, Pose, ReflectorSensor, Status
+from rendezview.sensors.beacons import TrackingOptions, find_spots
 
 WRONG_DEG, WRONG_SHARE = 5.0, 0.03
 RANGES_M, TILT_RAD = (1.0, 8.0), math.radians(35.0)

@@ -19,10 +19,9 @@ from experiments.reflectors.plain import (
     pictures,
     plain,
 )
+from rendezview import Camera, LitDark, Pose, ReflectorSensor
 from rendezview.calibration.one_camera import camera_of_corners
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import LitDark, ReflectorPattern, ReflectorSensor, TrackingOptions
+from rendezview.sensors.beacons import ReflectorPattern, TrackingOptions
 from rendezview.sensors.beacons.detect.registration import register
 
 RANGES_M = (0.8, 1.5, 3.0, 6.0)

@@ -8,9 +8,8 @@ from typing import Literal
 import numpy as np
 
 from experiments.frame import tests_module
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import LitDark, ReflectorPattern
+from rendezview import Camera, LitDark, Pose
+from rendezview.sensors.beacons import ReflectorPattern
 from rendezview_ground.simulate.reflector_frames import Clutter, ReflectorFrameOptions, render_pair
 
 plain = tests_module("plain_pictures")

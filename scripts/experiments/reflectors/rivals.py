@@ -11,18 +11,10 @@ import numpy as np
 
 from experiments.frame import CLIENT, show, table_of
 from experiments.reflectors.plain import CAMERA, FIVE, HALF_TURN, PINHOLE, THREE, apart, plain
-from rendezview.geometry.pose import Pose
-from rendezview.io.target import Target
-from rendezview.sensors.beacons import (
-    LitDark,
-    ReflectorPattern,
-    ReflectorSensor,
-    TrackingOptions,
-    patterns_of,
-)
+from rendezview import LitDark, Pose, ReflectorSensor, Status, Target, patterns_of
+from rendezview.sensors.beacons import ReflectorPattern, TrackingOptions
 from rendezview.sensors.beacons.match.acquisition import merged
 from rendezview.sensors.beacons.observation import ReflectorObservation
-from rendezview.sensors.observation import Status
 
 WRONG_DEG, WRONG_SHARE = 5.0, 0.03
 READINGS = 30  # of a tracked sequence

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from experiments.frame import tests_module
 from experiments.service.serving import Served
-from rendezview_service.client import Client
+from rendezview import Client
 
 harness = tests_module("service.fuzz")
 

@@ -16,8 +16,7 @@ from mcap.reader import make_reader
 
 from experiments.frame import tests_module
 from experiments.service.serving import Loop, Served
-from rendezview.errors import RendezviewError
-from rendezview_service.client import Client
+from rendezview import Client, RendezviewError
 from rendezview_service.logs.log_repair import mend
 from rendezview_service.logs.replay import read_log
 

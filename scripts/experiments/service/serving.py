@@ -13,9 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rendezview.errors import RendezviewError
-from rendezview.io.sequences import open_sequence
-from rendezview_service.client import Client
+from rendezview import Client, RendezviewError, open_sequence
 
 
 class Loop:

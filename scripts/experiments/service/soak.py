@@ -13,7 +13,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from experiments.service.serving import Loop, Served
-from rendezview_service.client import Client
+from rendezview import Client
 
 _WARM_MIN = 30  # history, caches and allocators fill; a log's part lasts ten minutes here
 _ENOUGH_MB = 2.0  # that memory may change by after that

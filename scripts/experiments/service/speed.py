@@ -14,8 +14,8 @@ import numpy as np
 
 from experiments.service.serving import Loop, Served
 from experiments.service.soak import soak
-from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
-from rendezview_service.client import Client, ServiceError
+from rendezview import Client, Recognizer, Tracker, ViewModel
+from rendezview_service.client import ServiceError
 
 ROUNDS, BLOCK = 20, 50  # blocks of frames in turns; the first warms up
 CLIENTS, SECONDS = 8, 15.0  # of the throughput

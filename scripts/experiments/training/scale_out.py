@@ -12,13 +12,12 @@ from typing import Annotated
 import distributed
 
 from experiments.frame import mesh_of
-from rendezview.sensors.appearance import ViewModel
+from rendezview import TrainingOptions, ViewModel
 from rendezview_ground.evaluate.assessment import AssessmentOptions, assess
 from rendezview_ground.learn.job import train
 from rendezview_ground.learn.jobs.cluster import Cluster
 from rendezview_ground.learn.jobs.cores import Cores
 from rendezview_ground.learn.jobs.shard_executor import ShardExecutor
-from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate.command import default_camera
 

@@ -22,18 +22,11 @@ from rendezview.geometry.zbuffer import Float32s
 from rendezview.sensors.appearance.edges.network import SIDE_PX
 from rendezview.sensors.appearance.model.sketches import MAPS
 from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate import sketch_frames
 from rendezview_ground.simulate.cluttered_rooms import INDOORS, crowded, room
 from rendezview_ground.simulate.random_craft import any_craft
 from rendezview_ground.simulate.random_objects import random_object
 from rendezview_ground.simulate.random_textures import random_texture
-from rendezview_ground.simulate.sketch_frames import (
-    DRAWINGS,
-    SKY_PX,
-    CraftDrawing,
-    draw_craft,
-    draw_sky,
-    take,
-)
 
 LARGE = 2  # times SIDE_PX: the side of larger pictures, as those of a closer pass
 LARGE_SHARE = 0.35  # of the batches
@@ -55,7 +48,7 @@ Maps = npt.NDArray[np.uint8]  # (N, MAPS, S, S) of ``sketch_maps``, 0 … 255
 class Target:
     """What is photographed, and whether it stands in a room."""
 
-    drawing: CraftDrawing
+    drawing: sketch_frames.CraftDrawing
     indoors: bool
 
 
@@ -88,16 +81,16 @@ class Pool:
             behind = self._rooms if target.indoors else self._skies
             sky = behind[self.rng.integers(len(behind))]
             options = INDOORS if target.indoors else None
-            pictures[k], drawn = take(target.drawing, sky, self.rng, options)
+            pictures[k], drawn = sketch_frames.take(target.drawing, sky, self.rng, options)
             maps[k] = np.rint(255.0 * drawn)
         return pictures, maps
 
     def _new(self, side: int, around: deque[Target]) -> Target:
         rng = self.rng
         if self._drawn % DRAWINGS_A_BACKGROUND == 0:
-            self._skies.append(draw_sky(rng))
-            self._rooms.append(room(SKY_PX, rng))
-        if self._mesh is None or self._drawn % DRAWINGS == 0:
+            self._skies.append(sketch_frames.draw_sky(rng))
+            self._rooms.append(room(sketch_frames.SKY_PX, rng))
+        if self._mesh is None or self._drawn % sketch_frames.DRAWINGS == 0:
             self._is_object = bool(rng.random() < OBJECT_SHARE)
             self._mesh = random_object(rng) if self._is_object else any_craft(rng)
         self._drawn += 1
@@ -109,8 +102,8 @@ class Pool:
                 (CROWDED_SHARE, ALONE_SHARE),
             )
         )
-        drawing = draw_craft(
-            self._mesh, rng, side, random_texture(SKY_PX, rng) if printed else None
+        drawing = sketch_frames.draw_craft(
+            self._mesh, rng, side, random_texture(sketch_frames.SKY_PX, rng) if printed else None
         )
         if others:
             count = min(int(rng.integers(MOST_OTHERS + 1)), len(around))

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import kept, mesh_of, nees, show, table_of
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
+from rendezview import Camera, Pose, Recognizer, Tracker, ViewModel
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.appearance.outline.interpolation import Interpolator
 from rendezview.sensors.appearance.outline.votes import Match
 from rendezview.trajectory import (
