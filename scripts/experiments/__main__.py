@@ -45,7 +45,6 @@ EXPERIMENTS = {
         "integrity-draw": ("integrity.draw", "tracks sequences of every condition, in pieces"),
         "integrity-fit": ("integrity.fit", "fits tails, odds of a wrong pose and drift to them"),
         "integrity": ("integrity.judge", "misleading, alarmed, available; Stanford diagrams"),
-        "evidence": ("evidence", "requirements, their tests and results, from a JUnit file"),
     },
     "benchmark and pictures": {
         "golden": ("golden.command", "answers of all sensors, stored and compared, bit for bit"),

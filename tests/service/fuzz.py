@@ -18,11 +18,11 @@ from urllib.parse import quote, urlsplit
 import numpy as np
 from tests.service.fuzz_cases import CAMERA, RING, Cases
 from tests.service.fuzz_routes import Routes, raw_bytes, send_raw
+from tests.service.served import Served
 from tests.waiting import MOST_S
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from experiments.service.serving import Processes
 from rendezview_service.client import Client, ServiceError
 
 MOST_PROCESSOR_S = 5.0  # of the service and its workers for one case; a whole search takes 1
@@ -54,7 +54,7 @@ def peak_mb(pids: list[int]) -> float:
 class Fuzz(Cases):
     """Sends the cases and notes what must not be."""
 
-    def __init__(self, served: Processes, seed: int) -> None:
+    def __init__(self, served: Served, seed: int) -> None:
         super().__init__(seed)
         self.served = served
         self.outcomes: Counter[str] = Counter()

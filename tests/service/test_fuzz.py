@@ -6,14 +6,12 @@ from collections import Counter
 
 from tests.service.fuzz import SESSION, Fuzz
 
-from experiments.service.serving import Processes
-
 CASES = 600
 
 
 def test_malformed_requests_neither_fail_nor_cost_much(start_service):
     served = start_service()
-    fuzz = Fuzz(Processes(served.url, served.process.pid), seed=41)
+    fuzz = Fuzz(served, seed=41)
     with served.client() as client:
         fuzz.open(client)
         fuzz.by_routes(CASES // 2)

@@ -16,7 +16,7 @@ from experiments.integrity.draw import CAMERA, CONDITIONS, sequence
 from experiments.pose.frames import random_pose
 from experiments.pose.photo_accuracy import PRIOR_DEG, near
 from experiments.pose.sketch_confidence import frame
-from experiments.service.serving import Served
+from experiments.service.serving import serve
 from rendezview import Client, Pose, Recognizer, Target, Tracker, ViewModel, open_sequence
 from rendezview.geometry.joint import within
 from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
@@ -105,9 +105,8 @@ def service(answers: Answers, path: Path, mesh: Mesh, model: ViewModel, seed: in
     """A session of a service in its own processes, with a filter, over HTTP."""
     condition, rng = replace(CONDITIONS["low Sun"], frames=60), np.random.default_rng(seed)
     drawn = list(sequence(mesh, model.centre_m, model.target_radius_m, condition, rng))
-    served = Served(path, "--workers", "1", spare_worker=False)
+    served = serve(path, "--workers", "1", spare_worker=False)
     try:
-        served.await_ready()
         with Client(served.url) as client:
             session = client.open(CAMERA, prior=drawn[0][1], record=False, name="golden")
             for k, (image, truth) in enumerate(drawn):

@@ -11,7 +11,7 @@ from scipy.optimize import approx_fprime
 
 from experiments.frame import CLIENT, show, table_of
 from experiments.peers.pnp import PEERS, one_camera
-from experiments.reflectors.plain import Simulator, plain
+from experiments.reflectors.lab import Simulator, plain
 from rendezview import Camera, LitDark, Pose, Target, patterns_of
 from rendezview.geometry.pose import minimal_rotation
 from rendezview.sensors.beacons import (

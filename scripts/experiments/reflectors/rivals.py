@@ -10,16 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.frame import CLIENT, show, table_of
-from experiments.reflectors.plain import CAMERA, FIVE, HALF_TURN, PINHOLE, THREE, apart, plain
-from rendezview import LitDark, Pose, ReflectorSensor, Status, Target, patterns_of
+from experiments.reflectors import lab
+from experiments.reflectors.lab import plain
+from rendezview import Pose, ReflectorSensor, Target, patterns_of
 from rendezview.sensors.beacons import ReflectorPattern, TrackingOptions
 from rendezview.sensors.beacons.match.acquisition import merged
 from rendezview.sensors.beacons.observation import ReflectorObservation
 
-WRONG_DEG, WRONG_SHARE = 5.0, 0.03
 READINGS = 30  # of a tracked sequence
 RATIO, NEAR_OFFSET_M = 0.22, (0.05, -0.3, 0.0)
-KINDS = ("right", "wrong", "ambiguous", "none")
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Motion:
 def moving(rng: np.random.Generator, ranges_m: tuple[float, float], margin_px: float) -> Motion:
     """An approach at up to 0.03 of the range a second, turning at up to 1.5°/s about any axis."""
     range_m = math.exp(rng.uniform(*np.log(ranges_m)))
-    rotation, translation = plain.look_at(rng, PINHOLE, range_m, math.radians(25.0), margin_px)
+    rotation, translation = plain.look_at(rng, lab.PINHOLE, range_m, math.radians(25.0), margin_px)
     drift = range_m * rng.normal(0.0, 0.003, 3) - rng.uniform(0.0, 0.03) * translation
     return Motion(rotation, translation, rng.normal(0.0, math.radians(0.8), 3), drift)
 
@@ -48,19 +47,9 @@ def moving(rng: np.random.Generator, ranges_m: tuple[float, float], margin_px: f
 def group_of(scale: float, name: str, offset: tuple[float, float, float]) -> ReflectorPattern:
     """The paper's three reflectors, all lengths scaled."""
     return ReflectorPattern(
-        name, tuple(f"{name}-{n}" for n in THREE.names), scale * THREE.positions_m + offset,
-        THREE.normals, scale * THREE.diameters_m,
+        name, tuple(f"{name}-{n}" for n in lab.THREE.names), scale * lab.THREE.positions_m + offset,
+        lab.THREE.normals, scale * lab.THREE.diameters_m,
     )  # fmt: skip
-
-
-def drawn(
-    pattern: ReflectorPattern, pose: Pose, rng: np.random.Generator, look, hidden=(), false=None
-) -> LitDark:
-    light = plain.discs(
-        PINHOLE, pose.rotation, pose.translation_m, pattern.positions_m, pattern.normals,
-        pattern.diameters_m, look, hidden,
-    )  # fmt: skip
-    return LitDark(*plain.pair(PINHOLE, light, look, rng, false=false))
 
 
 def look_of(rng: np.random.Generator):
@@ -78,16 +67,18 @@ def groups(
     first = len(patterns[0])
     covered = ((), (), (), (), tuple(range(first)), tuple(range(first, len(both))))[rng.integers(6)]
     tracking = TrackingOptions(confirm=readings > 1)
-    sensor = ReflectorSensor(CAMERA, patterns, tracking=tracking)
+    sensor = ReflectorSensor(lab.CAMERA, patterns, tracking=tracking)
     for k in range(readings):
         pose = motion(0.2 * k) @ aim
-        yield kind(sensor.update(0.2 * k, drawn(both, pose, rng, look, covered)), pose, patterns)
+        placed = pose.rotation, pose.translation_m
+        frames = lab.pictures("plain", both, placed, look, rng, hidden=covered)
+        yield judged(sensor.update(0.2 * k, frames), pose, patterns)
 
 
 def glint(rng: np.random.Generator, pattern: ReflectorPattern, hide: bool) -> Iterator[str]:
     """A light as large and bright as a disc crosses one of them; with ``hide`` that goes out."""
     motion, look = moving(rng, (1.5, 5.0), 130.0), look_of(rng)
-    sensor = ReflectorSensor(CAMERA, [pattern])
+    sensor = ReflectorSensor(lab.CAMERA, [pattern])
     struck, when = int(rng.integers(len(pattern))), rng.uniform(8.0, 20.0)
     way = rng.uniform(0.0, 2.0 * math.pi)
     speed = math.exp(rng.uniform(math.log(0.5), math.log(8.0)))  # px a reading
@@ -96,23 +87,21 @@ def glint(rng: np.random.Generator, pattern: ReflectorPattern, hide: bool) -> It
     for k in range(READINGS):
         pose = motion(0.2 * k)
         places = pose.apply(pattern.positions_m)
-        size = math.hypot(look.blur, 0.45 * 0.0125 * PINHOLE.focal_px / places[struck, 2])
-        at = PINHOLE.project(places)[struck] + (k - when) * step + miss
+        size = math.hypot(look.blur, 0.45 * 0.0125 * lab.PINHOLE.focal_px / places[struck, 2])
+        at = lab.PINHOLE.project(places)[struck] + (k - when) * step + miss
         covered = (struck,) if hide and when <= k < when + 6 else ()
-        frames = drawn(pattern, pose, rng, look, covered, np.array([[*at, size, bright]]))
-        yield kind(sensor.update(0.2 * k, frames), pose, [pattern])
+        placed, false = (pose.rotation, pose.translation_m), np.array([[*at, size, bright]])
+        frames = lab.pictures("plain", pattern, placed, look, rng, hidden=covered, false=false)
+        yield judged(sensor.update(0.2 * k, frames), pose, [pattern])
 
 
-def kind(reading: ReflectorObservation, truth: Pose, patterns: list[ReflectorPattern]) -> str:
-    """What an answer is, one of ``KINDS``; a half turn is no error where it is reported."""
-    if reading.pose is None:
-        return "ambiguous" if reading.status is Status.AMBIGUOUS else "none"
+def judged(reading: ReflectorObservation, truth: Pose, patterns: list[ReflectorPattern]) -> str:
+    """What an answer is; a half turn is no error where it is reported."""
     truths = [truth]
     if reading.roll_ambiguous:
         faces = [pattern.target_from_face for pattern in patterns]
-        truths += [truth @ face @ HALF_TURN @ face.inverse() for face in faces]
-    off = min(apart(reading.pose, one, False) for one in truths)
-    return "wrong" if off[0] > WRONG_DEG or off[1] > WRONG_SHARE else "right"
+        truths += [truth @ face @ lab.HALF_TURN @ face.inverse() for face in faces]
+    return lab.kind(reading.pose, reading.status, *truths)
 
 
 SHAPED = [group_of(1.0, "far", (0.0, 0.0, 0.0)), group_of(RATIO, "near", NEAR_OFFSET_M)]
@@ -121,16 +110,16 @@ SCENES: dict[str, Callable[[np.random.Generator], Iterator[str]]] = {
     "two groups of one shape, tracked": lambda rng: groups(rng, SHAPED, (2.0, 12.0)),
     "client, alone": lambda rng: groups(rng, patterns_of(Target.load(CLIENT)), (2.0, 14.0), 1),
     "client, tracked": lambda rng: groups(rng, patterns_of(Target.load(CLIENT)), (2.0, 14.0)),
-    "glint, three reflectors": lambda rng: glint(rng, THREE, False),
-    "glint for a reflector, three": lambda rng: glint(rng, THREE, True),
-    "glint, five reflectors": lambda rng: glint(rng, FIVE, False),
-    "glint for a reflector, five": lambda rng: glint(rng, FIVE, True),
+    "glint, three reflectors": lambda rng: glint(rng, lab.THREE, False),
+    "glint for a reflector, three": lambda rng: glint(rng, lab.THREE, True),
+    "glint, five reflectors": lambda rng: glint(rng, lab.FIVE, False),
+    "glint for a reflector, five": lambda rng: glint(rng, lab.FIVE, True),
 }
 
 
 def compare(readings: int, seed: int, scene: str) -> None:
     """Readings beside a rival: right, wrong, ambiguous or none."""
-    table = table_of(f"seed {seed}", ["scene", "readings", *KINDS], left=1)
+    table = table_of(f"seed {seed}", ["scene", "readings", *lab.KINDS], left=1)
     for number, (name, make) in enumerate(SCENES.items()):
         if scene not in name:
             continue
@@ -139,5 +128,5 @@ def compare(readings: int, seed: int, scene: str) -> None:
         while counts.total() < readings:
             counts.update(make(np.random.default_rng([seed, number, n])))
             n += 1
-        table.add_row(name, str(counts.total()), *[str(counts[k]) for k in KINDS])
+        table.add_row(name, str(counts.total()), *[str(counts[k]) for k in lab.KINDS])
     show(table)

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from experiments.frame import tests_module
-from experiments.service.serving import Served
+from experiments.service.serving import serve
 from rendezview import Client
 
 harness = tests_module("service.fuzz")
@@ -39,14 +39,12 @@ def run(
     if hostile_s:
         clients = tests_module("service.hostile_clients")
         with tempfile.TemporaryDirectory() as logs:
-            served = Served(model, "--record", logs, record_all="false")
-            served.await_ready()
+            served = serve(model, "--record", logs, record_all="false")
             for line in clients.campaign(served, Path(logs), hostile_s):
                 print(line, flush=True)
             served.stop()
         return
-    served = Served(model, spare_worker="false")
-    served.await_ready()
+    served = serve(model, spare_worker="false")
     fuzz, start = harness.Fuzz(served, seed), time.monotonic()
     with Client(served.url) as client:
         fuzz.open(client)
@@ -78,5 +76,5 @@ def run(
     for failure in fuzz.failures[:20]:
         print(failure)
     if fuzz.failures:
-        print("\n".join(["the service's last lines:", *served.log[-40:]]))
+        print("\n".join(["the service's last lines:", *list(served.lines)[-40:]]))
     sys.exit(bool(fuzz.failures))

@@ -15,7 +15,7 @@ import numpy as np
 from mcap.reader import make_reader
 
 from experiments.frame import tests_module
-from experiments.service.serving import Loop, Served
+from experiments.service.serving import Loop, serve
 from rendezview import Client, RendezviewError
 from rendezview_service.logs.log_repair import mend
 from rendezview_service.logs.replay import read_log
@@ -60,7 +60,7 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0, log_faults
             folder.mkdir()
             # Logs without the model: written each time it only takes time.
             flags = ("--workers", "1", "--record", str(folder), "--models", f"{work}/models")
-            served = Served(model, *flags, group=True, record_model="false")
+            served = serve(model, *flags, record_model="false")
             acknowledged: dict[str, list[dict]] = {}
             threads = [
                 threading.Thread(target=send, args=(served.url, scene, name, acknowledged))

@@ -12,7 +12,7 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from experiments.service.serving import Loop, Served
+from experiments.service.serving import Loop, serve
 from rendezview import Client
 
 _WARM_MIN = 30  # history, caches and allocators fill; a log's part lasts ten minutes here
@@ -36,8 +36,7 @@ def soak(model: Path, scene: Path, minutes: int, rate_hz: float) -> bool:
     with tempfile.TemporaryDirectory() as work:
         kept = ("--record", f"{work}/logs", "--state", f"{work}/state")
         Path(work, "logs").mkdir()
-        served = Served(model, "--workers", "1", *kept, log_part_s=600.0)
-        served.await_ready()
+        served = serve(model, "--workers", "1", *kept, log_part_s=600.0)
         watched = f"{served.url.replace('http', 'ws')}v1/sessions/steady/watch"
         with Client(served.url) as client:
             session = client.open(loop.camera, prior=loop.prior, name="steady")
@@ -54,7 +53,7 @@ def soak(model: Path, scene: Path, minutes: int, rate_hz: float) -> bool:
                     session.track(image, time_s)
                     k += 1
                     time.sleep(max(0.0, start_s + k / rate_hz - time.monotonic()))
-                served_mb.append((served.resident_mb(served.pid), served.resident_mb()))
+                served_mb.append((served.resident_mb(served.process.pid), served.resident_mb()))
                 told = "service {:.1f} MB, all {:.1f} MB".format(*served_mb[-1])
                 print(f"{minute} min, {k} frames: {told}", file=sys.stderr, flush=True)
         served.stop()

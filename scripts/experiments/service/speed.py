@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from experiments.service.serving import Loop, Served
+from experiments.service.serving import Loop, serve
 from experiments.service.soak import soak
 from rendezview import Client, Recognizer, Tracker, ViewModel
 from rendezview_service.client import ServiceError
@@ -24,8 +24,7 @@ ALONE_S = 8.0  # of the bare tracker
 
 def overhead(loop: Loop, model: Path) -> None:
     """Blocks of frames in turns: bare, by requests, by a stream."""
-    served = Served(model, "--workers", "1")
-    served.await_ready()
+    served = serve(model, "--workers", "1")
     client = Client(served.url)
     by_request = client.open(loop.camera, prior=loop.prior)
     stream = client.open(loop.camera, prior=loop.prior).stream()
@@ -95,8 +94,7 @@ def many(loop: Loop, model: Path, scene: Path) -> None:
     """Throughput, fairness and cost with several clients at once."""
     loaded = ViewModel.load(model)
     alone_ms(loaded, loop, 2.0)  # compiles
-    served, bare_ms = Served(model), alone_ms(loaded, loop, ALONE_S)
-    served.await_ready()
+    served, bare_ms = serve(model), alone_ms(loaded, loop, ALONE_S)
     apart = get_context("spawn")
     ready, results = apart.Barrier(CLIENTS + 1), apart.Queue()
     task = (served.url, scene, ready, results)
