@@ -29,8 +29,7 @@ EXPERIMENTS = {
     },
     "service": {
         "service-speed": ("service.speed", "cost of the service over the bare tracker"),
-        "service-kill": ("service.kill", "poses lost when the recording service is killed"),
-        "service-fuzz": ("service.fuzz", "malformed frames and messages"),
+        "service-faults": ("service.faults", "kills, sick disks, malformed and hostile requests"),
     },
     "flight code and startup": {
         "export-c-check": ("flight_code.check", "exported C beside the runtime, same frames"),

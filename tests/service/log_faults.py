@@ -1,6 +1,6 @@
 """Faults of disks, files and processes under the writer of a log.
 
-Of test_log_faults.py, and by the hundred of experiment service-kill.
+Of test_log_faults.py, and by the hundred of experiment service-faults.
 """
 
 from __future__ import annotations

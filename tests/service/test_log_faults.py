@@ -1,4 +1,4 @@
-"""A short run of experiment service-kill --log-faults: each kind of fault once."""
+"""A short run of experiment service-faults disks: each kind of fault once."""
 
 from __future__ import annotations
 

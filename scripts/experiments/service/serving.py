@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 from pathlib import Path
 from typing import Any
 
@@ -31,5 +32,6 @@ def serve(model: Path, *flags: str, **settings: object) -> Any:
     served = tests_module("service.served").Served.start(
         str(model), *flags, folder=Path(), environment=environment, most_lines=1000
     )
+    atexit.register(lambda: served.process.poll() is None and served.kill())
     served.await_ready()
     return served
