@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
-from experiments.training import sketch_feed, sketch_network
+from experiments.training import sketch_network
 from rendezview.sensors.appearance.edges.network import SIDE_PX
 from rendezview.sensors.appearance.model.sketches import COVER, MAPS
 from rendezview_ground.simulate.sketch_frames import CraftDrawing, draw_craft
@@ -31,9 +31,9 @@ def test_without_pytorch_it_says_what_to_install(
 
 
 def test_a_part_is_the_same_for_a_seed_in_both_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sketch_feed, "LEAST_POOL", 4)
+    monkeypatch.setattr(sketch_network, "LEAST_POOL", 4)
     first, again, other = (sketch_network.part((seed, 1), (2, 1)) for seed in (5, 5, 6))
-    for k, side in enumerate((SIDE_PX, sketch_feed.LARGE * SIDE_PX)):
+    for k, side in enumerate((SIDE_PX, sketch_network.LARGE * SIDE_PX)):
         pictures, maps = first[k]
         assert pictures.shape == (2 - k, side, side)
         assert maps.shape == (2 - k, MAPS, side, side)
@@ -44,15 +44,15 @@ def test_a_part_is_the_same_for_a_seed_in_both_sizes(monkeypatch: pytest.MonkeyP
 
 
 def test_a_pool_draws_anew_after_so_many_photographs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sketch_feed, "LEAST_POOL", 4)
+    monkeypatch.setattr(sketch_network, "LEAST_POOL", 4)
     drawn = []
 
     def counted(*args: Any) -> CraftDrawing:
         drawn.append(draw_craft(*args))
         return drawn[-1]
 
-    monkeypatch.setattr(sketch_feed, "draw_craft", counted)
-    pool = sketch_feed.Pool(np.random.default_rng(1), reuse=4.0)
+    monkeypatch.setattr(sketch_network, "draw_craft", counted)
+    pool = sketch_network.Pool(np.random.default_rng(1), reuse=4.0)
     pool.photographs(8, 1)
     assert len(drawn) == 4
     pool.photographs(8, 1)
@@ -73,10 +73,10 @@ def threads_of_opencv() -> Iterator[None]:
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 @pytest.mark.usefixtures("threads_of_opencv")
 def test_processes_feed_different_batches_until_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sketch_feed, "LEAST_POOL", 4)
-    monkeypatch.setattr(sketch_feed, "MOST_S", 60.0)
-    monkeypatch.setattr(sketch_feed, "LARGE_SHARE", 0.5)
-    feed = sketch_feed.batches(1, 4, 4.0, seed=3)
+    monkeypatch.setattr(sketch_network, "LEAST_POOL", 4)
+    monkeypatch.setattr(sketch_network, "MOST_S", 60.0)
+    monkeypatch.setattr(sketch_network, "LARGE_SHARE", 0.5)
+    feed = sketch_network.batches(1, 4, 4.0, seed=3)
     shapes, sums = set(), set()
     for pictures, maps in itertools.islice(feed, 8):
         assert pictures.size == 4 * SIDE_PX**2
@@ -93,6 +93,6 @@ def test_processes_feed_different_batches_until_closed(monkeypatch: pytest.Monke
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 @pytest.mark.usefixtures("threads_of_opencv")
 def test_a_process_that_ends_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sketch_feed, "_batch", os._exit)
+    monkeypatch.setattr(sketch_network, "_batch", os._exit)
     with pytest.raises(BrokenProcessPool):
-        next(sketch_feed.batches(1, 4, 4.0, seed=3))
+        next(sketch_network.batches(1, 4, 4.0, seed=3))

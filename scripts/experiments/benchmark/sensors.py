@@ -10,11 +10,10 @@ import cv2
 import numpy as np
 
 import rendezview as rv
-from experiments.benchmark.check import Bench, Row, times
+from experiments.benchmark.check import Bench, Row, Way, times
 from experiments.frame import CLIENT, MODELS_CAD
 from experiments.reflectors.accuracy import CAMERA, OPTIONS, random_pose
 from experiments.stereo.accuracy import leds_of, spots_of
-from experiments.timing import Way
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.sensors.beacons import ReflectorPattern, TrackerOptions
 from rendezview.sensors.ring import RingDetector

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from experiments.frame import MODELS_CAD
-from experiments.golden.answers import RIGHT_SHARE, Answers
-from experiments.golden.models import trained
+from experiments.golden.answers import RIGHT_SHARE, Answers, trained
 from experiments.integrity.draw import CAMERA, CONDITIONS, sequence
 from experiments.pose.frames import random_pose
 from experiments.pose.photo_accuracy import PRIOR_DEG, near

@@ -10,8 +10,7 @@ import cv2
 
 from experiments.frame import MODELS_CAD
 from experiments.golden import appearance, sensors
-from experiments.golden.answers import Answers, no_worse, read, same
-from experiments.golden.models import digests, trained
+from experiments.golden.answers import Answers, digests, no_worse, read, same, trained
 
 _SEED = 49
 _VEHICLES = ("hubble", "client", "shuttle")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -28,24 +29,26 @@ MEDIUM = TrainingOptions(order=2, perturbed_views=1600, held_out_views=400, cont
 TINY = replace(MEDIUM, order=0, perturbed_views=60, held_out_views=20)
 
 
-def run_training(mesh: Mesh, options: TrainingOptions, executor: ShardExecutor) -> bytes:
+def written(write: Callable[[Path], object]) -> bytes:
+    """The bytes of the file that a work writes."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "model.rvm"
-        train(mesh, path, name="target", options=options, executor=executor)
+        path = Path(folder) / "written"
+        write(path)
         return path.read_bytes()
 
 
-def run_assessment(model: ViewModel, mesh: Mesh, frames: int, executor: ShardExecutor) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "answers.jsonl"
-        options = AssessmentOptions(frames=frames, seed=9)
-        assess(model, mesh, default_camera(), path, executor, options)
-        return path.read_bytes()
+def training(mesh: Mesh, options: TrainingOptions, executor: ShardExecutor) -> bytes:
+    return written(lambda p: train(mesh, p, name="target", options=options, executor=executor))
+
+
+def campaign(model: ViewModel, mesh: Mesh, frames: int, executor: ShardExecutor) -> bytes:
+    options = AssessmentOptions(frames=frames, seed=9)
+    return written(lambda p: assess(model, mesh, default_camera(), p, executor, options))
 
 
 def load_code(mesh: Mesh, model: ViewModel) -> None:
-    run_training(mesh, TINY, Cores(1))
-    run_assessment(model, mesh, 4, Cores(1))
+    training(mesh, TINY, Cores(1))
+    campaign(model, mesh, 4, Cores(1))
 
 
 def run(*, model: Path, frames: Annotated[int, "of the campaign"] = 192) -> None:
@@ -58,8 +61,8 @@ def run(*, model: Path, frames: Annotated[int, "of the campaign"] = 192) -> None
     """
     (_, mesh), loaded = mesh_of(TARGET), ViewModel.load(model)
     works = {
-        "training": lambda w: run_training(mesh, MEDIUM, w),
-        "campaign": lambda w: run_assessment(loaded, mesh, frames, w),
+        "training": lambda w: training(mesh, MEDIUM, w),
+        "campaign": lambda w: campaign(loaded, mesh, frames, w),
     }
     cores = os.cpu_count() or 1
     wall: dict[tuple[str, int], float] = {}
