@@ -51,7 +51,7 @@ def test_a_pool_draws_anew_after_so_many_photographs(monkeypatch: pytest.MonkeyP
         drawn.append(draw_craft(*args))
         return drawn[-1]
 
-    monkeypatch.setattr(sketch_network, "draw_craft", counted)
+    monkeypatch.setattr(sketch_network.sketch_frames, "draw_craft", counted)
     pool = sketch_network.Pool(np.random.default_rng(1), reuse=4.0)
     pool.photographs(8, 1)
     assert len(drawn) == 4
