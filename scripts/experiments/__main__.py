@@ -36,7 +36,6 @@ EXPERIMENTS = {
         "compiled-loops": ("startup.loops", "lists the loops that commands compile"),
     },
     "training": {
-        "scale-out": ("training.scale_out", "several workers: speed, kills, cost"),
         "foreground-network": ("training.foreground_network", "trains the foreground network"),
         "sketch-network": ("training.sketch_network", "trains the sketch network (PyTorch)"),
     },

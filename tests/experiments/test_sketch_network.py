@@ -18,6 +18,7 @@ import pytest
 from experiments.training import sketch_network
 from rendezview.sensors.appearance.edges.network import SIDE_PX
 from rendezview.sensors.appearance.model.sketches import COVER, MAPS
+from rendezview_ground.simulate import sketch_frames
 from rendezview_ground.simulate.sketch_frames import CraftDrawing, draw_craft
 
 
@@ -51,7 +52,7 @@ def test_a_pool_draws_anew_after_so_many_photographs(monkeypatch: pytest.MonkeyP
         drawn.append(draw_craft(*args))
         return drawn[-1]
 
-    monkeypatch.setattr(sketch_network.sketch_frames, "draw_craft", counted)
+    monkeypatch.setattr(sketch_frames, "draw_craft", counted)
     pool = sketch_network.Pool(np.random.default_rng(1), reuse=4.0)
     pool.photographs(8, 1)
     assert len(drawn) == 4

@@ -17,9 +17,8 @@ plain = tests_module("plain_pictures")
 Simulator = Literal["plain", "own"]
 
 PINHOLE = plain.Pinhole()
-CAMERA = Camera(
-    PINHOLE.width, PINHOLE.height, PINHOLE.focal_px, PINHOLE.focal_px, PINHOLE.cx, PINHOLE.cy
-)
+_FOCAL_PX = (PINHOLE.focal_px, PINHOLE.focal_px)
+CAMERA = Camera(PINHOLE.width, PINHOLE.height, *_FOCAL_PX, PINHOLE.cx, PINHOLE.cy)
 _HALF, _POST = 0.5 * 14.5 * 0.0254, 4 * 0.0254  # m, of the paper's target
 _PLACES = np.array(
     [[-_HALF, 0, 0], [0, 0, _POST], [_HALF, 0, 0], [0, 0.75 * _HALF, 0], [0, -0.75 * _HALF, 0]]

@@ -6,7 +6,9 @@ import sys
 import tempfile
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing import Queue, get_context
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
@@ -26,12 +28,8 @@ _ENOUGH_MB = 2.0  # that memory may change by after that
 
 def watch(url: str) -> None:
     """A page that is open all the time."""
-    try:
-        with connect(url, compression=None, max_size=None) as socket:
-            for _ in socket:
-                pass
-    except ConnectionClosed:
-        pass
+    with suppress(ConnectionClosed), connect(url, compression=None, max_size=None) as socket:
+        deque(socket, maxlen=0)
 
 
 def soak(model: Path, scene: Path, minutes: int, rate_hz: float) -> bool:
