@@ -36,7 +36,7 @@ from rendezview_service.messages.frames import FrameKind, kind_of
 from rendezview_service.messages.messages import Contour, SessionRequest
 from rendezview_service.messages.model_messages import Recorded
 from rendezview_service.tracker.model_geometry import geometry
-from rendezview_service.tracker.tracking import camera_of, contour_at, pose_of, shown_pose
+from rendezview_service.tracker.tracking import contour_shown
 
 _HEAD = struct.Struct("<BQ")  # opcode, length
 _TIMES = struct.Struct("<QQ")  # first and last time of a chunk, ns
@@ -134,12 +134,7 @@ class Recording:
         frame = self.frame(number)
         if frame is None or frame.state is None:
             return None
-        pose, predicted = shown_pose(frame.state)
-        if pose is None or self.request.camera is None:
-            return None
-        return contour_at(
-            self.model, camera_of(self.request.camera), pose_of(pose), predicted=predicted
-        )
+        return contour_shown(self.model, self.request.camera, frame.state)
 
     def _read(self, path: Path, offset: int) -> list[LoggedFrame]:
         if path not in self._kinds:
