@@ -48,7 +48,7 @@ from rendezview_service.messages.messages import (
 )
 from rendezview_service.messages.model_messages import Geometry
 from rendezview_service.messages.ros import pose_with_covariance_stamped, transform_stamped
-from rendezview_service.tracker.tracking import contour_shown
+from rendezview_service.tracker.tracking import camera_of, contour_shown
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"], responses=FAULTS)
 
@@ -240,9 +240,10 @@ async def get_contour(request: Request, name: str, frame: int) -> Contour | None
     kept = session.past.state(frame)
     if kept is None:
         raise HTTPException(404, f"no state of frame {frame} or earlier is kept")
-    stored, camera = session.stored, session.request.camera
+    stored = session.stored
     model = await run_in_threadpool(lambda: stored.model)
-    return contour_shown(model, camera, json.loads(kept))
+    assert session.request.camera is not None
+    return contour_shown(model, camera_of(session.request.camera), json.loads(kept))
 
 
 @router.get("/{name}/events")

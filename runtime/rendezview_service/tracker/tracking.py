@@ -379,10 +379,13 @@ def silhouette_px(observation: AppearanceObservation) -> list[list[list[float]]]
 
 
 def contour_shown(
-    model: ViewModel, camera: CameraMessage | None, state: StateDict
+    model: ViewModel,
+    camera: Camera | None,
+    state: StateDict,
+    angles_rad: npt.NDArray[np.float64] | None = None,
 ) -> Contour | None:
-    """Contour points at the pose that is drawn over a frame; None without one."""
+    """Contour points at the pose that is drawn over a frame; None without one. See `contour_at`."""
     pose, predicted = shown_pose(state)
     if pose is None or camera is None:
         return None
-    return contour_at(model, camera_of(camera), pose_of(pose), predicted=predicted)
+    return contour_at(model, camera, pose_of(pose), angles_rad, predicted=predicted)
