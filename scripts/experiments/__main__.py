@@ -39,7 +39,6 @@ EXPERIMENTS = {
     },
     "training": {
         "scale-out": ("training.scale_out", "several workers: speed, kills, cost"),
-        "foreground-network": ("training.foreground_network", "trains the foreground network"),
         "sketch-network": ("training.sketch_network", "trains the sketch network (PyTorch)"),
     },
     "integrity": {
