@@ -23,12 +23,12 @@ from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import hat, log
 from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.edges.alignment import CUT_SPREADS
 from rendezview.sensors.appearance.edges.contour_at import target_box
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.network import FINER, Sketch, Sketcher
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
 from rendezview.sensors.appearance.edges.sketch import (
-    CUT_SPREADS,
     Maps,
     align_all_to_sketch,
     align_to_sketch,
