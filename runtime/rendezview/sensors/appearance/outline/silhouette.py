@@ -213,9 +213,9 @@ def mean_above(image: Picture, level_grey: float, averaged_px: int) -> Picture:
 
     At its border the outermost pixels are repeated.
     """
-    side, limit = (averaged_px, averaged_px), int(np.floor(level_grey * averaged_px**2))
+    side, limit = (averaged_px, averaged_px), np.floor([level_grey * averaged_px**2])
     sums = cv2.boxFilter(image, cv2.CV_16U, side, normalize=False, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray((sums > limit) * np.uint8(255))
+    return np.asarray(cv2.compare(sums, limit, cv2.CMP_GT), dtype=np.uint8)
 
 
 def outer_borders(mask: Picture) -> list[Border]:
