@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rendezview.estimation.hypotheses import best_by
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.grey_frame import Picture
@@ -73,9 +74,9 @@ class CloseSearch:
             )
             found = refiner.best(image, sky, rotations, centres, _KEPT)
             near += [r for r in found if _trusted(r, prior, range_error)]
-        if not near:
+        best = best_by(lambda one: one.inlier_ratio, near)
+        if best is None:
             return None
-        best = max(near, key=lambda r: r.inlier_ratio)
         return Found(
             best, 1.0, sky.dark, prior=True, single=single, error_model=refiner.error_model
         )
