@@ -20,6 +20,7 @@ from rendezview.sensors.beacons import (
     TrackingOptions,
     patterns_of,
 )
+from rendezview.sensors.beacons.detect.discs import expected_size
 from rendezview.sensors.beacons.match.acquisition import merged
 from rendezview.sensors.beacons.observation import ReflectorObservation
 from rendezview.sensors.observation import Status
@@ -104,7 +105,8 @@ def glint(rng: np.random.Generator, pattern: ReflectorPattern, hide: bool) -> It
     for k in range(READINGS):
         pose = motion(0.2 * k)
         places = pose.apply(pattern.positions_m)
-        size = math.hypot(look.blur, 0.45 * 0.0125 * PINHOLE.focal_px / places[struck, 2])
+        blur_px = math.hypot(look.blur, math.sqrt(1.0 / 12.0))
+        size = expected_size(blur_px, 0.0125 * PINHOLE.focal_px / places[struck, 2])
         at = PINHOLE.project(places)[struck] + (k - when) * step + miss
         covered = (struck,) if hide and when <= k < when + 6 else ()
         frames = drawn(pattern, pose, rng, look, covered, np.array([[*at, size, bright]]))
