@@ -17,6 +17,7 @@ from experiments.reflectors import lab
 from experiments.reflectors.lab import plain
 from rendezview import LitDark, Pose, ReflectorSensor, Target, patterns_of
 from rendezview.sensors.beacons import ReflectorPattern, TrackingOptions, find_spots
+from rendezview.sensors.beacons.detect.discs import expected_size
 from rendezview.sensors.beacons.match.acquisition import merged
 from rendezview.sensors.beacons.observation import ReflectorObservation
 
@@ -90,7 +91,8 @@ def glint(rng: np.random.Generator, pattern: ReflectorPattern, hide: bool) -> It
     for k in range(READINGS):
         pose = motion(0.2 * k)
         places = pose.apply(pattern.positions_m)
-        size = math.hypot(look.blur, 0.45 * 0.0125 * lab.PINHOLE.focal_px / places[struck, 2])
+        blur_px = math.hypot(look.blur, math.sqrt(1.0 / 12.0))
+        size = expected_size(blur_px, 0.0125 * lab.PINHOLE.focal_px / places[struck, 2])
         at = lab.PINHOLE.project(places)[struck] + (k - when) * step + miss
         covered = (struck,) if hide and when <= k < when + 6 else ()
         placed, false = (pose.rotation, pose.translation_m), np.array([[*at, size, bright]])
