@@ -12,8 +12,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, predict_spots
-from rendezview.sensors.beacons.detect.cover import covered_px
-from rendezview.sensors.beacons.detect.spots import LONG_X, LONG_XY
+from rendezview.sensors.beacons.detect.cover import compare_spots, middle
+from rendezview.sensors.beacons.detect.spots import AMPLITUDE, LONG_X, LONG_XY, SIGMA, SIZE
 
 PINHOLE = plain.Pinhole()
 CAMERA = Camera(512, 384, 650.0, 650.0, 255.5, 191.5)
@@ -44,7 +44,7 @@ def test_a_covered_spot_counts_by_how_far_it_has_moved(five, share):
         places = predict_spots(CAMERA, five, truth)
         away = np.linalg.norm(places[:, None] - found.spots.centroids_px, axis=2)
         nearest = away.argmin(axis=1)
-        cover = covered_px(found.spots.table[nearest], five, np.arange(5), truth, 0.75)
+        cover = compare_spots(found.spots.table[nearest], five, np.arange(5), truth, 650.0, 0.75)[0]
         assert not cover[[0, 2, 3, 4]].any()
         moved.append(away[1].min())
         claimed.append(cover[1])
@@ -77,8 +77,54 @@ def test_discs_that_lean_alike_are_covered_by_nothing(five):
         places = predict_spots(CAMERA, five, truth)
         away = np.linalg.norm(places[:, None] - found.spots.centroids_px, axis=2)
         rows = found.spots.table[away.argmin(axis=1)].copy()
-        assert not covered_px(rows, five, np.arange(5), truth, 0.75).any()
+        assert not compare_spots(rows, five, np.arange(5), truth, 650.0, 0.75)[0].any()
         rows[2, [LONG_X, LONG_XY]] = np.nan  # saturated
-        assert not covered_px(rows, five, np.arange(5), truth, 0.75).any()
+        assert not compare_spots(rows, five, np.arange(5), truth, 650.0, 0.75)[0].any()
         rows[1, LONG_X] += 0.1
-        assert covered_px(rows, five, np.arange(5), truth, 0.75)[1] > 0.1
+        assert compare_spots(rows, five, np.arange(5), truth, 650.0, 0.75)[0][1] > 0.1
+
+
+def test_the_light_of_a_spot_tells_whether_it_is_its_reflector(five):
+    rng = np.random.default_rng(4)
+    found, truth = reading(five, rng, {})
+    away = np.linalg.norm(
+        predict_spots(CAMERA, five, truth)[:, None] - found.spots.centroids_px, axis=2
+    )
+    rows = found.spots.table[away.argmin(axis=1)].copy()
+    before, ago = rows[:, AMPLITUDE].copy(), np.zeros(5, np.int64)
+
+    def compared(column, factor):
+        changed = rows.copy()
+        changed[3, column] *= factor
+        return compare_spots(
+            changed, five, np.arange(5), truth, 650.0, 0.75, brightness=before, aged=ago
+        )  # fmt: skip
+
+    cover, light = compared(SIZE, 1.0)
+    assert not cover.any()
+    assert light.sum() < 5.0  # of ten numbers, with generous σ
+    for column in (SIZE, AMPLITUDE):
+        cover, light = compared(column, 0.75)  # another light
+        assert light[3] > 20.0
+        assert not cover.any()
+        cover, light = compared(column, 1.3)  # another light over it: its place is uncertain
+        assert light.sum() < 5.0
+        assert np.flatnonzero(cover).tolist() == [3]
+    _, aged = compare_spots(
+        rows, five, np.arange(5), truth, 650.0, 0.75, brightness=0.8 * before[[0, 0, 0, 0, 0]],
+        aged=np.full(5, 400),
+    )  # fmt: skip
+    assert aged.sum() < 5.0  # long ago tells little
+    rows[3, SIGMA] = rows[3, SIZE]  # nor does a spot that hardly is one
+    assert compared(AMPLITUDE, 0.75)[1][3] < 1.0
+
+
+def test_middle_is_the_median_of_what_is_finite():
+    rng = np.random.default_rng(5)
+    for count in range(3, 9):
+        values = rng.normal(size=count)
+        assert middle(values) == pytest.approx(np.median(values))
+        values[0] = np.nan
+        if count > 3:
+            assert middle(values) == pytest.approx(np.median(values[1:]))
+    assert math.isnan(middle(np.array([1.0, 2.0, np.inf])))

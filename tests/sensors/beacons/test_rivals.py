@@ -94,6 +94,24 @@ def test_a_glint_in_place_of_a_reflector_is_not_followed(three, paper_camera, st
     assert statuses[-1] is Status.OK
 
 
+@pytest.mark.parametrize("grey", [130.0, 180.0])
+def test_a_glint_that_creeps_away_from_a_covered_reflector_is_no_pose(three, paper_camera, grey):
+    """It never jumps; light tells the dim one, and motion the other while that is known."""
+    rng, sensor = np.random.default_rng(6), ReflectorSensor(paper_camera, [three])
+    pose = pose_of(SixNumbers(3.0, 0.03, -0.02, 0.2, 0.15, -0.1), three)
+    half_turn = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    place = PINHOLE.project(pose.apply(three.positions_m))[1]
+    for k in range(30):
+        covered = (1,) if k >= 12 else ()
+        at = place + 1.0 * max(k - 11, 0) * np.array([0.8, -0.6])
+        false = np.array([[*at, 1.55, grey]]) if covered else None
+        reading = sensor.update(0.2 * k, frames_of(three, pose, rng, covered, false))
+        if reading.pose is not None:
+            off = min(reading.pose.angle_to(pose), reading.pose.angle_to(pose @ half_turn))
+            assert off < math.radians(5.0)
+        assert not (k >= 12 and grey < 150.0 and reading.pose is not None)
+
+
 def pattern_of(places, diameters):
     count = len(places)
     return ReflectorPattern(

@@ -95,6 +95,10 @@ class ReflectorPattern:
         """(3,) mean position of the reflectors, target frame."""
         return np.asarray(self.positions_m.mean(axis=0))
 
+    def range_m(self, camera_from_target: Pose) -> float:
+        """Distance of their middle from the camera."""
+        return math.hypot(*camera_from_target.apply(self.centre_m).tolist())
+
     @property
     def base(self) -> tuple[int, int]:
         """Left and right reflector: those farthest apart across the facing direction.

@@ -12,7 +12,7 @@ from rendezview.io.target import DockingRing
 from rendezview.sensors.beacons.budget import Budget
 from rendezview.sensors.beacons.constellation import SixNumbers
 from rendezview.sensors.beacons.detect.spots import COLUMNS, SpotTable
-from rendezview.sensors.beacons.match.acquisition_options import Acquisition
+from rendezview.sensors.beacons.match.acquisition_options import STRANGE, Acquisition
 from rendezview.sensors.beacons.rates import Rates
 from rendezview.sensors.measurement import Measurement
 from rendezview.sensors.observation import Observation, Status
@@ -105,8 +105,7 @@ def missed(
     if strange:
         return ReflectorObservation(
             Status.AMBIGUOUS,
-            "the spots where reflectors were expected contradict each other or the motion: they "
-            "may be others",
+            STRANGE,
             time_s=time_s, tracked=True, stage_ms=stage_ms,
         )  # fmt: skip
     if names:

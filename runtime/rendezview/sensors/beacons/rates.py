@@ -10,9 +10,11 @@ import numpy as np
 from rendezview.estimation.rates import RateBank, RateOptions
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import Face
+from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.pose.refinement import Refined
-from rendezview.sensors.beacons.track import TrackingOptions
+from rendezview.sensors.beacons.track import Doubt, Track, TrackingOptions
 
+_FEWEST = 3  # readings that tell a motion. Source: by construction, two fix rates
 _LONGEST_S = 30.0  # s between two readings: the motion is forgotten. Source: by construction
 
 
@@ -49,25 +51,32 @@ class RateEstimator:
         self._readings, self.last = 0, None
 
     def jumps(
-        self, time_s: float, refined: Refined, options: TrackingOptions, *, sure: bool, doubt: bool
-    ) -> bool:
-        """Whether a pose breaks with the motion so far; never where that is unknown.
+        self, time_s: float, refined: Refined, light: Array, track: Track | None,
+        options: TrackingOptions, doubt: Doubt,
+    ) -> bool:  # fmt: skip
+        """Whether a pose of few spots, which do not confirm each other, breaks with the readings.
 
-        ``sure``: the last reading gave a pose. After a gap only the likeliest motion counts: others
-        would by then allow anything. So it is in ``doubt`` about a spot, whose σ is no excuse then:
-        it must agree as well as the last pose without doubt.
+        ``light`` (K,): χ² of each spot's size and brightness, added to that of the motion. After a
+        gap of the ``track`` only the likeliest motion counts: others would by then allow anything.
+        So it is in ``doubt`` about a spot, whose σ is no excuse then: it must agree as well as the
+        last pose without doubt.
         """
-        if not self._readings or time_s - self._last_s > _LONGEST_S:
+        if len(light) > FEW:
             return False
+        if doubt is Doubt.OTHER and self._readings < _FEWEST:
+            return True
+        if not self._readings or time_s - self._last_s > _LONGEST_S:
+            return float(light.sum()) > options.jump_limit
         pose, (turn, share) = refined.camera_from_target, options.jump_floor
         place, covariance = pose.translation_m, (self._scatter if doubt else refined.scatter).copy()
         variances = covariance.reshape(-1)[::7]
         variances[:3] += turn**2
         variances[3:] += share**2 * float(place @ place)
-        free = sure and not doubt
+        free = track is not None and not track.misses and not doubt
         odds = options.jump_odds if free else math.inf
         limit = options.jump_limit if free else options.gap_limit
-        return self._bank.surprise(time_s, pose, covariance, odds, limit) > limit
+        limit -= float(light.sum())
+        return limit < 0.0 or self._bank.surprise(time_s, pose, covariance, odds, limit) > limit
 
     def add(self, time_s: float, pose: Pose, covariance: Array, face: Face) -> Rates | None:
         """Take a reading in; None while there is only one. ``face``: of the six numbers."""

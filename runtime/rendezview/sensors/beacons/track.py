@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,8 @@ from rendezview.sensors.beacons.detect.spots import AMPLITUDE, RIVALS, SIGMA, X
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.pose.refinement import Refined
 
+_LIKE = 9.0  # χ² of a spot's light that tells its reflector's. Source: by construction, 3 σ
+_VAGUE = 3.0  # × the σ of the others. Source: experiment reflector-hidden --scene glint
 _NEVER = 10**6  # readings. Source: by construction
 
 
@@ -61,7 +63,6 @@ class TrackingOptions:
     # so many times that of the others, or beside which another was in so many readings before.
     # Source: experiment reflector-hidden --scene glint
     doubt: int = 12
-    doubt_sigma: float = 3.0  # Source: likewise
     # error of a centroid beside the noise: pixels, lens, reflector edge. Source: by hand; doubled,
     # NEES falls from 0.53 to 0.29
     floor_px: float = 0.01
@@ -72,6 +73,14 @@ class TrackingOptions:
     def __post_init__(self) -> None:
         if not 0.0 <= self.readout_s < 1.0:
             raise RendezviewError(f"readout_s must be from 0 to below 1 s, not {self.readout_s}")
+
+
+class Doubt(IntEnum):
+    """Whether one of few visible spots may not be its reflector, or not all of it."""
+
+    NONE = 0
+    SOME = 1  # another spot is beside it, or its place is uncertain
+    OTHER = 2  # … and another spot was beside it shortly before: it may be that one
 
 
 class Branch(StrEnum):
@@ -99,11 +108,13 @@ class Track:
     misses: int = 0
     branch: Branch = Branch.SURE
     unseen: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    aged: npt.NDArray[np.int64] = field(init=False)  # (N,) readings since its brightness was sure
     alone: npt.NDArray[np.int64] = field(init=False)  # (N,) readings since another was beside it
     doubtful: int = 0  # readings in a row with a doubtful spot
 
     def __post_init__(self) -> None:
         self.alone = np.full(len(self.places), _NEVER)
+        self.aged = np.zeros(len(self.places), np.int64)
 
     @classmethod
     def begun(cls, time_s: float, pose: Pose, reflectors: int, *, roll_known: bool) -> Track:
@@ -117,7 +128,8 @@ class Track:
     @classmethod
     def after(
         cls, last: Track | None, time_s: float, table: Array, refined: Refined, noise: float,
-        ambiguous: bool, branch: Branch, coast: int, doubt: bool = False,
+        ambiguous: bool, branch: Branch, coast: int, doubt: Doubt = Doubt.NONE,
+        light: Array | None = None,
     ) -> Track:  # fmt: skip
         """The memory after a reading; ``table`` (N, 23): its spots, NaN where not visible."""
         count = len(table)
@@ -128,26 +140,31 @@ class Track:
             if last.misses <= coast:
                 before, before_s = last.places, last.time_s
         visible = np.isfinite(table[:, X])
-        bright, unseen = (
-            np.where(visible, table[:, AMPLITUDE], dim),
-            np.where(visible, 0, since + 1),
-        )
+        sure = visible
+        if light is not None:
+            sigma = table[:, SIGMA].copy()
+            sure = visible & (light < _LIKE) & ~(sigma > _VAGUE * middle(sigma))
+        bright, unseen = np.where(sure, table[:, AMPLITUDE], dim), np.where(visible, 0, since + 1)
         after = cls(
             time_s, refined.camera_from_target, table[:, :2].copy(), before, before_s, bright,
             noise, ambiguous, refined.covariance, unseen=unseen, branch=branch,
         )  # fmt: skip
         if last is not None:
+            after.aged = np.where(sure, 0, last.aged + 1)
             after.doubtful = last.doubtful + 1 if doubt else 0
             after.alone = np.where(table[:, RIVALS] > 0.0, 0, last.alone + 1)
         return after
 
-    def doubts(self, table: Array, seen: npt.NDArray[np.int64], options: TrackingOptions) -> bool:
-        """Whether one of few visible spots may not be its reflector, or not all of it."""
+    def doubts(self, table: Array, seen: npt.NDArray[np.int64], options: TrackingOptions) -> Doubt:
+        """The largest doubt about a visible spot."""
         if not 3 <= len(seen) <= FEW or self.doubtful >= options.doubt:
-            return False
+            return Doubt.NONE
         sigma, rivals = table[seen, SIGMA], table[seen, RIVALS]
-        recent = (rivals > 0.0) | (self.alone[seen] < options.doubt)
-        return bool((recent | (sigma > options.doubt_sigma * middle(sigma))).any())
+        beside, recent = rivals > 0.0, self.alone[seen] < options.doubt
+        vague = sigma > _VAGUE * middle(sigma)
+        if (recent & (vague | ~beside)).any():
+            return Doubt.OTHER
+        return Doubt.SOME if (vague | beside).any() else Doubt.NONE
 
     def follow(self, time_s: float, seen: npt.NDArray[np.int64], table: Array) -> None:
         """Keep the places of visible reflectors, too few for a pose: they move the windows."""
@@ -156,6 +173,7 @@ class Track:
         self.before, self.before_s = self.places, self.time_s
         self.places, self.time_s = places, time_s
         self.unseen = np.where(np.isfinite(places[:, 0]), 0, self.unseen + 1)
+        self.aged += 1
 
 
 def checked_acceleration(acceleration: npt.ArrayLike) -> Array:

@@ -24,7 +24,13 @@ from rendezview.sensors.beacons.pose.refinement import Refined
 from rendezview.sensors.beacons.pose.shares import CAUSES
 from rendezview.sensors.beacons.rates import RateEstimator
 from rendezview.sensors.beacons.tolerance import DotSizes, fit_dots
-from rendezview.sensors.beacons.track import Branch, Track, TrackingOptions, checked_acceleration
+from rendezview.sensors.beacons.track import (
+    Branch,
+    Doubt,
+    Track,
+    TrackingOptions,
+    checked_acceleration,
+)
 from rendezview.sensors.beacons.window_fit import WindowFit
 from rendezview.sensors.beacons.windows import VISIBLE
 from rendezview.sensors.observation import Status
@@ -72,7 +78,7 @@ class ReflectorSensor:
         self._last_s = -np.inf
         self._lock = threading.Lock()
         placed = all(pattern.sigmas_known for pattern in patterns)
-        # Causes of errors of which the files say nothing.
+        # Of errors of which the files say nothing
         self._unknown = unknown_of(camera=camera.covariance is not None, places=placed)
         self._group_of = [pattern.name for pattern in patterns for _ in pattern.names]
         self._centre = self.constellation.centre_m
@@ -136,9 +142,12 @@ class ReflectorSensor:
         spots = self._background.spots(time_s, frames, self.threshold)
         middle = time.perf_counter()
         found = self.acquirer.acquire(spots, prior)
-        if prior is not None and not self._continues(time_s, found):
+        if prior is not None and not self._continues(time_s, found, spots):
             # The last pose is too old to choose by its range.
             found, prior = self.acquirer.acquire(spots), None
+            if found.refined is not None:
+                light = self._fit.light_of(found, spots, self._track)
+                found = found.strange() if light.sum() > self.tracking.jump_limit else found
         missing = found.status in (Status.NO_SPOTS, Status.NOT_FOUND)
         if missing and frames.dark is not None and len(spots) <= MOST_CERTAIN:
             # Discs as faint as the threshold fall to pieces.
@@ -155,13 +164,14 @@ class ReflectorSensor:
         if found.refined is None:
             if self._track is not None:
                 self._track.misses += 1
+                self._track.aged += 1
             self._unconfirmed = None
             if found.left_out:  # the last pose was that of another group
                 self._track = None
             return refused(found, time_s, spots, stage_ms)
-        self._note, self._noted_m = found.note, self._range_m(found.refined.camera_from_target)
-        names = found.names(self.constellation, len(spots))
         pose = found.refined.camera_from_target
+        self._note, self._noted_m = found.note, self.constellation.range_m(pose)
+        names = found.names(self.constellation, len(spots))
         if self.tracking.confirm and prior is None and not self._agrees(found):
             self._unconfirmed = (time_s, pose, found.table(spots, len(self.constellation)))
             return ReflectorObservation(
@@ -224,8 +234,8 @@ class ReflectorSensor:
         seen = self._fit.table[self._fit.outcome == VISIBLE]
         used = self._background.followed(frames, seen, time_s)
         noise = self._fit.look(time_s, track, push, used, self.threshold)
-        middle = time.perf_counter()
-        fit, table, outcome = self._fit, self._fit.table, self._fit.outcome
+        middle, fit, outcome = time.perf_counter(), self._fit, self._fit.outcome
+        table = fit.table
         seen = np.flatnonzero(outcome == VISIBLE)
         refined = fit.solve(track.pose, table, seen) if len(seen) >= 3 else None
         count = len(seen)
@@ -240,21 +250,28 @@ class ReflectorSensor:
             # The motion is not known: windows are of little use.
             return self._acquire(time_s, frames)
         doubt = track.doubts(table, seen, self.tracking)
-        if refined is not None and self._jumps(time_s, refined, len(seen), doubt):
-            refined, seen, branch = None, seen[:0], Branch.SURE
-        contradiction = self._contradiction(time_s, frames, track, refined, seen, stage_ms)
+        if refined is not None:
+            jumps, light = self._rates.jumps, fit.light[seen]
+            if jumps(time_s, refined, light, track, self.tracking, doubt):
+                refined, seen, branch = None, seen[:0], Branch.SURE
+        contradiction = self._contradiction(time_s, frames, track, refined, seen, stage_ms, doubt)
         if contradiction is not None:
             return contradiction
         names = tuple(self.constellation.names[k] for k in seen)
         spots = SpotTable(table[seen])
         if refined is None:
-            return self._miss(
-                time_s, track, seen, spots, names, stage_ms, strange=count > len(seen)
-            )
+            track.misses += 1
+            if len(seen) and track.misses <= self.tracking.coast:
+                fit.nudge(track, seen)
+                track.follow(time_s, seen, table)
+            return missed(
+                time_s, spots, names, fit.missing(names), stage_ms, search=not self.is_tracking,
+                strange=count > len(seen),
+            )  # fmt: skip
         table = table.copy()
         table[outcome != VISIBLE] = np.nan
         ambiguous = track.roll_ambiguous and not self._resolves(seen)
-        self._remember(time_s, table, refined, noise, ambiguous, branch, doubt)
+        self._remember(time_s, table, refined, noise, ambiguous, branch, doubt, fit.light)
         if branch is Branch.OPEN:
             self._rates.clear()
             return undecided(
@@ -267,7 +284,7 @@ class ReflectorSensor:
 
     def _contradiction(
         self, time_s: float, frames: LitDark, track: Track, refined: Refined | None,
-        seen: npt.NDArray[np.int64], stage_ms: dict[str, float],
+        seen: npt.NDArray[np.int64], stage_ms: dict[str, float], doubt: Doubt,
     ) -> ReflectorObservation | None:  # fmt: skip
         """The reading, where a search of the whole picture finds a pose that explains more spots.
 
@@ -278,7 +295,7 @@ class ReflectorSensor:
         Where the windows show no pose, one near the last is taken at once: the camera jerked.
         """
         several = track.roll_ambiguous and len(self.patterns) > 1
-        range_m = self._range_m(track.pose)
+        range_m = self.constellation.range_m(track.pose)
         doubted = self._note is not None and range_m < _NEARER * self._noted_m
         self._fresh = max(self._fresh - 1, 0)
         fresh = self._fresh > 0 and len(seen) <= FEW
@@ -291,29 +308,30 @@ class ReflectorSensor:
         found = self.acquirer.acquire(spots) if more else None
         jerked = self.acquirer.acquire(spots, track.pose) if found and refined is None else None
         stage_ms["search"] = 1e3 * (time.perf_counter() - begin)
-        if jerked and self._continues(time_s, jerked) and jerked.is_near(track.pose, self._centre):
+        near = jerked is not None and jerked.is_near(track.pose, self._centre)
+        if jerked and near and self._continues(time_s, jerked, spots, doubt):
             ambiguous = track.roll_ambiguous and not self._resolves(jerked.reflectors)
             return self._adopt(time_s, jerked, spots, ambiguous, stage_ms)
         if found is not None and found.left_out:
             self._track = None
             return refused(found, time_s, spots, stage_ms)
         if found is not None and found.status is Status.AMBIGUOUS and fresh and refined:
-            reason = "other spots pass for the target, too, since it was found again"
-            names = (None,) * len(spots)
-            return undecided(reason, time_s, spots, names, stage_ms, tracked=True)
+            return undecided(
+                "other spots pass for the target, too, since it was found again",
+                time_s, spots, (None,) * len(spots), stage_ms, tracked=True,
+            )  # fmt: skip
         if found is None or found.refined is None or found.reflectors is None:
             return None
         if doubted:
             self._note, self._noted_m = found.note, range_m
-        pose = found.refined.camera_from_target
-        confirms = False
+        pose, confirms = found.refined.camera_from_target, False
         if refined is not None:
             alike = self.acquirer.alike(found, refined.camera_from_target)
             confirms = alike and several and self._resolves(found.reflectors)
             fewer = len(found.reflectors) <= len(seen) and not fresh
             if fewer or (alike and not confirms):
                 return None
-        if refined is None and not self._continues(time_s, found):
+        if refined is None and not self._continues(time_s, found, spots):
             return None
         if self._agrees(found):
             self._track = None
@@ -327,32 +345,15 @@ class ReflectorSensor:
             time_s, spots, found.names(self.constellation, len(spots)), stage_ms, tracked=False,
         )  # fmt: skip
 
-    def _miss(
-        self, time_s: float, track: Track, seen: npt.NDArray[np.int64], spots: SpotTable,
-        names: tuple[str, ...], stage_ms: dict[str, float], strange: bool,
-    ) -> ReflectorObservation:  # fmt: skip
-        track.misses += 1
-        if len(seen) and track.misses <= self.tracking.coast:
-            self._fit.nudge(track, seen)
-            track.follow(time_s, seen, self._fit.table)
-        lost = self._fit.missing(names)
-        search = not self.is_tracking
-        return missed(time_s, spots, names, lost, stage_ms, search=search, strange=strange)
-
-    def _jumps(self, time_s: float, refined: Refined, count: int, doubt: bool = False) -> bool:
-        """Whether a pose of few spots, which do not confirm each other, breaks with the motion."""
-        sure = self._track is not None and not self._track.misses
-        jumps = self._rates.jumps
-        return count <= FEW and jumps(time_s, refined, self.tracking, sure=sure, doubt=doubt)
-
-    def _continues(self, time_s: float, found: Acquisition) -> bool:
-        """Whether there is a pose that does not break with the motion."""
-        if found.refined is None or found.reflectors is None:
+    def _continues(
+        self, time_s: float, found: Acquisition, spots: SpotTable, doubt: Doubt = Doubt.NONE
+    ) -> bool:
+        """Whether there is a pose that does not break with the readings before."""
+        if found.refined is None:
             return False
-        return not self._jumps(time_s, found.refined, len(found.reflectors))
-
-    def _range_m(self, pose: Pose) -> float:
-        return float(np.linalg.norm(pose.apply(self._centre)))
+        light = self._fit.light_of(found, spots, self._track)
+        jumps = self._rates.jumps
+        return not jumps(time_s, found.refined, light, self._track, self.tracking, doubt)
 
     def _resolves(self, seen: npt.NDArray[np.int64] | None) -> bool:
         """Whether reflectors of two groups are visible: their offset fixes the roll."""
@@ -360,19 +361,20 @@ class ReflectorSensor:
 
     def _remember(
         self, time_s: float, table: Array, refined: Refined, noise: float, ambiguous: bool,
-        branch: Branch, doubt: bool = False,
+        branch: Branch, doubt: Doubt = Doubt.NONE, light: Array | None = None,
     ) -> None:  # fmt: skip
         last = self._track
         if last is None or last.misses > self.tracking.coast:
             self._rates.clear()
         self._track = Track.after(
-            last, time_s, table, refined, noise, ambiguous, branch, self.tracking.coast, doubt
-        )
+            last, time_s, table, refined, noise, ambiguous, branch, self.tracking.coast, doubt,
+            light,
+        )  # fmt: skip
 
     def _reading(
         self, time_s: float, refined: Refined, spots: SpotTable, names: tuple[str | None, ...],
         group: str | None, stage_ms: dict[str, float], ambiguous: bool, tracked: bool,
-        doubt: bool = False,
+        doubt: Doubt = Doubt.NONE,
     ) -> ReflectorObservation:  # fmt: skip
         begin = time.perf_counter()
         pose = refined.camera_from_target
@@ -382,8 +384,9 @@ class ReflectorSensor:
         )
         face = self._faces[whole.name]
         six = face.six_numbers(pose)
-        known = self._rates  # a doubtful spot tells nothing of the motion
-        rates = known.last if doubt else known.add(time_s, pose, refined.scatter, face)
+        rates = self._rates.last
+        if doubt is not Doubt.OTHER:  # another spot tells nothing of the motion
+            rates = self._rates.add(time_s, pose, refined.scatter, face)
         self._dots.take(pose, spots, names)
         shares = dict(zip(CAUSES, refined.shares, strict=True)) | self._unknown
         stage_ms["rates"] = 1e3 * (time.perf_counter() - begin)

@@ -11,13 +11,13 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview.sensors.beacons.detect.background import Background
-from rendezview.sensors.beacons.detect.cover import covered_px
+from rendezview.sensors.beacons.detect.cover import compare_spots
 from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptions
 from rendezview.sensors.beacons.detect.discs import camera_doubts, camera_numbers
 from rendezview.sensors.beacons.detect.lens_scale import LensScale
 from rendezview.sensors.beacons.detect.rolling_shutter import at_middle_row
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, recentre
-from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
+from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SpotTable, recentre
+from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.match.judgement import least_facing
 from rendezview.sensors.beacons.match.matching import expect_spots
@@ -65,6 +65,7 @@ class WindowFit:
         self.expected, self.table = np.empty((n, 3)), np.empty((n, COLUMNS))
         self.outcome = np.zeros(n, np.int64)
         self.half, self._level = np.empty(n), np.empty(n)
+        self.light = np.zeros(n)  # χ² of sizes and brightnesses
 
     def look(
         self, time_s: float, track: Track, push: Array | None, frames: LitDark,
@@ -86,15 +87,30 @@ class WindowFit:
         rows = self.table[seen]
         recentre(rows, noise, threshold.centroid)
         self._background.hidden.widen(rows)
-        if len(rows) >= 3:
-            which = np.flatnonzero(seen)
-            cover = covered_px(rows, self.constellation, which, track.pose, self._blur_px)
-            rows[:, SIGMA] = np.hypot(rows[:, SIGMA], cover)
+        which = np.flatnonzero(seen)
+        cover, self.light[which] = self.compare(rows, which, track.pose, track)
+        rows[:, SIGMA] = np.hypot(rows[:, SIGMA], cover)
         if self.options.readout_s:
             step_s, height = time_s - track.time_s, self.camera.height
             at_middle_row(rows, track.places[seen], step_s, self.options.readout_s, height)
         self.table[seen] = rows
         return noise
+
+    def compare(self, rows: Array, which: Ints, pose: Pose, track: Track) -> tuple[Array, Array]:
+        """`compare_spots` of this camera: σ by cover, px, and χ² of the light, (K,) both."""
+        return compare_spots(
+            rows, self.constellation, which, pose, self.camera.fx, self._blur_px,
+            self._lens_scale.at(rows[:, :2]), track.brightness, track.aged,
+        )  # fmt: skip
+
+    def light_of(self, found: Acquisition, spots: SpotTable, track: Track | None) -> Array:
+        """(K,) χ² of the light of the spots of a find beside what is known of the reflectors."""
+        assert found.refined is not None
+        assert found.reflectors is not None
+        if track is None:
+            return np.zeros(len(found.reflectors))
+        pose, rows = found.refined.camera_from_target, spots.table[found.spot_indices]
+        return self.compare(rows, found.reflectors, pose, track)[1]
 
     def at_one_time(
         self, refined: Refined, table: Array, before: Array, step_s: float
@@ -191,7 +207,7 @@ class WindowFit:
             expected[:, :2] += moved[:, :2] - still[:, :2]
         least = max(threshold.noise_factor * 0.7 * track.noise, threshold.least_grey)
         place_windows(
-            expected, track.places, track.before, track.brightness, track.unseen,
+            expected, track.places, track.before, track.brightness, track.aged,
             step / span if span > 0.0 else 0.0, track.misses,
             (options.window_sizes, options.window_px, options.coasting_px, options.window_share,
              options.apart_sizes, least),

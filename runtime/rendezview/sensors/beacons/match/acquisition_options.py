@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,12 @@ from rendezview.sensors.observation import Status
 MIRRORED = (
     "the picture looks mirrored: its spots are the target's mirror image; turn the mirroring "
     "(selfie view) of the camera off, or flip the pictures"
+)
+
+
+STRANGE = (
+    "the spots where reflectors were expected contradict each other, their light or the motion: "
+    "they may be others"
 )
 
 
@@ -117,6 +123,10 @@ class Acquisition:
 
     note: str | None = None  # what does not keep it from being a pose
     left_out: bool = False  # the spots are those of a group that is said not to be there
+
+    def strange(self) -> Acquisition:
+        """The same without its pose, which contradicts what was known of the reflectors."""
+        return replace(self, status=Status.AMBIGUOUS, reason=STRANGE, refined=None)
 
     def shares(self, other: Acquisition) -> bool:
         """Whether both have the same spots."""

@@ -17,7 +17,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import hat
 from rendezview.sensors.beacons.constellation import ReflectorPattern
-from rendezview.sensors.beacons.detect.cover import covered_px
+from rendezview.sensors.beacons.detect.cover import compare_spots
 from rendezview.sensors.beacons.detect.discs import camera_numbers
 from rendezview.sensors.beacons.detect.spots import SpotTable
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
@@ -350,7 +350,9 @@ class Chooser:
         dropped: list[tuple[int, int]] = []
         while True:
             sigma = np.maximum(spots.sigma_px[where], 1e-3)
-            cover = covered_px(spots.table[where], pattern, which, pose, options.blur_px)
+            cover, _ = compare_spots(
+                spots.table[where], pattern, which, pose, self.camera.fx, options.blur_px
+            )
             sigma = np.hypot(sigma, cover)
             refined = refine(
                 self.camera, pattern, spots.table[where, :2], which, pose, sigma, options.blur_px,
