@@ -10,14 +10,12 @@ from typing import NamedTuple
 import numpy.typing as npt
 
 from rendezview.estimation.hypotheses import best_by, choose
-from rendezview.geometry.boxes import overlap
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.by_outline import OutlineRecognition, Traced
+from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
-from rendezview.sensors.appearance.edges.contour_at import NOWHERE, target_box
 from rendezview.sensors.appearance.judge.found import NEAR_RAD, Found
 from rendezview.sensors.appearance.judge.rivals import Rivals
 from rendezview.sensors.appearance.model.joint_angles import JointAngles
@@ -33,7 +31,6 @@ from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search.close import CloseSearch
 from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
-from rendezview.sensors.appearance.search.windows import SAME_BODY
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.appearance.verdict import (
     LEAST_POSTERIOR,
@@ -53,7 +50,7 @@ _LEAST_CONFIDENT = 0.1
 _LEAST_MARGIN = 0.01
 # Bodies of a frame that are looked at closely: the target is the likeliest in 11 of 16 frames, and
 # the second in 2. Source: photographs of everyday objects
-_BODIES = 3
+_BODIES = 2
 
 
 class Request(NamedTuple):
@@ -195,13 +192,9 @@ class PoseFinder:
         if self.sketch is None:
             return seen
         clock = StageClock()
-        looks, looked_at = [], NOWHERE
-        if seen.found is not None:
-            looked_at = target_box(self.model, self.camera, seen.found.best.pose)
+        looks = []
         may_be = None if self.region is None else self.region.holds
         for body in self.sketch.bodies(request.frame, _BODIES, may_be):
-            if overlap(body.box_px, looked_at) > SAME_BODY:
-                continue  # it would look the same again
             region = Region.around(body.box_px, self.camera)
             part = request._replace(frame=region.cut(request.frame), thorough=False)
             looks.append(region.in_frame(self.looking_at(region).find(part)))
@@ -249,14 +242,11 @@ class PoseFinder:
     ) -> AppearanceObservation:
         """Within the error of a prior: by outline and rotations of it, then on a sketch.
 
-        Before a bright sky an outline shows nothing that rotations of the prior do not.
+        A sketch of its own for the outline before a bright sky would show nothing more.
         """
         prior, error_rad = near.prior, near.error_rad
-        view = AppearanceObservation(Status.OK, stage_ms=clock.stage_ms)
-        traced = Traced(None, [])
-        if sky.dark:
-            traced = self.outline.trace(frame, prior, clock, bright_sky=False)
-            view = self.outline.recognize(traced, prior, error_rad, clock)
+        traced = self.outline.trace(frame, prior, clock, bright_sky=False)
+        view = self.outline.recognize(traced, prior, error_rad, clock)
         if self.overflows(prior):
             return refused(view, None)
         also = [] if view.pose is None else [view.pose]

@@ -267,6 +267,20 @@ def test_the_recognizer_sketches_only_where_the_edges_give_no_pose(
     assert "sketch" not in without.recognize(hard, truth).stage_ms
 
 
+def test_a_sketch_of_a_body_that_overflows_proposes_nothing(
+    bumpy_mesh, refining_model, camera, search, monkeypatch
+):
+    frame, _ = hard_frame(bumpy_mesh, refining_model, camera, 2)
+    assert search.anywhere(frame, Sky.of(frame)) is not None
+    closer = SketchSearch.closer_sketch
+
+    def overflowing(self, *args, **kwargs):
+        return replace(closer(self, *args, **kwargs), crossed=np.ones((2, 2), bool))
+
+    monkeypatch.setattr(SketchSearch, "closer_sketch", overflowing)
+    assert search.anywhere(frame, Sky.of(frame)) is None
+
+
 def test_an_empty_sky_gives_no_pose(refining_model, camera, search):
     rng = np.random.default_rng(4)
     noise = rng.normal(30.0, 4.0, (camera.height, camera.width))

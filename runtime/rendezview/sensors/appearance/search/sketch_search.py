@@ -251,7 +251,8 @@ class SketchSearch:
         if not best:
             return None
         sketch = self.closer_sketch(frame, best[0].pose, turned=turned)
-        if sketch is None:
+        # The trees have hardly seen frames that the target overflows, and are sure of wrong poses.
+        if sketch is None or sketch.overflows:
             return None
         centre_m, reading = self.model.centre_m, self.read(sketch, sky)
         starts, places = rotated_about(best[0].pose, centre_m, _ASIDE_RAD)
@@ -281,11 +282,10 @@ class SketchSearch:
             residual = residual_px / sketch.scale
             return replace(one, pose=pose, covariance=covariance, residual_px=residual)
 
-        # The trees have hardly seen frames that the target overflows, and are sure of wrong poses.
-        probability = 0.0 if sketch.overflows else passes.probability
         return Found(
             known(one, pose), margin, sky.dark, passes.prior, rival and known(rival, rival.pose),
-            probability=probability, aligned=partial(self._each_aligned, reading), passes=passes,
+            probability=passes.probability, aligned=partial(self._each_aligned, reading),
+            passes=passes,
         )  # fmt: skip
 
     def _bounded(self, poses: list[Hypothesis], *bounds: Bound) -> list[Hypothesis]:
