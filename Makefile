@@ -14,8 +14,7 @@ test: $(VENV)/.installed-dev
 
 # Requirements, the tests that verify them, and their results; fails where one is not verified.
 evidence: $(VENV)/.installed-dev
-	-$(BIN)/python -m pytest -n auto --dist loadfile --max-worker-restart 1 -m requirement --junit-xml build/evidence.xml
-	$(BIN)/python -m experiments evidence build/evidence.xml
+	$(BIN)/python -m pytest -n auto --dist loadfile --max-worker-restart 1 -m requirement --evidence
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from tests.compiled import compile_for_tests
+from tests.evidence import matrix, requirements
 from tests.ground.mesh.mesh_samples import boxes, grey_mesh
 from tests.left_behind import none_left_behind
 from tests.made_once import made_once
@@ -108,9 +109,24 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     if hasattr(config, "workerinput"):
         items.sort(key=turn)
-    for item in items:  # into the JUnit file, which `make evidence` reads
+    for item in items:  # for --evidence
         for marker in item.iter_markers("requirement"):
             item.user_properties += [("requirement", name) for name in marker.args]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    said = "print every requirement with the results of its tests; fail where one does not hold"
+    parser.addoption("--evidence", action="store_true", help=said)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Of all workers together: those have no reporter."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if session.config.option.evidence and reporter is not None:
+        lines, faults = matrix(reporter.stats, requirements())
+        print(*["", *lines, *faults], sep="\n")
+        if faults and not session.exitstatus:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 @pytest.fixture(scope="session", autouse=True)

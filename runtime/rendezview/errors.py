@@ -1,5 +1,8 @@
 """The one base class of errors that a user can fix."""
 
+import contextlib
+from collections.abc import Iterator
+
 
 class RendezviewError(Exception):
     """An error that a user can fix; its message names the fault, its place and the remedy."""
@@ -13,3 +16,20 @@ def without_cache(error: RuntimeError) -> RendezviewError | None:
         "neither the installed package nor the home folder can be written, where compiled loops "
         "are kept: set NUMBA_CACHE_DIR to a folder that can"
     )
+
+
+@contextlib.contextmanager
+def optional(who: str, extra: str, said: str = "") -> Iterator[None]:
+    """Say how to install the package that an import misses; ``who`` needs it.
+
+    Raises:
+        RendezviewError: it is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("rendezview"):
+            raise
+        raise RendezviewError(
+            f"{who} {error.name}{said}: pip install 'rendezview[{extra}]'"
+        ) from None

@@ -21,7 +21,6 @@ EXPERIMENTS = {
         "reflector-hidden": ("reflectors.hidden", "every three to five of five reflectors"),
         "reflector-nees": ("reflectors.nees", "errors against covariances, by condition"),
         "stereo-accuracy": ("stereo.accuracy", "pose errors in the simulated laboratory"),
-        "stereo-board": ("stereo.board", "NEES of a pair calibrated from a dozen board pairs"),
     },
     "trajectory and fusion": {
         "trajectory-accuracy": ("trajectory.accuracy", "errors of segments, predictions and spin"),
@@ -30,15 +29,13 @@ EXPERIMENTS = {
     },
     "service": {
         "service-speed": ("service.speed", "cost of the service over the bare tracker"),
-        "service-kill": ("service.kill", "poses lost when the recording service is killed"),
-        "service-fuzz": ("service.fuzz", "malformed frames and messages"),
+        "service-faults": ("service.faults", "kills, sick disks, malformed and hostile requests"),
     },
     "flight code and startup": {
         "export-c-check": ("flight_code.check", "exported C beside the runtime, same frames"),
         "compiled-loops": ("startup.loops", "lists the loops that commands compile"),
     },
     "training": {
-        "scale-out": ("training.scale_out", "several workers: speed, kills, cost"),
         "foreground-network": ("training.foreground_network", "trains the foreground network"),
         "sketch-network": ("training.sketch_network", "trains the sketch network (PyTorch)"),
     },
@@ -46,7 +43,6 @@ EXPERIMENTS = {
         "integrity-draw": ("integrity.draw", "tracks sequences of every condition, in pieces"),
         "integrity-fit": ("integrity.fit", "fits tails, odds of a wrong pose and drift to them"),
         "integrity": ("integrity.judge", "misleading, alarmed, available; Stanford diagrams"),
-        "evidence": ("evidence", "requirements, their tests and results, from a JUnit file"),
     },
     "benchmark and pictures": {
         "golden": ("golden.command", "answers of all sensors, stored and compared, bit for bit"),

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.geometry.pose import Pose
+from rendezview import Pose
 from rendezview.geometry.so3 import between
 
 if TYPE_CHECKING:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -13,41 +15,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
 
+import rendezview as rv
 from experiments.frame import CLIENT, PICTURES, mesh_of
 from experiments.fusion.trials import fly, load_run
 from experiments.pose.sketch_confidence import frame
-from experiments.reflectors.accuracy import CAMERA, OPTIONS
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
-from rendezview.io.target import Target
-from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.overlay import draw_observation
-from rendezview.sensors.beacons import (
-    LitDark,
-    ReflectorSensor,
-    SixNumbers,
-    TrackingOptions,
-    patterns_of,
-    pose_of,
-)
-from rendezview.sensors.beacons.overlay import draw_reading as draw_spots
-from rendezview.sensors.ring import RingPrior, RingSensor
-from rendezview.sensors.ring.overlay import draw_reading
 from rendezview_ground.evaluate.pictures.palette import png
 from rendezview_ground.fly.campaign import Setup, fly_once
 from rendezview_ground.fly.options import FlyPlan
 from rendezview_ground.fly.pictures import corridor_picture
-from rendezview_ground.mesh.mesh import load_mesh
-from rendezview_ground.simulate import (
-    SceneOptions,
-    SensorOptions,
-    TrajectoryOptions,
-    render_frame,
-    sun_at_phase,
-    trajectory,
-)
+from rendezview_ground.simulate import SceneOptions, SensorOptions, render_frame, sun_at_phase
 from rendezview_ground.simulate.mesh_error import deformed
-from rendezview_ground.simulate.reflector_frames import foil, glints, render_pair
 
 matplotlib.use("Agg")
 
@@ -73,13 +51,13 @@ PHOTOGRAPHS = {
 }
 
 
-def simulation(_: Path) -> None:
+def simulation() -> None:
     """One frame with each option that photographs need."""
     _, mesh = mesh_of("hubble")
     centre_m, radius_m = mesh.bounding_sphere
-    camera = Camera.from_fov(240, 180, math.radians(50.0))
-    rotation = Pose.from_quat_wxyz([0.62, 0.45, -0.35, 0.54], [0, 0, 0]).rotation
-    pose = Pose(rotation, np.array([0.0, 0.0, 3.0 * radius_m]) - rotation @ centre_m)
+    camera = rv.Camera.from_fov(240, 180, math.radians(50.0))
+    rotation = rv.Pose.from_quat_wxyz([0.62, 0.45, -0.35, 0.54], [0, 0, 0]).rotation
+    pose = rv.Pose(rotation, np.array([0.0, 0.0, 3.0 * radius_m]) - rotation @ centre_m)
     sun = sun_at_phase(pose.apply(centre_m), math.radians(55.0), math.radians(200.0))
     tiles = []
     for caption, options in PHOTOGRAPHS.items():
@@ -92,41 +70,6 @@ def simulation(_: Path) -> None:
         tiles.append(tile)
     sheet = np.vstack([np.hstack(tiles[:3]), np.hstack(tiles[3:])])
     cv2.imwrite(str(PICTURES / "simulation.png"), sheet)
-
-
-def ring(_: Path) -> None:
-    """The client's ring as the sensor reads it."""
-    ring, (_, mesh) = Target.load(CLIENT).docking_ring, mesh_of("client")
-    assert ring is not None
-    camera = Camera.from_fov(480, 400, math.radians(50.0))
-    axis = np.array([-1.0, 0.3, 0.22])
-    options = TrajectoryOptions(
-        frames=1, start_range_m=4.3, approach_axis=tuple(axis / np.linalg.norm(axis)), hops=0
-    )
-    ((_, pose),) = trajectory("vbar", options)
-    sun = np.array([0.3, -0.35, -0.9])
-    rng = np.random.default_rng(3)
-    image = render_frame(mesh, camera, pose, sun / np.linalg.norm(sun), SceneOptions(), rng)
-    prior = RingPrior(centre_m=pose.apply(ring.centre_m), axis=pose.rotation @ ring.axis)
-    sensor = RingSensor(camera, ring.radius_m, circles=ring.circles)
-    reading = sensor.update(0.0, image, prior)
-    cv2.imwrite(str(PICTURES / "ring.png"), draw_reading(image, reading, camera))
-
-
-def reflectors(_: Path) -> None:
-    """A lit picture with crumpled foil and false spots, and what the sensor makes of it."""
-    rng, pattern = np.random.default_rng(6), patterns_of(Target.load(CLIENT), ("far",))[0]
-    pose = pose_of(SixNumbers(5.0, 0.03, 0.02, 0.4, 0.25, -0.2), pattern)
-    clutter = (foil(CAMERA, rng, 30), glints(CAMERA, rng, 6))
-    frames = LitDark(*render_pair(CAMERA, pattern, pose, OPTIONS, rng, clutter=clutter))
-    sensor = ReflectorSensor(CAMERA, [pattern], tracking=TrackingOptions(confirm=False))
-    reading = sensor.update(0.0, frames)
-    # Noise is not drawn: it makes the file ten times as large.
-    shown = [cv2.threshold(p, 16, 0, cv2.THRESH_TOZERO)[1] for p in (frames.lit, frames.dark)]
-    drawn = draw_spots(LitDark(*shown), reading, CAMERA, [pattern])
-    wide = cv2.resize(shown[0], drawn.shape[1::-1], interpolation=cv2.INTER_NEAREST)
-    both = np.hstack([cv2.cvtColor(wide, cv2.COLOR_GRAY2BGR), drawn])
-    cv2.imwrite(str(PICTURES / "reflectors.png"), both)
 
 
 EDGES_M = np.geomspace(0.99, 60.1, 25)
@@ -143,7 +86,7 @@ def curve(range_m: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def fusion(runs: Path, model: Path) -> None:
     """Errors of sensors and filter over the range, of the runs of fusion-approach."""
-    views = ViewModel.load(model)
+    views = rv.ViewModel.load(model)
     rows = [
         sample for run in sorted(runs.iterdir()) for sample in fly(load_run(run, views)).samples
     ]
@@ -170,10 +113,10 @@ MAPS_BGR = np.array([(60.0, 60.0, 60.0), (90.0, 190.0, 255.0), (200.0, 130.0, 50
 
 def sketch(model: Path) -> None:
     """Frames in hard light, their sketches, the poses; MODEL of hubble. Prints the errors."""
-    (_, mesh), views, rows = mesh_of("hubble"), ViewModel.load(model), []
+    (_, mesh), views, rows = mesh_of("hubble"), rv.ViewModel.load(model), []
     for k in (9, 13, 24):
         image, camera, truth = frame(mesh, np.random.default_rng([902, k]))
-        recognizer = Recognizer(views, camera)
+        recognizer = rv.Recognizer(views, camera)
         assert recognizer.sketch is not None
         found, drawn = recognizer.recognize(image), recognizer.sketch.sketcher.find(image)
         assert found.pose is not None
@@ -187,10 +130,10 @@ def sketch(model: Path) -> None:
     cv2.imwrite(str(PICTURES / "sketch.png"), np.vstack(rows))
 
 
-def flight(_: Path) -> None:
+def flight() -> None:
     """`rendezview fly client`, seed 0: the corridor in three views."""
-    target = Target.load(CLIENT)
-    setup = Setup.of(target, load_mesh(target.mesh_path, target.unit), FlyPlan())
+    target = rv.Target.load(CLIENT)
+    setup = Setup.of(target, rv.load_mesh(target.mesh_path, target.unit), FlyPlan())
     path = PICTURES / "flight.png"
     path.write_bytes(png(corridor_picture(fly_once(setup, 0), setup)))
     few = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
@@ -198,26 +141,22 @@ def flight(_: Path) -> None:
     small.save(path, optimize=True)
 
 
-DRAWN = {"readme": readme, "simulation": simulation, "ring": ring, "reflectors": reflectors,
-         "sketch": sketch, "flight": flight}  # fmt: skip
+DRAWN: dict[str, Callable[..., None]] = {
+    one.__name__: one for one in (readme, simulation, fusion, sketch, flight)
+}
 
 
 def run(
-    name: Literal["readme", "simulation", "ring", "reflectors", "fusion", "sketch", "flight"],
-    source: Path | None = None, *,
-    model: Path | None = None,
-) -> None:  # fmt: skip
+    name: Literal["readme", "simulation", "fusion", "sketch", "flight"],
+    sources: list[Path] | None = None,
+) -> None:
     """Draw one picture of the README or the docs again, into docs/pictures.
 
     readme needs the folder that rendezview demo wrote; fusion, the runs of fusion-approach and
-    their --model; sketch, a model of hubble.
+    their model; sketch, a model of hubble. Pictures of readings are overlays of the commands.
     """
-    if source is None and name in ("readme", "fusion", "sketch"):
-        raise SystemExit(f"picture {name} needs a SOURCE, see --help")
-    if name == "fusion":
-        if model is None:
-            raise SystemExit("picture fusion needs --model, that of the runs")
-        fusion(source or PICTURES, model)
-    else:
-        DRAWN[name](source or PICTURES)
+    sources = sources or []
+    if len(sources) != (needed := len(inspect.signature(DRAWN[name]).parameters)):
+        raise SystemExit(f"picture {name} needs {needed} SOURCES, see --help")
+    DRAWN[name](*sources)
     print(PICTURES, name)

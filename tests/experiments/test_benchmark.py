@@ -9,8 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from experiments.benchmark.check import Row, best, times, worse, write
-from experiments.timing import Way, race
+from experiments.benchmark.check import Row, Way, best, race, times, worse, write
 
 
 def row(ours: float, peer: float = 2.0, name: str = "tracking") -> Row:
@@ -112,7 +111,7 @@ def clocks(monkeypatch: pytest.MonkeyPatch) -> Callable[[float, float], None]:
         process_s[0] += process
 
     clocks = SimpleNamespace(process_time=lambda: process_s[0], perf_counter=lambda: wall_s[0])
-    monkeypatch.setattr("experiments.timing.time", clocks)
+    monkeypatch.setattr("experiments.benchmark.check.time", clocks)
     return move
 
 

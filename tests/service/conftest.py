@@ -3,17 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import json
 import os
 import re
-import resource
-import signal
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from tests.made_once import made_once
 from tests.service import approach, page_feed
 from tests.service.browser import Stepwise
-from tests.waiting import MOST_S, ends_in_time, wait_until
+from tests.service.served import Served
+from tests.waiting import MOST_S
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -38,61 +32,6 @@ _PATIENT = {
     "RENDEZVIEW_SERVE_IDLE_S": str(2.0 * MOST_S),
     "RENDEZVIEW_SERVE_LOG_WAIT_S": str(MOST_S),
 }
-
-
-@dataclass
-class Served:
-    """`rendezview serve` as a process of its own; its group is killed with it."""
-
-    process: subprocess.Popen[str]
-    url: str
-    folder: Path
-    lines: list[str] = field(default_factory=list)
-
-    def client(self, token: str | None = None) -> Client:
-        return Client(self.url, token, timeout_s=MOST_S)
-
-    def states_reported(self, session: str, last: str, message: str | None = None) -> list[str]:
-        """States in the log's lines on a session, once ``last`` is: lines come in behind."""
-
-        def states() -> list[str]:
-            said = [json.loads(line) for line in self.lines if line.startswith("{")]
-            told = [line for line in said if message is None or line["message"] == message]
-            own = [line for line in told if line.get("session") == session]
-            return [line["state"] for line in own if "state" in line]
-
-        wait_until(lambda: last in states(), states)
-        return states()
-
-    def await_line(self, part: str) -> None:
-        """Wait for a line of its log that has these words."""
-        wait_until(lambda: any(part in line for line in self.lines), lambda: self.lines)
-
-    @property
-    def workers(self) -> list[int]:
-        """Numbers of its worker processes."""
-        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        return [*map(int, children.read_text().split())]
-
-    @contextlib.contextmanager
-    def full_disk(self) -> Iterator[None]:
-        """No file of its workers may grow, which fails as a full disk does."""
-        for pid in self.workers:
-            resource.prlimit(pid, resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
-        yield
-        for pid in self.workers:
-            resource.prlimit(pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
-
-    def kill(self) -> None:
-        """-9, workers included: as when the power of a process is gone."""
-        os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait(MOST_S)
-
-    def stop(self) -> None:
-        """As an operator ends it."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGTERM)
-            self.process.wait(MOST_S)
 
 
 Serve = Callable[..., Served]
@@ -118,33 +57,10 @@ def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) ->
         places = environment.get("PYTHONPATH"), os.environ.get("PYTHONPATH")
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, places))
         folder = tmp_path_factory.mktemp("service")
-        command = [sys.executable, "-m", "rendezview", "serve"]
-        if given:
-            command.append(str(model_path))
-        process = subprocess.Popen(
-            [*command, "--port", "0", "--workers", "1", *flags],
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=folder,
-            env=os.environ | _PATIENT | environment,
-            start_new_session=True,
+        model = [str(model_path)] if given else []
+        served = Served.start(
+            *model, "--workers", "1", *flags, folder=folder, environment=_PATIENT | environment
         )
-        served = Served(process, "", folder)
-        assert process.stderr is not None
-        with ends_in_time(process):
-            for line in process.stderr:
-                served.lines.append(line)
-                if "serves at" in line:
-                    served.url = line.split("serves at ")[1].strip()
-                    break
-            else:
-                pytest.fail("".join(served.lines))
-
-        def drain() -> None:
-            assert process.stderr is not None
-            served.lines.extend(process.stderr)
-
-        threading.Thread(target=drain, daemon=True).start()
         started.append(served)
         return served
 

@@ -1,6 +1,6 @@
 """Malformed frames, requests and messages: none may crash, hang, leak or take much.
 
-Of test_fuzz.py, and by the ten thousand of experiment service-fuzz.
+Of test_fuzz.py, and by the ten thousand of experiment service-faults.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ import contextlib
 import json
 import socket
 import struct
+import sys
+import time
 from collections import Counter
 from collections.abc import Callable
 from http.client import HTTPConnection, HTTPException
@@ -18,11 +20,11 @@ from urllib.parse import quote, urlsplit
 import numpy as np
 from tests.service.fuzz_cases import CAMERA, RING, Cases
 from tests.service.fuzz_routes import Routes, raw_bytes, send_raw
+from tests.service.served import Served
 from tests.waiting import MOST_S
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from experiments.service.serving import Processes
 from rendezview_service.client import Client, ServiceError
 
 MOST_PROCESSOR_S = 5.0  # of the service and its workers for one case; a whole search takes 1
@@ -30,6 +32,7 @@ MOST_MB = 200.0  # that their memory may take for one case at its peak, and grow
 MOST_HELD = 500  # half-open connections
 CHECKED_EVERY = 1000  # cases
 PEAK_EVERY = 20  # cases, between looks at the peak of memory, which cost more than a case
+PARTS = {"by_routes": 18, "by_http": 1, "by_stream": 1}  # shares of the cases
 SESSION = "fuzzed"  # most cases go there
 RESTARTS = b"rendezview_worker_restarts_total 0.0"  # in the metrics, where no worker has ended
 
@@ -54,7 +57,7 @@ def peak_mb(pids: list[int]) -> float:
 class Fuzz(Cases):
     """Sends the cases and notes what must not be."""
 
-    def __init__(self, served: Processes, seed: int) -> None:
+    def __init__(self, served: Served, seed: int) -> None:
         super().__init__(seed)
         self.served = served
         self.outcomes: Counter[str] = Counter()
@@ -221,3 +224,43 @@ class Fuzz(Cases):
             except ServiceError as error:
                 self.failures.append(f"a good frame is refused: {error}")
             session.close()
+
+
+def campaign(
+    served: Served, seed: int, count: int, *, block: int = 2000, minutes: float = 600.0
+) -> Fuzz:
+    """So many cases of all kinds, in blocks; none begins after so many minutes.
+
+    Most cases go to every route with every method, pictures among them, and to the socket itself;
+    the others are damaged frames, lines of other sensors or JSON that is almost right, by HTTP and
+    by WebSocket: these cost a search each. Failures: a server error (5xx other than 503), an answer
+    that takes more than 10 s, more than 5 s of processor time or 200 MB for a case, a worker that
+    ends, a session that remains, or a service that no longer tracks a good frame.
+    """
+    fuzz, start_s, done = Fuzz(served, seed), time.monotonic(), 0
+    with served.client() as client:
+        fuzz.open(client)
+        fuzz.still_tracks()
+        before_mb = served.resident_mb()
+        while done < count and time.monotonic() < start_s + 60.0 * minutes:
+            for part, share in PARTS.items():
+                cases = block * share // sum(PARTS.values())
+                getattr(fuzz, part)(cases)
+                done += cases
+            fuzz.still_tracks()
+            print(f"{done} cases, {len(fuzz.failures)} failures, {served.resident_mb():.0f} MB",
+                  file=sys.stderr, flush=True)  # fmt: skip
+        if (sessions := [one["id"] for one in client.sessions()]) != [SESSION]:
+            fuzz.failures.append(f"sessions stay: {sessions}")
+        if RESTARTS not in client.fetch("GET", "/metrics"):
+            fuzz.failures.append("workers ended")
+    if (after_mb := served.resident_mb()) - before_mb > MOST_MB:
+        fuzz.failures.append(f"memory grew by {after_mb - before_mb:.0f} MB in all")
+    spent_s = time.monotonic() - start_s
+    print(f"seed {seed}: {done} cases in {spent_s:.0f} s, {len(fuzz.failures)} failures")
+    print(", ".join(f"{name}: {count}" for name, count in fuzz.outcomes.most_common()))
+    print(f"memory {before_mb:.0f} MB before, {after_mb:.0f} MB after")
+    print(f"most for one case {fuzz.worst_s[0]:.2f} s of processor time ({fuzz.worst_s[1]})")
+    print(f"most memory for one case {fuzz.worst_mb[0]:.0f} MB ({fuzz.worst_mb[1]})")
+    print(*fuzz.failures[:20], sep="\n")
+    return fuzz

@@ -19,9 +19,9 @@ from urllib.parse import urlsplit
 import numpy as np
 from tests.service.fuzz_cases import CAMERA, Cases
 from tests.service.hostile_pictures import hostile
+from tests.service.served import Served
 from tests.waiting import MOST_S
 
-from experiments.service.serving import Processes
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview_service.client import Client
@@ -215,7 +215,7 @@ class Innocent:
             session.close()
 
 
-def campaign(served: Processes, logs: Path, seconds: float) -> Iterator[str]:
+def campaign(served: Served, logs: Path, seconds: float) -> Iterator[str]:
     """Each kind for a while, beside an innocent client; what it cost, a line each.
 
     Args:
@@ -225,7 +225,7 @@ def campaign(served: Processes, logs: Path, seconds: float) -> Iterator[str]:
     frame = np.frombuffer(Cases(0).good[0], np.uint8).reshape(120, 160)
 
     def memory_mb() -> np.ndarray:
-        return np.array([served.resident_mb(served.pid), served.resident_mb()])
+        return np.array([served.resident_mb(served.process.pid), served.resident_mb()])
 
     with Client(served.url) as client:
         client.open(THEIR_CAMERA, name=THEIRS, idle_s=36_000.0)

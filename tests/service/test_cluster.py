@@ -14,11 +14,11 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from tests.service.kills import states_of
 from tests.service.ray_nodes import Gateway, Nodes, slots_of, wait_for
 from tests.waiting import MOST_S, wait_until
 from websockets.sync.client import connect
 
-from experiments.service.kill import states_of
 from rendezview.errors import RendezviewError
 from rendezview_service.client import Client
 from rendezview_service.client.messages import ServiceError

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import optional
 from rendezview.io.files import atomic_write
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.outline.votes import Matcher
@@ -32,13 +32,9 @@ def write_onnx(model: ViewModel, path: Path) -> None:
     Raises:
         RendezviewError: the package onnx is not installed, or the file cannot be written.
     """
-    try:
+    with optional("writing ONNX needs the package", "onnx"):
         import onnx
         from onnx import TensorProto, helper, numpy_helper
-    except ModuleNotFoundError:
-        raise RendezviewError(
-            "writing ONNX needs the package onnx: pip install 'rendezview[onnx]'"
-        ) from None
     bins, trees = model.bins, len(model.forest)
 
     def constant(name: str, values: npt.ArrayLike, kind: type) -> Any:

@@ -90,7 +90,7 @@ class PathFollower:
         self.centre_m = np.asarray(given, dtype=np.float64)
         asked = shape if shape is not None or plan is None else plan.shape
         self.shape = None if asked is None else Shape(asked)
-        self._cloud = PointCloud.empty()
+        self.cloud = PointCloud.empty()  # of the window
         self._turns: list[tuple[float, Array, Array]] = []  # time, attitude, covariance
         self._burns: list[tuple[float, Array]] = []
         self._since_s = -np.inf  # of the window
@@ -102,11 +102,6 @@ class PathFollower:
         self._last_s = -np.inf
         self._lock = threading.Lock()  # of all of the above
 
-    @property
-    def cloud(self) -> PointCloud:
-        """Points of the window."""
-        return self._cloud
-
     def burn(self, time_s: float, delta_v_m_s: npt.ArrayLike) -> None:
         """A correction was flown: a change of velocity (3,), plan's axes.
 
@@ -116,7 +111,7 @@ class PathFollower:
             self._burns.append((float(time_s), np.asarray(delta_v_m_s, np.float64)))
             if not self._deviates:
                 self._since_s = float(time_s)
-                self._cloud = self._cloud.since(self._since_s)
+                self.cloud = self.cloud.since(self._since_s)
                 self._segment = NoFit("a correction was flown: no points yet")
 
     def update(
@@ -214,12 +209,12 @@ class PathFollower:
                 sight = attitude @ pose.rotation
             assert turn is not None
             one = PointCloud.of_places(time_s, turn @ place, turn @ spread @ turn.T)
-            self._cloud = self._cloud.joined(one)
+            self.cloud = self.cloud.joined(one)
             wide = np.asarray(covariance, np.float64)[:3, :3]
             self._turns.append((time_s, sight, reference @ wide @ reference.T))
         if points_m is not None and path_from_target is not None and len(np.asarray(points_m)):
             about = (np.asarray(points_m, np.float64) - self.centre_m) @ path_from_target.T
-            self._cloud = self._cloud.joined(PointCloud.of_nodes(time_s, about, weights))
+            self.cloud = self.cloud.joined(PointCloud.of_nodes(time_s, about, weights))
 
     def _refit(self, time_s: float) -> None:
         assert self.shape is not None
@@ -229,7 +224,7 @@ class PathFollower:
         previous = self._segment if isinstance(self._segment, Segment) else None
         n = 0.0 if self.plan is None else self.plan.mean_motion_rad_s
         self._segment = fit_segment(
-            self._cloud,
+            self.cloud,
             shape,
             mean_motion_rad_s=n,
             carrier=self._carrier() if self._deviates else None,
@@ -238,7 +233,7 @@ class PathFollower:
         )
 
     def _first_s(self) -> float:
-        return float(self._cloud.times_s[0]) if len(self._cloud) else np.inf
+        return float(self.cloud.times_s[0]) if len(self.cloud) else np.inf
 
     def _carrier(self) -> Carrier:
         """The plan plus the effect of the corrections flown."""
@@ -273,7 +268,7 @@ class PathFollower:
             return False
         span_s = self._span_s(time_s)
         self._since_s = max(self._since_s, time_s - span_s)
-        self._cloud = self._cloud.since(self._since_s)
+        self.cloud = self.cloud.since(self._since_s)
         self._turns = [turn for turn in self._turns if turn[0] >= self._since_s - 1e-9]
         return self._began_s is not None and time_s - self._began_s >= span_s * (1.0 - 1e-9)
 
@@ -300,7 +295,7 @@ class PathFollower:
             )
             self._spin = fit_spin(times, attitudes, covariances, tumbling=tumbling)
         else:
-            nodes = self._cloud
+            nodes = self.cloud
             self._spin = fit_spin_of_directions(
                 nodes.times_s, nodes.places_m, nodes.weights, tumbling=tumbling
             )

@@ -11,7 +11,7 @@ import cv2
 import typer
 from rich.console import Console
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, optional
 from rendezview.io.results import JsonLinesWriter
 
 _AGAIN = "RENDEZVIEW_REPLAY_AGAIN"
@@ -42,17 +42,10 @@ def replay(
     \b
     Example: rendezview replay run.mcap
     """
-    try:
+    with optional("`rendezview replay` needs", "service", ", which is not installed"):
         from rendezview_service.logs import log_repair
         from rendezview_service.logs.replay import model_of, read_log, repeat
         from rendezview_service.tracker.tracking import warm_up
-    except ModuleNotFoundError as error:
-        if (error.name or "").startswith("rendezview"):
-            raise
-        raise RendezviewError(
-            f"`rendezview replay` needs {error.name}, which is not installed: "
-            "pip install 'rendezview[service]'"
-        ) from None
     console = Console(stderr=True)
 
     def say(text: str) -> None:

@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 
 from rendezview.cli.compiling import compile_ahead
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, optional
 
 if TYPE_CHECKING:
     from rendezview_service.settings import Settings
@@ -131,18 +131,11 @@ def serve(
     Example: rendezview serve hubble.rvm --camera camera.yaml --record run.mcap
     """
     given = locals()
-    try:
+    with optional("`rendezview serve` needs", "service", ", which is not installed"):
         from rendezview_service.hub.service import Service
         from rendezview_service.json_logging import set_up_logging
         from rendezview_service.server import run
         from rendezview_service.settings import load_settings
-    except ModuleNotFoundError as error:
-        if (error.name or "").startswith("rendezview"):
-            raise
-        raise RendezviewError(
-            f"`rendezview serve` needs {error.name}, which is not installed: "
-            "pip install 'rendezview[service]'"
-        ) from None
     flags = {_SETTINGS.get(flag, flag): value for flag, value in given.items() if flag not in _OWN}
     loaded = load_settings(settings, flags)
     if check:
@@ -194,10 +187,8 @@ def _be_gateway(settings: Settings, has_own: bool, tell: Callable[[str], None]) 
         )
     for name, value in _OF_RAY.items():
         os.environ.setdefault(f"RAY_{name}", value)
-    try:
+    with optional("--cluster needs", "ray"):
         import ray  # noqa: F401
-    except ModuleNotFoundError:
-        raise RendezviewError("--cluster needs ray: pip install 'rendezview[ray]'") from None
     set_up_logging(settings.log_level)
     paths = {name: value.resolve() for name, value in settings if isinstance(value, Path)}
     run_gateway(settings.model_copy(update=paths), tell)

@@ -283,25 +283,10 @@ class Client:
         scheme = "wss" if self._url.scheme == "https" else "ws"
         return f"{scheme}://{self._url.netloc}/v1/sessions/{quote(name)}/{what}"
 
-    @property
-    def headers(self) -> dict[str, str]:
-        """The headers of every request."""
-        return dict(self._headers)
-
-    @property
-    def reconnect_s(self) -> float:
-        """For how long a connection that broke off is opened again."""
-        return self._reconnect_s
-
-    @property
-    def timeout_s(self) -> float:
-        """The limit of one answer, and of opening a stream."""
-        return self._timeout_s
-
-    @property
-    def tls(self) -> ssl.SSLContext | None:
-        """TLS settings; None for plain HTTP."""
-        return self._tls
+    def stream(self, name: str) -> StreamClient:
+        """A WebSocket for the frames and states of a session."""
+        about = dict(self._headers), self._tls, self._reconnect_s, self._timeout_s
+        return StreamClient(self.stream_url(name, "stream"), *about)
 
     def close(self) -> None:
         """Close the connection; the sessions stay open."""
@@ -350,9 +335,7 @@ class SessionClient:
 
     def stream(self) -> StreamClient:
         """A WebSocket for frames and states, for high frame rates."""
-        url = self.client.stream_url(self.name, "stream")
-        client = self.client
-        return StreamClient(url, client.headers, client.tls, client.reconnect_s, client.timeout_s)
+        return self.client.stream(self.name)
 
     def state(self) -> StateDict:
         """The last state."""

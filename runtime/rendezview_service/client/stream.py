@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, optional
 from rendezview.io.results import json_line
 from rendezview_service.client.messages import (
     Frame,
@@ -58,12 +58,8 @@ class StreamClient:
         self._socket = self._open()
 
     def _open(self) -> Any:
-        try:
+        with optional("streams need", "service", ", which is not installed"):
             from websockets.sync.client import connect
-        except ModuleNotFoundError:
-            raise RendezviewError(
-                "streams need websockets, which is not installed: pip install 'rendezview[service]'"
-            ) from None
         try:
             opening = connect(
                 self._url,

@@ -8,7 +8,7 @@ import hashlib
 import math
 import re
 import secrets
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import TypeAdapter, ValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, HTTPConnection
-from starlette.responses import Response
+from starlette.responses import Response, StreamingResponse
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import write_error
@@ -27,6 +27,7 @@ from rendezview_service.hub.inputs import Answer, NotReady, Refused
 from rendezview_service.hub.model_store import NameTaken
 from rendezview_service.hub.service import Service
 from rendezview_service.hub.sessions import Session
+from rendezview_service.logs.log_repair import LogPart, join
 from rendezview_service.messages.frames import Bytes
 from rendezview_service.messages.message_parts import (
     CAMERA,
@@ -130,6 +131,23 @@ async def _pieces(request: Request, most: int) -> AsyncIterator[bytes]:
         if length > most:
             raise refusal
         yield piece
+
+
+def answered(answer: Answer) -> Response:
+    """A worker's answer, as that to the request."""
+    if answer.status != 200:
+        return fault(answer.status, answer.error, again=False)
+    return Response(answer.body, 200, None, JSON)
+
+
+async def download(name: str, parts: Sequence[LogPart]) -> Response:
+    """The parts of a log, as one complete MCAP file."""
+    joined = await run_in_threadpool(join, parts)
+    headers = {
+        "Content-Disposition": f'attachment; filename="{name}"',
+        "Content-Length": str(joined.length),
+    }
+    return StreamingResponse(joined.blocks(), 200, headers, media_type="application/octet-stream")
 
 
 async def track(

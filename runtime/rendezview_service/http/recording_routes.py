@@ -8,14 +8,14 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 from fastapi.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
-from starlette.responses import Response, StreamingResponse
+from starlette.responses import Response
 
 from rendezview.errors import RendezviewError
-from rendezview_service.http.answers import FAULTS, JSON, needs, service_of
+from rendezview_service.http.answers import FAULTS, JSON, download, needs, service_of
 from rendezview_service.http.security import Right
 from rendezview_service.hub.session_defaults import approach_of
 from rendezview_service.hub.session_events import events_of
-from rendezview_service.logs.log_repair import LogPart, join
+from rendezview_service.logs.log_repair import LogPart
 from rendezview_service.logs.recordings import Recording
 from rendezview_service.messages.approach_messages import ApproachRequest
 from rendezview_service.messages.messages import Contour, History
@@ -84,12 +84,7 @@ async def get_log(request: Request, name: str) -> Response:
     """The log with all its parts as one complete MCAP file."""
     recording = await _recording(request, name)
     parts = [LogPart(path, path.stat().st_size) for path in recording.log.parts]
-    joined = await run_in_threadpool(join, parts)
-    headers = {
-        "Content-Disposition": f'attachment; filename="{recording.path.name}"',
-        "Content-Length": str(joined.length),
-    }
-    return StreamingResponse(joined.blocks(), 200, headers, media_type="application/octet-stream")
+    return await download(recording.path.name, parts)
 
 
 async def _recording(request: Request, name: str) -> Recording:

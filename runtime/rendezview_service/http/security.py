@@ -21,6 +21,7 @@ from urllib.parse import urlsplit
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
+from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rendezview.errors import RendezviewError
@@ -320,19 +321,10 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, error
         await receive()
         await send({"type": "websocket.close", "code": 1008, "reason": error})
         return
-    body = Fault(error=error, status=status).model_dump_json().encode()
-    extra = [(b"retry-after", b"1")] if status in (429, 503) else []
+    extra = {"Retry-After": "1"} if status in (429, 503) else {}
     if status == 401:
-        extra = [(b"www-authenticate", b"Bearer")]
-    start = {
-        "type": "http.response.start",
-        "status": status,
-        "headers": [
-            (b"content-type", b"application/json"),
-            (b"content-length", str(len(body)).encode()),
-            *extra,
-            *HEADERS,
-        ],
-    }
-    await send(start)
-    await send({"type": "http.response.body", "body": body})
+        extra = {"WWW-Authenticate": "Bearer"}
+    text = Fault(error=error, status=status).model_dump_json()
+    answer = Response(text, status, extra, "application/json")
+    answer.raw_headers += HEADERS
+    await answer(scope, receive, send)

@@ -9,14 +9,15 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Request
 from fastapi.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
-from starlette.responses import Response, StreamingResponse
+from starlette.responses import Response
 from starlette.routing import Route
 
 from rendezview_service.http.answers import (
     FAULTS,
     JSON,
+    answered,
     body_of,
-    fault,
+    download,
     frame_region,
     frame_time,
     key_of,
@@ -33,7 +34,6 @@ from rendezview_service.http.security import Right
 from rendezview_service.hub.session_defaults import approach_of
 from rendezview_service.hub.session_info import info_of
 from rendezview_service.logs.log_file import is_own
-from rendezview_service.logs.log_repair import join
 from rendezview_service.messages.approach_messages import ApproachRequest
 from rendezview_service.messages.fusion_messages import Marks, Measured
 from rendezview_service.messages.message_parts import NAME_PATTERN
@@ -48,7 +48,7 @@ from rendezview_service.messages.messages import (
 )
 from rendezview_service.messages.model_messages import Geometry
 from rendezview_service.messages.ros import pose_with_covariance_stamped, transform_stamped
-from rendezview_service.tracker.tracking import camera_of, contour_at, pose_of, shown_pose
+from rendezview_service.tracker.tracking import camera_of, contour_shown
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"], responses=FAULTS)
 
@@ -124,10 +124,8 @@ async def post_frame(
     pieces = await pieces_of(request, session.frame_bytes)
     if not any(pieces):
         raise HTTPException(422, "the frame is empty: send a PNG, a JPEG or grey bytes")
-    answer = await track(session, pieces, at_s, region, sender_of(request), key_of(request))
-    if answer.status != 200:
-        return fault(answer.status, answer.error, again=False)
-    return Response(answer.body, 200, None, JSON)
+    told = sender_of(request), key_of(request)
+    return answered(await track(session, pieces, at_s, region, *told))
 
 
 async def _post_frame(request: Request) -> Response:
@@ -162,10 +160,7 @@ async def post_measurements(
     sensor_name(sensor)
     settings = service_of(request).settings
     content = await body_of(request, min(settings.measurement_bytes, settings.frame_bytes))
-    answer = await measure(session, sensor, content, key_of(request))
-    if answer.status != 200:
-        return fault(answer.status, answer.error, again=False)
-    return Response(answer.body, 200, None, JSON)
+    return answered(await measure(session, sensor, content, key_of(request)))
 
 
 @router.get(
@@ -245,13 +240,10 @@ async def get_contour(request: Request, name: str, frame: int) -> Contour | None
     kept = session.past.state(frame)
     if kept is None:
         raise HTTPException(404, f"no state of frame {frame} or earlier is kept")
-    pose, predicted = shown_pose(json.loads(kept))
     stored = session.stored
-    if pose is None or session.request.camera is None:
-        return None
-    camera = camera_of(session.request.camera)
     model = await run_in_threadpool(lambda: stored.model)
-    return contour_at(model, camera, pose_of(pose), predicted=predicted)
+    assert session.request.camera is not None
+    return contour_shown(model, camera_of(session.request.camera), json.loads(kept))
 
 
 @router.get("/{name}/events")
@@ -284,9 +276,4 @@ async def get_log(request: Request, name: str) -> Response:
     parts = session_of(request, name).log.parts
     if not parts:
         raise HTTPException(404, "this session is not recorded")
-    joined = await run_in_threadpool(join, [part for part in parts if is_own(part.path)])
-    headers = {
-        "Content-Disposition": f'attachment; filename="{parts[0].path.name}"',
-        "Content-Length": str(joined.length),
-    }
-    return StreamingResponse(joined.blocks(), 200, headers, media_type="application/octet-stream")
+    return await download(parts[0].path.name, [part for part in parts if is_own(part.path)])

@@ -13,6 +13,7 @@ Used by the live stream and by recordings. Below the entity of a session:
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,24 @@ from rendezview_service.tracker.tracking import pose_of
 
 _GREEN, _BLUE, _PURPLE = (80, 220, 120), (90, 160, 255), (200, 120, 255)
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 65)  # rad, along an ellipse. Source: chosen
+
+
+def transform(rr: Any, pose: dict[str, Any] | None) -> Any:
+    """camera_from_target of a record; without a pose, a scale of zero hides the last one."""
+    if pose is None:
+        return rr.Transform3D(scale=0.0)
+    w, x, y, z = pose["quat_wxyz"]
+    turn = rr.Quaternion(xyzw=[x, y, z, w])
+    return rr.Transform3D(translation=pose["translation_m"], quaternion=turn)
+
+
+def ring_arrows(rr: Any, poses: Sequence[dict[str, Any]]) -> Any:
+    """Centre and axis of each pose of a docking ring; the chosen one is green."""
+    return rr.Arrows3D(
+        origins=[pose["centre_m"] for pose in poses],
+        vectors=[pose["axis"] for pose in poses],
+        colors=[_GREEN if pose.get("chosen") else _BLUE for pose in poses],
+    )
 
 
 class ReadingsRecorder:
@@ -70,11 +89,7 @@ class ReadingsRecorder:
             )
         poses = (state.get("ring") or {}).get("poses") or ()
         if poses:
-            shapes["ring"] = rr.Arrows3D(
-                origins=[pose["centre_m"] for pose in poses],
-                vectors=[pose["axis"] for pose in poses],
-                colors=[_GREEN if pose.get("chosen") else _BLUE for pose in poses],
-            )
+            shapes["ring"] = ring_arrows(rr, poses)
         path = state.get("trajectory") or {}
         segment = path.get("segment")
         if segment is not None:

@@ -5,7 +5,6 @@ Their decoders run in a process of their own: `source_process`.
 
 from __future__ import annotations
 
-import itertools
 import math
 import os
 import re
@@ -121,7 +120,7 @@ def _why_not(text: str) -> str:
 
 def _logged(frames: Iterator[Any]) -> Iterator[SourceFrame | RendezviewError]:
     last_s = -math.inf
-    for frame in itertools.chain(frames):
+    for frame in frames:
         if frame.image is not None and frame.time_s > last_s:
             last_s = frame.time_s
             yield SourceFrame(frame.time_s, frame.image)

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from rendezview.errors import RendezviewError
-from rendezview_service.hub.rerun_readings import ReadingsRecorder
+from rendezview_service.hub.rerun_readings import ReadingsRecorder, transform
 from rendezview_service.hub.ros_viewer import RosViewer
 from rendezview_service.hub.session_info import info_of
 from rendezview_service.hub.sessions import Session
@@ -267,13 +267,7 @@ class RerunViewer:
                 resolution=[scale * camera.width, scale * camera.height],
             )
             record(f"{at}/camera/image", pinhole, static=True)
-        pose = state["pose"]
-        transform = rr.Transform3D(scale=0.0)  # hides the last one
-        if pose is not None:
-            w, x, y, z = pose["quat_wxyz"]
-            turn = rr.Quaternion(xyzw=[x, y, z, w])
-            transform = rr.Transform3D(translation=pose["translation_m"], quaternion=turn)
-        record(f"{at}/target", transform)
+        record(f"{at}/target", transform(rr, state["pose"]))
         scale = min(1.0, _WIDTH_PX / info.camera.width)
         self._begun[at].show(state, camera_of(info.camera), scale)
         if picture:

@@ -36,7 +36,7 @@ from rendezview_service.messages.frames import FrameKind, kind_of
 from rendezview_service.messages.messages import Contour, SessionRequest
 from rendezview_service.messages.model_messages import Recorded
 from rendezview_service.tracker.model_geometry import geometry
-from rendezview_service.tracker.tracking import camera_of, contour_at, pose_of, shown_pose
+from rendezview_service.tracker.tracking import contour_shown, shown_pose
 
 _HEAD = struct.Struct("<BQ")  # opcode, length
 _TIMES = struct.Struct("<QQ")  # first and last time of a chunk, ns
@@ -132,14 +132,9 @@ class Recording:
     def contour(self, number: int) -> Contour | None:
         """Contour points at the pose of a frame; None without one."""
         frame = self.frame(number)
-        if frame is None or frame.state is None:
-            return None
-        pose, predicted = shown_pose(frame.state)
-        if pose is None or self.request.camera is None:
-            return None
-        return contour_at(
-            self.model, camera_of(self.request.camera), pose_of(pose), predicted=predicted
-        )
+        if frame is None or frame.state is None or shown_pose(frame.state)[0] is None:
+            return None  # whether the log has a model or not
+        return contour_shown(self.model, self.log.camera, frame.state)
 
     def _read(self, path: Path, offset: int) -> list[LoggedFrame]:
         if path not in self._kinds:

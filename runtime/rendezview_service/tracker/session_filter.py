@@ -80,21 +80,17 @@ class SessionFilter:
         self._counts: dict[str, SensorCounts] = {}
         self._note: str | None = None
         self._newest_s = -math.inf  # newest time that the filter has
-        self._lines = 0
-        self._measured_s = -math.inf  # of the newest measurement
+        self.lines = 0  # so far, of all sensors
+        self.measured_s = -math.inf  # of the newest measurement; -inf: none yet
         self._own = (CAMERA, *own)
-        self._fuses = forgotten or at_once
+        # Whether there is another sensor than the camera, so that the session has its state.
+        self.fuses = forgotten or at_once
         self._start("its process ended" if forgotten else None)
-
-    @property
-    def fuses(self) -> bool:
-        """Whether there is another sensor than the camera, so that the session has its state."""
-        return self._fuses
 
     def resume(self, kept: Json) -> None:
         """Go on from the last `Fused` state of a process that ended."""
         self._start("its process ended")
-        self._fuses = True
+        self.fuses = True
         pose = Pose.from_quat_wxyz(kept["pose"]["quat_wxyz"], kept["pose"]["translation_m"])
         rates, status, covariance = None, Status(kept["status"]), np.array(kept["covariance"])
         if kept["rates"] is not None:
@@ -106,16 +102,6 @@ class SessionFilter:
     def starts(self) -> tuple[int, str | None]:
         """How often it has started, and why it last restarted."""
         return self._fusion.starts, self._fusion.note
-
-    @property
-    def measured_s(self) -> float:
-        """Time of the newest measurement; -inf: none yet."""
-        return self._measured_s
-
-    @property
-    def lines(self) -> int:
-        """Number of lines so far, of all sensors."""
-        return self._lines
 
     # Lines of other sensors
 
@@ -176,14 +162,14 @@ class SessionFilter:
         """Give a checked line to the filter: the `Verdict`, and the `Fused` state afterwards."""
         counts = self._counts.setdefault(sensor, SensorCounts(line.kind))
         counts.lines += 1
-        self._lines += 1
+        self.lines += 1
         verdict = None
         if line.measurement is None:
             counts.silent += 1
         else:
-            self._fuses = True
+            self.fuses = True
             verdict = self._add(line.measurement, counts)
-        return verdict, self._state(self._newest_s) if self._fuses else None
+        return verdict, self.state_at(self._newest_s) if self.fuses else None
 
     # The camera
 
@@ -196,15 +182,11 @@ class SessionFilter:
             jumped = f"the camera's time jumped by {apart_s:.0f} s"
             self._start(jumped if self._note is None else f"{self._note}; {jumped}")
         self._see(observation, time_s)
-        return self._state(time_s)
-
-    def state_at(self, time_s: float) -> Json:
-        """The `Fused` state at a time."""
-        return self._state(time_s)
+        return self.state_at(time_s)
 
     def expected(self, time_s: float) -> tuple[Pose, Array] | None:
         """camera_from_target at a time and its covariance (6, 6); None where it is not known."""
-        return pose_of_fused(self._state(time_s)) if self._fuses else None
+        return pose_of_fused(self.state_at(time_s)) if self.fuses else None
 
     def add(self, sensor: str, kind: str, measurement: Measurement | None) -> Json | None:
         """Give a reading of the session's own sensor to the filter: the `Verdict`.
@@ -245,7 +227,7 @@ class SessionFilter:
 
     def _start(self, note: str | None) -> None:
         self._fusion = Fusion(self._options)
-        self._newest_s = self._measured_s = -math.inf
+        self._newest_s = self.measured_s = -math.inf
         self._note = note
 
     def _see(self, observation: Observation, time_s: float) -> None:
@@ -269,7 +251,7 @@ class SessionFilter:
 
     def _add(self, measurement: Measurement, counts: SensorCounts) -> Json:
         counts.measurements += 1
-        self._measured_s = max(self._measured_s, measurement.time_s)
+        self.measured_s = max(self.measured_s, measurement.time_s)
         newest_s = max(self._newest_s, measurement.time_s)
         try:
             with np.errstate(all="ignore"):
@@ -294,7 +276,7 @@ class SessionFilter:
             "began": verdict.began,
         }
 
-    def _state(self, time_s: float) -> Json:
+    def state_at(self, time_s: float) -> Json:
         """The `Fused` state at a time."""
         at_s = time_s if math.isfinite(time_s) else 0.0
         estimate = Estimate(at_s, Status.LOST, None, None, None, None)

@@ -138,8 +138,8 @@ class SessionTracker:
         centre_m = model.centre_m if ring is None else np.array(ring.centre_m)
         self._path = None if fits is None else SessionPath(fits, centre_m)
         self._approach = ApproachMonitor(request.approach, request.fusion, model.centre_m)
-        self._frames = 0
-        self._last_s = -math.inf
+        self.frames = 0  # tracked so far
+        self.last_s = -math.inf  # of the last frame; -inf: none yet
         self._last_pose_s: float | None = None
 
     def track(
@@ -163,9 +163,9 @@ class SessionTracker:
             RendezviewError: the time is not later than the last frame's, the image does not fit
                 the camera, or the region lies outside. The tracker does not change then.
         """
-        if not (abs(time_s) <= MOST_TIME_S and time_s > self._last_s):
+        if not (abs(time_s) <= MOST_TIME_S and time_s > self.last_s):
             raise RendezviewError(
-                f"time_s: {time_s} is not later than that of the last frame ({self._last_s}), or "
+                f"time_s: {time_s} is not later than that of the last frame ({self.last_s}), or "
                 "beyond 1e10: send frames in order of time"
             )
         if roi is not None:
@@ -177,7 +177,7 @@ class SessionTracker:
             roi = self._roi
         observation = self.tracker.update(time_s, image, self.sun_camera, roi)
         track_ms = 1e3 * (time.perf_counter() - start)
-        self._last_s = time_s
+        self.last_s = time_s
         if observation.pose is not None:
             self._last_pose_s = time_s
         state = self._state(observation, time_s, received_unix_s, track_ms)
@@ -193,7 +193,7 @@ class SessionTracker:
         fused = self.filter.track(observation)
         lap("filter")
         if self._sensors.names:
-            number = self._frames + drops
+            number = self.frames + drops
             state |= self._sensors.look(image, time_s, number, fused, self.filter)
             fused = self.filter.state_at(time_s)
             lap("sensors")
@@ -204,23 +204,13 @@ class SessionTracker:
             lap("trajectory")
         state["motion"], covariance = _motion(fused)
         state["approach"] = self._approach.state(time_s, state["motion"], covariance)
-        self._frames += 1
+        self.frames += 1
         return state, observation
 
     @property
     def own_sensors(self) -> list[str]:
         """Names of the sensors that it reads in its frames."""
         return self._sensors.names
-
-    @property
-    def frames(self) -> int:
-        """Number of frames tracked so far."""
-        return self._frames
-
-    @property
-    def last_s(self) -> float:
-        """Time of the last frame; -inf: none yet."""
-        return self._last_s
 
     def _state(
         self,
@@ -236,7 +226,7 @@ class SessionTracker:
         fit = record["refinement"]
         return {
             "session": self.session,
-            "frame": self._frames,
+            "frame": self.frames,
             "time_s": time_s,
             "received_unix_s": received_unix_s,
             "phase": self._phase(observation, time_s),
@@ -386,3 +376,16 @@ def silhouette_px(observation: AppearanceObservation) -> list[list[list[float]]]
     outlines: tuple[npt.NDArray[np.float64], ...] = observation.silhouette.outlines_px
     step = 1 + sum(len(o) for o in outlines) // _OUTLINE_POINTS
     return [np.round(o[::step], 1).tolist() for o in outlines]
+
+
+def contour_shown(
+    model: ViewModel,
+    camera: Camera | None,
+    state: StateDict,
+    angles_rad: npt.NDArray[np.float64] | None = None,
+) -> Contour | None:
+    """Contour points at the pose that is drawn over a frame; None without one. See `contour_at`."""
+    pose, predicted = shown_pose(state)
+    if pose is None or camera is None:
+        return None
+    return contour_at(model, camera, pose_of(pose), angles_rad, predicted=predicted)

@@ -25,12 +25,17 @@ from typing import Any
 
 import numpy as np
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import optional
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import check_place, write_error
 from rendezview.sensors.appearance import ViewModel
-from rendezview_service.hub.rerun_readings import ReadingsRecorder, ellipse_points
+from rendezview_service.hub.rerun_readings import (
+    ReadingsRecorder,
+    ellipse_points,
+    ring_arrows,
+    transform,
+)
 from rendezview_service.tracker.model_geometry import geometry
 from rendezview_service.tracker.tracking import contour_at
 from rendezview_service.viewers.runs import Moment, pose_of
@@ -55,12 +60,8 @@ def write_rerun(path: Path, run: Iterable[Moment], model: ViewModel | None = Non
         RendezviewError: rerun-sdk is not installed, the run has a fault, or the file cannot be
             written.
     """
-    try:
+    with optional("a Rerun recording needs", "rerun"):
         import rerun as rr
-    except ModuleNotFoundError as error:
-        raise RendezviewError(
-            f"a Rerun recording needs {error.name}: pip install 'rendezview[rerun]'"
-        ) from None
     check_place(path, "the recording")
     temporary = path.with_name(f".{path.name[:40]}.{secrets.token_hex(6)}.rrd")
     try:
@@ -123,10 +124,9 @@ class _Recorder:
         where = f"frame {moment.index}"
         pose = pose_of(record, where)
         self._picture(moment, pose)
-        # Without a pose, a scale of zero hides the last one.
-        log("target", self._transform(pose))
+        log("target", transform(rr, None if pose is None else pose.as_dict()))
         if moment.camera is not None or moment.truth is not None:
-            log("truth", self._transform(moment.truth))
+            log("truth", transform(rr, None if moment.truth is None else moment.truth.as_dict()))
         for name, value in _numbers(record):
             log(f"plots/{name}", rr.Scalars(value))
         for name, value in _sigmas(record):
@@ -175,24 +175,7 @@ class _Recorder:
     def _ring(self, record: dict[str, Any]) -> None:
         if "ellipses" not in record:
             return
-        rr, poses = self._rr, record.get("poses") or ()
-        colours = [_GREEN if pose.get("chosen") else _BLUE for pose in poses]
-        self._stream.log(
-            "ring",
-            rr.Arrows3D(
-                origins=[pose["centre_m"] for pose in poses],
-                vectors=[pose["axis"] for pose in poses],
-                colors=colours,
-            ),
-        )
-
-    def _transform(self, pose: Pose | None) -> Any:
-        if pose is None:
-            return self._rr.Transform3D(scale=0.0)
-        w, x, y, z = pose.quat_wxyz
-        return self._rr.Transform3D(
-            translation=pose.translation_m, quaternion=self._rr.Quaternion(xyzw=[x, y, z, w])
-        )
+        self._stream.log("ring", ring_arrows(self._rr, record.get("poses") or ()))
 
     def _axes(self, size_m: float) -> Any:
         return self._rr.Arrows3D(

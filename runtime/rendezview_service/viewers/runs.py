@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, optional
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_json_lines
@@ -87,15 +87,9 @@ def _of_lines(log: Path, scene: Sequence | None) -> Iterator[Moment]:
 
 
 def _of_service(log: Path) -> Iterator[Moment]:
-    try:
+    with optional(f"{log}: logs of the service need", "service"):
         from rendezview_service.logs.replay import read_log
         from rendezview_service.messages.frames import read_frame
-    except ModuleNotFoundError as error:
-        if (error.name or "").startswith("rendezview"):
-            raise
-        raise RendezviewError(
-            f"{log}: logs of the service need {error.name}: pip install 'rendezview[service]'"
-        ) from None
     opened = read_log(log)
     camera, number = opened.camera, 0
     for frame in opened.frames():

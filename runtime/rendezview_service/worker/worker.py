@@ -34,14 +34,12 @@ from rendezview.sensors.appearance import AppearanceObservation
 from rendezview_service.json_logging import set_up_logging
 from rendezview_service.logs.recording import RECORDED, LogWriter, RecordingOptions
 from rendezview_service.messages.frames import read_frame
-from rendezview_service.messages.messages import Contour, SessionRequest
+from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.messages.wire import Header, mapped, pack, receive
 from rendezview_service.tracker.tracking import (
     SessionTracker,
     StateDict,
-    contour_at,
-    pose_of,
-    shown_pose,
+    contour_shown,
     silhouette_px,
 )
 from rendezview_service.worker.worker_models import Sight, WorkerModels
@@ -271,13 +269,10 @@ class WorkerProcess:
         """What watchers asked for of the last frame. Its sender already has its answer."""
         assert session.last is not None
         tracker, (image, state, observation) = session.tracker, session.last
-        contour: Contour | None = None
-        pose, predicted = shown_pose(state)
-        if more["contour"] and pose is not None:
-            joints = observation.joints
+        contour, joints = None, observation.joints
+        if more["contour"]:
             angles_rad = None if joints is None else joints.angles_rad
-            camera, at = tracker.camera, pose_of(pose)
-            contour = contour_at(tracker.model, camera, at, angles_rad, predicted=predicted)
+            contour = contour_shown(tracker.model, tracker.camera, state, angles_rad)
         outlines = silhouette_px(observation) if more["silhouette"] else None
         picture = jpeg(image, more["width"]) if more["width"] else b""
         header: Header = {

@@ -12,13 +12,10 @@ import numpy as np
 from scipy import fft
 from scipy.spatial.transform import Rotation
 
-from experiments.benchmark.check import Bench, Row, times
+from experiments.benchmark.check import Bench, Row, Way, times
 from experiments.flight_code.check import OPTIMISE, driver, perturbed
-from experiments.timing import Way
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
+from rendezview import Camera, Pose, Recognizer, ViewModel
 from rendezview.geometry.symmetry import angle_between
-from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.model.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import outer_borders, outlines_of_mask
 from rendezview_ground.mesh.mesh import Mesh

@@ -17,15 +17,13 @@ from threadpoolctl import threadpool_limits
 from experiments.benchmark.appearance import flight_code, poses
 from experiments.benchmark.check import ALLOWED, Bench, Row, best, worse
 from experiments.benchmark.check import write as write_rows
-from experiments.benchmark.estimation import fusion, segments
+from experiments.benchmark.estimation import fusion, segments, three_points
 from experiments.benchmark.sensors import reflectors, rings, stereo
-from experiments.benchmark.three_points import three_points
 from experiments.flight_code.check import driver
 from experiments.frame import mesh_of, show, table_of
-from rendezview.io.bundled import find_target
+from rendezview import TrainingOptions, find_target
 from rendezview.sensors import appearance
 from rendezview_ground.learn.job import train
-from rendezview_ground.learn.options import TrainingOptions
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "rendezview-benchmark"
 AGAIN = 4  # passes at most

@@ -9,24 +9,13 @@ from itertools import count
 import cv2
 import numpy as np
 
-from experiments.benchmark.check import Bench, Row, times
+import rendezview as rv
+from experiments.benchmark.check import Bench, Row, Way, times
 from experiments.frame import CLIENT, MODELS_CAD
 from experiments.reflectors.accuracy import CAMERA, OPTIONS, random_pose
 from experiments.stereo.accuracy import leds_of, spots_of
-from experiments.timing import Way
 from rendezview.calibration.laboratory import calibrate_laboratory
-from rendezview.geometry.camera import Camera
-from rendezview.io.target import Target
-from rendezview.sensors.beacons import (
-    LitDark,
-    ReflectorPattern,
-    ReflectorSensor,
-    Rig,
-    StereoTracker,
-    TrackerOptions,
-    patterns_of,
-)
-from rendezview.sensors.observation import Status
+from rendezview.sensors.beacons import ReflectorPattern, TrackerOptions
 from rendezview.sensors.ring import RingDetector
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview_ground.simulate.reflector_frames import render_pair
@@ -34,7 +23,7 @@ from rendezview_ground.simulate.ring_frames import RingSceneOptions, random_scen
 
 REFLECTOR_SEED, RING_SEED, STEREO_SEED = 41, 81, 21
 REFLECTOR_RANGE_M = 6.0
-WIDE = Camera(3840, 2160, 3667.0, 3667.0, 1919.5, 1079.5)
+WIDE = rv.Camera(3840, 2160, 3667.0, 3667.0, 1919.5, 1079.5)
 RING_PX = (640, 480)
 STEREO_READINGS = 100
 
@@ -54,25 +43,25 @@ def moments(lit: np.ndarray, dark: np.ndarray) -> list[tuple[float, float]]:
 def reflectors(bench: Bench) -> Iterator[Row]:
     """A reading of the reflectors beside what OpenCV needs for three centroids."""
     rng = np.random.default_rng(REFLECTOR_SEED)
-    pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
+    pattern = rv.patterns_of(rv.Target.load(CLIENT), ("far",))[0]
     pose, _ = random_pose(rng, pattern, REFLECTOR_RANGE_M)
     for camera, where in ((CAMERA, ""), (WIDE, f", {WIDE.width} × {WIDE.height}")):
-        pairs = [LitDark(*render_pair(camera, pattern, pose, OPTIONS, rng)) for _ in range(5)]
+        pairs = [rv.LitDark(*render_pair(camera, pattern, pose, OPTIONS, rng)) for _ in range(5)]
         spent = bench.race(reflector_ways(camera, pattern, pairs, where))
         floor = f"difference, threshold, contours, moments{where}"
         yield from times("reflector-accuracy", spent, {n: (floor,) for n in spent if n != floor})
 
 
 def reflector_ways(
-    camera: Camera, pattern: ReflectorPattern, pairs: list[LitDark], where: str
+    camera: rv.Camera, pattern: ReflectorPattern, pairs: list[rv.LitDark], where: str
 ) -> dict[str, Callable[[], object]]:
     """What a user calls at the first reading and at later ones, and the floor."""
-    new, sensor = ReflectorSensor(camera, [pattern]), ReflectorSensor(camera, [pattern])
+    new, sensor = rv.ReflectorSensor(camera, [pattern]), rv.ReflectorSensor(camera, [pattern])
     readings = count(1)
 
     def acquire() -> None:
         new.forget()
-        assert new.update(0.0, pairs[0]).status is Status.UNCONFIRMED
+        assert new.update(0.0, pairs[0]).status is rv.Status.UNCONFIRMED
 
     def track() -> None:
         k = next(readings)
@@ -98,7 +87,7 @@ def chain_ellipses(frame: np.ndarray) -> list[tuple[object, ...]]:
 def rings(bench: Bench) -> Iterator[Row]:
     """The ring detector beside OpenCV's edges with an ellipse through each."""
     width, height = RING_PX
-    camera = Camera.from_fov(width, height, math.radians(40.0))
+    camera = rv.Camera.from_fov(width, height, math.radians(40.0))
     options = RingSceneOptions(clutter=2, width_px=(150.0, 380.0))
     many = max(3, bench.frames // 2)
     rngs = [np.random.default_rng([RING_SEED, width, k]) for k in range(many)]
@@ -110,7 +99,7 @@ def rings(bench: Bench) -> Iterator[Row]:
     yield from times("ring-accuracy", bench.race(ways), {ours: (floor,)})
 
 
-def by_paper(rig: Rig, leds: np.ndarray, currents: np.ndarray) -> None:
+def by_paper(rig: rv.Rig, leds: np.ndarray, currents: np.ndarray) -> None:
     """Eq. 4 linearised by numpy: 24 equations, one iteration from the last estimate."""
     rotation, translation = np.eye(3), np.zeros(3)
     for reading in currents:
@@ -134,14 +123,14 @@ def by_paper(rig: Rig, leds: np.ndarray, currents: np.ndarray) -> None:
 
 def stereo(bench: Bench) -> Iterator[Row]:
     """Readings of lights beside the paper's iteration in numpy."""
-    target = Target.load(MODELS_CAD / "scole")
+    target = rv.Target.load(MODELS_CAD / "scole")
     lights = leds_of(target)
     laboratory = Laboratory(lights, LaboratoryOptions(), STEREO_SEED)
     rng = np.random.default_rng(STEREO_SEED)
     angles = np.deg2rad(40.0) * np.sin(0.05 * np.arange(STEREO_READINGS))  # to and fro
     currents = laboratory.currents(laboratory.stage(angles), rng)
     rig = calibrate_laboratory(laboratory.calibration(rng)).rig
-    one_by_one = StereoTracker.of_target(rig, target, TrackerOptions(motion=None))
+    one_by_one = rv.StereoTracker.of_target(rig, target, TrackerOptions(motion=None))
     clock = count()
 
     def follow() -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-import time
+import timeit
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,14 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from experiments.frame import mesh_of, tests_module, unit
 from experiments.recognition.accuracy import flight_camera, frame_of, random_pose, signature_of
+from rendezview import Camera, Pose, Status, ViewModel
 from rendezview.export import write_onnx
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance import ViewModel
+from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.model.signature import Readings, Signature, twist
 from rendezview.sensors.appearance.outline.silhouette import Missing, Silhouette, find_silhouette
 from rendezview.sensors.appearance.outline.votes import Matcher, MatchOptions
-from rendezview.sensors.observation import Status
 
 PERTURBED = 9  # signatures for each that a frame gave
 PRIOR_RAD = np.deg2rad(20.0)
@@ -104,19 +103,19 @@ def run(
     rotations = views.views.centred_from_target[: len(nodes)]
     reach_rad = (MatchOptions().margin_edges + 2.0) * views.geodesic.mean_edge_rad
     tally: Counter[str] = Counter()
-    readings, attitudes, rolls, trusts = [], [], [], []
+    asked: list[tuple[Array, Array, Array, Array]] = []  # readings, attitude, rolls, trust
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         sizes = driver.object_bytes(views, folder)
         size = sum(sizes[name] for name in sizes if "forest" not in name)
         with driver.FlightCode(driver.build(views, folder, [OPTIMISE]), views) as code:
-            while len(readings) < signatures:
+            while len(asked) < signatures:
                 _, pose = random_pose(views, camera, rng)
                 image = frame_of(mesh, views, camera, pose, PHASES_DEG, rng)
                 signature = compare_frame(code, image, camera, views, tally)
                 if signature is None:
                     continue
-                for k in range(min(1 + PERTURBED, signatures - len(readings))):
+                for k in range(min(1 + PERTURBED, signatures - len(asked))):
                     view = perturbed(signature.readings, rng) if k else signature.readings
                     turn = unit(rng) * PRIOR_RAD * rng.uniform()
                     turned = Rotation.from_rotvec(turn).as_matrix()
@@ -135,24 +134,19 @@ def run(
                         found = code.forest_search(view, attitude, reach_rad)
                         match = matcher.at(centred, Pose(attitude, np.zeros(3)))
                         tally["forest searches"] += driver.same_match(found, match)
-                    readings.append(view)
-                    attitudes.append(attitude)
-                    rolls.append(roll)
-                    trusts.append(trust)
-            every, where = np.array(readings), np.array(attitudes)
-            all_us = 1e-3 * code.trees_ns(every, np.array(rolls))
+                    asked.append((view, attitude, roll, trust))
+            every, where, rolls, trusts = map(np.array, zip(*asked, strict=True))
+            all_us = 1e-3 * code.trees_ns(every, rolls)
             search_us = 1e-3 * code.search_ns(every, where)
             score_us = 1e-3 * code.forest_score_ns(every, where) if scores else np.zeros(1)
             sweep_us = 1e-3 * code.search_around_ns(every[::10], where[::10])
-        python_us = np.full(len(readings), np.inf)
-        for _ in range(3):
-            for k, (view, roll) in enumerate(zip(readings, rolls, strict=True)):
-                before = time.perf_counter()
-                views.forest.leaves(view, nodes, roll)
-                python_us[k] = min(python_us[k], 1e6 * (time.perf_counter() - before))
+        python_us = 1e6 * np.array([
+            min(timeit.repeat(partial(views.forest.leaves, view, nodes, roll), number=1, repeat=3))
+            for view, roll in zip(every, rolls, strict=True)
+        ])  # fmt: skip
         if onnx:
-            tally["ONNX"] = ask_onnx(views, folder / "trees.onnx", readings, rolls, trusts)
-    total, frames = len(readings), tally["frames"]
+            tally["ONNX"] = ask_onnx(views, folder / "trees.onnx", every, rolls, trusts)
+    total, frames = len(asked), tally["frames"]
     print(f"frame to signature: identical {tally['frames identical']} of {frames} "
           f"({tally['frames refused']} refused); object size: {size} bytes, "
           f"{sum(sizes.values()) - size} more with the forest")  # fmt: skip
@@ -173,7 +167,7 @@ def run(
     sys.exit(0 if right else 1)
 
 
-def ask_onnx(model: ViewModel, path: Path, *asked: list[Array]) -> int:
+def ask_onnx(model: ViewModel, path: Path, *asked: Array) -> int:
     """How often the ONNX graph decides as the runtime does; readings, rolls and trusts."""
     write_onnx(model, path)
     options = onnxruntime.SessionOptions()

@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.frame import show, table_of
-from rendezview.geometry.pose import Pose
+from rendezview import Pose, Target, TrainingOptions, ViewModel, load_mesh
+from rendezview.export.c_code import write_c
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.io.results import json_line
+from rendezview.sensors.appearance.model.container import read_container
+from rendezview_ground.learn.target_job import train_target
+from rendezview_ground.mesh.mesh import Mesh
 
 Record = dict[str, Any]
 Run = dict[tuple[str, int], Record]  # by group and index
@@ -171,3 +176,34 @@ def _figures(run: Run, group: str) -> tuple[int, int, int, int, float, float]:
     ]
     answers = len(right) + len(wrong)
     return len(own), answers, len(right), len(wrong), np.rad2deg(errors[0]), 100.0 * errors[1]
+
+
+QUICK = TrainingOptions(
+    order=2, bins=120, smooth_bins=3, resolution_px=160, perturbed_views=1500, held_out_views=100,
+    contour_radii=(1.0, 2.0), contour_resolution_px=256, surface_points=2048,
+)  # fmt: skip
+SMALLEST = replace(QUICK, order=1, perturbed_views=400)  # of each angle of a target with joints
+_STEP_RAD = float(np.deg2rad(90.0))  # between these angles
+
+
+def trained(path: Path, source: Path, unit: str | None = None) -> tuple[Mesh, ViewModel]:
+    """Mesh and model of a target; the model is trained where its file is not there."""
+    target = Target.load(source)
+    mesh = load_mesh(target.mesh_path, unit or target.unit)
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        more = {"step_rad": _STEP_RAD, "options": SMALLEST} if target.joints else {"options": QUICK}
+        train_target(target, mesh, path, unit, jobs=1, **more)
+    return mesh, ViewModel.load(path)
+
+
+def digests(answers: Answers, path: Path, model: ViewModel, code: Path) -> None:
+    """Of a model's file, of its arrays without the versions of the header, and of its C code."""
+    hashes = {name: hashlib.sha256() for name in ("file", "arrays", "flight code")}
+    hashes["file"].update(path.read_bytes())
+    for key, array in sorted(read_container(path)[1].items()):
+        hashes["arrays"].update(f"{key} {array.dtype.str} {array.shape}".encode() + array.tobytes())
+    for written in sorted(write_c(model, code)):
+        hashes["flight code"].update(written.name.encode() + written.read_bytes())
+    for name, sha256 in hashes.items():
+        answers.add(f"model/{name}", f"{path.stem} {sha256.hexdigest()}")

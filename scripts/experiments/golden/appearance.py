@@ -10,24 +10,20 @@ from typing import Any
 import numpy as np
 
 from experiments.frame import MODELS_CAD
-from experiments.golden.answers import RIGHT_SHARE, Answers
-from experiments.golden.models import trained
+from experiments.golden.answers import RIGHT_SHARE, Answers, trained
 from experiments.integrity.draw import CAMERA, CONDITIONS, sequence
 from experiments.pose.frames import random_pose
 from experiments.pose.photo_accuracy import PRIOR_DEG, near
 from experiments.pose.sketch_confidence import frame
-from experiments.service.serving import Served
+from experiments.service.serving import serve
+from rendezview import Client, Pose, Recognizer, Target, Tracker, ViewModel, open_sequence
 from rendezview.geometry.joint import within
-from rendezview.geometry.pose import Pose
-from rendezview.io.sequences import open_sequence
-from rendezview.io.target import Target
-from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
 from rendezview_ground.mesh.joints import posed, with_parts
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate import SceneOptions, render_frame, sun_at_phase
 from rendezview_ground.simulate.command import default_camera
-from rendezview_service.client import Client, pose_of_state
+from rendezview_service.client import pose_of_state
 
 _PRIOR_RAD = np.deg2rad(2.0 * PRIOR_DEG)  # as given
 _TREES = (float(np.deg2rad(20.0)), RIGHT_SHARE)  # limits: there are few nodes
@@ -108,9 +104,8 @@ def service(answers: Answers, path: Path, mesh: Mesh, model: ViewModel, seed: in
     """A session of a service in its own processes, with a filter, over HTTP."""
     condition, rng = replace(CONDITIONS["low Sun"], frames=60), np.random.default_rng(seed)
     drawn = list(sequence(mesh, model.centre_m, model.target_radius_m, condition, rng))
-    served = Served(path, "--workers", "1", spare_worker=False)
+    served = serve(path, "--workers", "1", spare_worker=False)
     try:
-        served.await_ready()
         with Client(served.url) as client:
             session = client.open(CAMERA, prior=drawn[0][1], record=False, name="golden")
             for k, (image, truth) in enumerate(drawn):

@@ -10,8 +10,7 @@ import cv2
 
 from experiments.frame import MODELS_CAD
 from experiments.golden import appearance, sensors
-from experiments.golden.answers import Answers, no_worse, read, same
-from experiments.golden.models import digests, trained
+from experiments.golden.answers import Answers, digests, no_worse, read, same, trained
 
 _SEED = 49
 _VEHICLES = ("hubble", "client", "shuttle")
@@ -19,11 +18,10 @@ _VEHICLES = ("hubble", "client", "shuttle")
 
 def run(
     action: Literal["store", "compare"],
-    file: Annotated[Path, "the golden file, *.jsonl.gz"],
-    *,
+    file: Annotated[Path, "the golden file, *.jsonl.gz"], *,
     exact: Annotated[bool, "compare: every number the same, bit for bit"] = False,
     models: Annotated[Path | None, "folder of models: read, or trained into it"] = None,
-) -> int:
+) -> int:  # fmt: skip
     """Answers of about 4,000 frames and readings of all sensors, stored or compared.
 
         python -m experiments golden store golden.jsonl.gz

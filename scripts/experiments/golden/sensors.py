@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+import rendezview as rv
 from experiments.benchmark.estimation import MEAN_MOTION_RAD_S, cloud_of
 from experiments.frame import CLIENT, MODELS_CAD, tests_module
 from experiments.fusion.faults import fly as fly_drawn
@@ -18,24 +19,8 @@ from experiments.ring.accuracy import CAMERA as RING_CAMERA
 from experiments.ring.accuracy import CASES, CLUTTERED, drawn, errors_of
 from experiments.stereo.accuracy import leds_of, spots_of
 from experiments.trajectory.accuracy import SHAPES, segment_errors, spin_errors, true_path
-from rendezview.geometry.pose import Pose
-from rendezview.io.results import read_json_lines
-from rendezview.io.target import Target
-from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.beacons import (
-    Acquirer,
-    LitDark,
-    MotionOptions,
-    ReflectorSensor,
-    Rig,
-    Spots,
-    StereoTracker,
-    TrackerOptions,
-    find_spots,
-    patterns_of,
-)
+from rendezview.sensors.beacons import Acquirer, MotionOptions, Spots, TrackerOptions, find_spots
 from rendezview.sensors.beacons.detect.led_spots import find_spots as find_lights
-from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview.sensors.ring.ring_pass import ring_size_of_pass
 from rendezview.sensors.ring.ring_size import ring_size
 from rendezview.trajectory import (
@@ -62,14 +47,14 @@ def ring(answers: Answers, seed: int) -> None:
     """Drawn scenes, each without any prior, with its range, and with place and axis."""
     for number, (case, options) in enumerate((CASES | {"clutter": CLUTTERED}).items()):
         for scene, image in drawn(options, 26, [seed, number]):
-            priors: dict[str, RingPrior | None] = {"no prior": None}
+            priors: dict[str, rv.RingPrior | None] = {"no prior": None}
             if scene.ring is not None:
                 there, axis = scene.ring.centre_m, scene.ring.axis
                 far = float(np.linalg.norm(there))
-                priors["range"] = RingPrior(range_m=far, range_sigma_m=0.01 * far)
-                priors["attitude"] = RingPrior(there, axis, range_sigma_m=0.01 * far)
+                priors["range"] = rv.RingPrior(range_m=far, range_sigma_m=0.01 * far)
+                priors["attitude"] = rv.RingPrior(there, axis, range_sigma_m=0.01 * far)
             for name, prior in priors.items():
-                seen = RingSensor(RING_CAMERA, options.radius_m).update(0.0, image, prior)
+                seen = rv.RingSensor(RING_CAMERA, options.radius_m).update(0.0, image, prior)
                 circles = () if seen.is_open else seen.circles  # an open choice is no answer
                 off = None if scene.ring is None else errors_of(circles, scene.ring)
                 answers.add(
@@ -102,7 +87,7 @@ def sizes(answers: Answers, seed: int) -> None:
 
 def reflectors(answers: Answers, seed: int) -> None:
     """Single pairs with foil, glints and hidden reflectors; then tracked runs."""
-    pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
+    pattern = rv.patterns_of(rv.Target.load(CLIENT), ("far",))[0]
     acquirer = Acquirer(CAMERA, [pattern])
     for k in range(100):
         rng = np.random.default_rng([seed, k])
@@ -110,30 +95,30 @@ def reflectors(answers: Answers, seed: int) -> None:
         clutter = (foil(CAMERA, rng, int(rng.integers(12, 41))), glints(CAMERA, rng, k % 7))
         hidden = ((0,), (1,), (0, 2))[k // 3 % 3] if k % 3 == 0 else ()
         pair = render_pair(CAMERA, pattern, truth, OPTIONS, rng, hidden=hidden, clutter=clutter)
-        found = acquirer.acquire(find_spots(LitDark(*pair)))
+        found = acquirer.acquire(find_spots(rv.LitDark(*pair)))
         pose = None if found.refined is None else found.refined.camera_from_target
         answers.pose("reflectors/alone" + "/hidden" * bool(hidden), found.status, pose, truth,
                      middle_m=pattern.centre_m, line=found.reason, score=found.score)  # fmt: skip
     for run in range(12):
         rng = np.random.default_rng([seed, 100, run])
         start, _ = random_pose(rng, pattern, 1.5 + 0.8 * run)
-        sensor = ReflectorSensor(CAMERA, [pattern])
+        sensor = rv.ReflectorSensor(CAMERA, [pattern])
         step = rng.normal(0.0, [0.01, 0.01, 0.01, 0.01, 0.01, 0.03])
         for n in range(12):
             truth, hidden = start.perturbed(n * step), (1,) if n in (7, 8) else ()
             pair = render_pair(CAMERA, pattern, truth, OPTIONS, rng, hidden=hidden)
-            seen = sensor.update(0.1 * n, LitDark(*pair))
+            seen = sensor.update(0.1 * n, rv.LitDark(*pair))
             answers.seen("reflectors/tracked", seen, truth, middle_m=pattern.centre_m)
 
 
 def lights(answers: Answers, seed: int) -> None:
     """The laboratory's photodiodes with faults, unnamed spots of pictures, and a turning stage."""
-    target, rng = Target.load(MODELS_CAD / "scole"), np.random.default_rng(seed)
+    target, rng = rv.Target.load(MODELS_CAD / "scole"), np.random.default_rng(seed)
     leds = leds_of(target)
     laboratory = Laboratory(leds, LaboratoryOptions(distorted=False), seed)
     rig, pictures = laboratory.rig, picture_rig(laboratory, PictureOptions())
 
-    def add(kind: str, rig: Rig, spots: list[Spots], truth: Pose, tracker: StereoTracker,
+    def add(kind: str, rig: rv.Rig, spots: list[Spots], truth: rv.Pose, tracker: rv.StereoTracker,
             time_s: float = 0.0) -> None:  # fmt: skip
         seen = tracker.update(time_s, spots)
         answers.seen(f"stereo/{kind}", seen, rig.cameras[0].camera_from_rig @ truth)
@@ -150,10 +135,10 @@ def lights(answers: Answers, seed: int) -> None:
             reading[0, [a, b]] = reading[0, [b, a]]
         elif k % 5 == 4:
             reading[1] = np.nan
-        fresh = StereoTracker.of_target(rig, target)
+        fresh = rv.StereoTracker.of_target(rig, target)
         add("photodiodes", rig, spots_of(rig, reading), truth, fresh)
     for k, truth in enumerate(stage):
-        fresh = StereoTracker.of_target(pictures, target)
+        fresh = rv.StereoTracker.of_target(pictures, target)
         views = []
         for camera in range(len(pictures)):  # up to one light hidden and two false ones
             false = rng.uniform(-1.0, 1.0, (k % 3, 3))
@@ -162,16 +147,16 @@ def lights(answers: Answers, seed: int) -> None:
         add("pictures", pictures, views, truth, fresh)
     currents[40:44] = np.nan
     for name, motion in (("alone", None), ("filter", MotionOptions())):
-        tracker = StereoTracker.of_target(rig, target, TrackerOptions(motion=motion))
+        tracker = rv.StereoTracker.of_target(rig, target, TrackerOptions(motion=motion))
         for k, reading in enumerate(currents):
             add(f"stage/{name}", rig, spots_of(rig, reading), stage[k], tracker, 0.1 * k)
 
 
-def approached(answers: Answers, model: ViewModel, folder: Path, seed: int) -> None:
+def approached(answers: Answers, model: rv.ViewModel, folder: Path, seed: int) -> None:
     """An approach to the client's ring: three sensors, and the filter without and with faults."""
     make_run(folder, seed, model)
     for name in ("appearance", "ring", "laser"):
-        for line in read_json_lines(folder / f"{name}.jsonl"):
+        for line in rv.read_json_lines(folder / f"{name}.jsonl"):
             answers.add(f"approach/{name}/log", line.get("status", ""), line=line)
     for sample in fly(load_run(folder, model)).samples:
         for name, four in ({"fused": sample.fused} | sample.single).items():

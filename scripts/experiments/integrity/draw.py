@@ -16,22 +16,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import error_of, mesh_of, unit
+from rendezview import Camera, Pose, Recognizer, Tracker, ViewModel, read_json_lines
 from rendezview.geometry import so3
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import nearest_alike
 from rendezview.io.files import atomic_write_text
-from rendezview.io.results import json_line, read_json_lines
-from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
+from rendezview.io.results import json_line
 from rendezview.sensors.appearance.integrity.evidence import Evidence, Second
+from rendezview_ground import simulate
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.simulate import (
-    Earth,
-    SceneOptions,
-    ShadingOptions,
-    render_frame,
-    sun_at_phase,
-)
 from rendezview_ground.simulate.sensor import SensorOptions
 
 CAMERA = Camera.from_fov(320, 240, math.radians(53.0))  # small pictures: many frames
@@ -100,17 +93,17 @@ def sequence(
     phase, azimuth = np.deg2rad(rng.uniform(*condition.sun_deg)), rng.uniform(0.0, 2.0 * math.pi)
     blur_px = rng.uniform(*LONG_BLUR_PX) if condition.blurred else PLAIN_BLUR_PX
     over = rng.uniform(*OVEREXPOSED) if condition.saturated else 1.0
-    scene = SceneOptions(
+    scene = simulate.SceneOptions(
         sky_frame="camera",
-        earth=Earth(seed=int(rng.integers(2**31))) if condition.earth else None,
-        shading=ShadingOptions(samples=2),
+        earth=simulate.Earth(seed=int(rng.integers(2**31))) if condition.earth else None,
+        shading=simulate.ShadingOptions(samples=2),
         sensor=SensorOptions(blur_sigma_px=blur_px, overexposure=over),
     )
     for k in range(condition.frames):
         centre = np.array([*bearing, 1.0]) * depth_m * (1.0 - closing) ** k
         pose = Pose(rotation.as_matrix(), centre - rotation.as_matrix() @ centre_m)
-        sun = sun_at_phase(centre, phase, azimuth)
-        yield render_frame(mesh, CAMERA, pose, sun, scene, rng, float(k)), pose
+        sun = simulate.sun_at_phase(centre, phase, azimuth)
+        yield simulate.render_frame(mesh, CAMERA, pose, sun, scene, rng, float(k)), pose
         rotation = turn * rotation
 
 

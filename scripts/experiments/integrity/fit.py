@@ -16,16 +16,10 @@ from scipy.special import fdtri
 
 from experiments.integrity.draw import tracks
 from rendezview.estimation.protection import Overbound
-from rendezview.sensors.appearance.integrity.model import (
-    FRAME_FEATURES,
-    PACKAGED,
-    TRACK_FEATURES,
-    IntegrityModel,
-    Spread,
-)
+from rendezview.sensors.appearance.integrity import model
 from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
 
-NAMES = FRAME_FEATURES + TRACK_FEATURES
+NAMES = model.FRAME_FEATURES + model.TRACK_FEATURES
 SMOOTHING, ALLOWANCE, MOST = 0.3, 1.0, 4.0
 # Degrees of freedom of the tails that are tried; none is lighter, because no log shows their ends.
 DEGREES = (3.0, 4.0, 5.0, 6.0, 8.0, 12.0)
@@ -75,9 +69,9 @@ class Poses:
 
 def gather(folder: Path) -> Poses:
     """Every track through a monitor: what it computes from."""
-    plain = IntegrityModel(
+    plain = model.IntegrityModel(
         attitude=Overbound(1.0, 3.0), position=Overbound(1.0, 3.0), wrong=np.zeros(len(NAMES)),
-        attitude_spread=Spread.none(), position_spread=Spread.none(),
+        attitude_spread=model.Spread.none(), position_spread=model.Spread.none(),
         at_rival=0.0, smoothing=SMOOTHING, allowance=ALLOWANCE, most=MOST, limit=math.inf,
     )  # fmt: skip
     rows = []
@@ -156,7 +150,7 @@ def raised(poses: Poses) -> float:
     return float(lift)
 
 
-def spread(features: np.ndarray, errors: np.ndarray, conditions: np.ndarray) -> Spread:
+def spread(features: np.ndarray, errors: np.ndarray, conditions: np.ndarray) -> model.Spread:
     """The factor by which errors exceed their covariance, log-linear in what the frame shows.
 
     The likeliest one of a generalised normal distribution of power ``MOMENT``, all conditions
@@ -185,10 +179,10 @@ def spread(features: np.ndarray, errors: np.ndarray, conditions: np.ndarray) -> 
     weights = found / width
     weights[0] = found[0] - float(weights[1:] @ middle[1:])
     predicted = columns @ weights
-    return Spread(weights, float(predicted.min()), float(predicted.max()))
+    return model.Spread(weights, float(predicted.min()), float(predicted.max()))
 
 
-def widened(predicted: Spread, features: np.ndarray, errors: np.ndarray) -> np.ndarray:
+def widened(predicted: model.Spread, features: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """(N, 4) the errors with their variance as the monitor widens it."""
     out = errors.copy()
     for k, (_, largest, axes, unit) in enumerate(errors):
@@ -255,11 +249,11 @@ def run(
     poses = everything.of(~everything.misled)
     right = ~poses.wrong
     sure = poses.of(right)
-    shown = sure.features[:, : len(FRAME_FEATURES)]
+    shown = sure.features[:, : len(model.FRAME_FEATURES)]
     spreads = [spread(shown, errors, sure.condition) for errors in (sure.turn, sure.move)]
     turn, move = widened(spreads[0], shown, sure.turn), widened(spreads[1], shown, sure.move)
     drift = float(np.ceil(np.quantile(poses.drift[right], 1.0 - DRIFT_SHARE)))
-    model = IntegrityModel(
+    fitted = model.IntegrityModel(
         attitude=overbound(turn, sure.condition, sure.track, TURN_BIASES),
         position=overbound(move, sure.condition, sure.track, MOVE_BIASES),
         attitude_spread=spreads[0], position_spread=spreads[1], wrong=weights,
@@ -273,7 +267,7 @@ def run(
             "raised": lift, "prior": PRIOR,
         },
     )  # fmt: skip
-    text = json.dumps(model.record(), indent=1) + "\n"
+    text = json.dumps(fitted.record(), indent=1) + "\n"
     print(text)
     if write:
-        PACKAGED.write_text(text, encoding="utf-8")
+        model.PACKAGED.write_text(text, encoding="utf-8")

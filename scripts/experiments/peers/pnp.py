@@ -5,9 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import Rig, Sights
+from rendezview import Camera, Pose, Rig
+from rendezview.sensors.beacons import Sights
 
 try:
     import poselib

@@ -12,10 +12,10 @@ from typing import Annotated, Any
 import numpy as np
 
 from experiments.frame import show, table_of, two
-from rendezview.geometry.pose import Array, Pose
+from rendezview import Pose, Recognizer, ViewModel, open_sequence
+from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
-from rendezview.io.sequences import open_sequence
-from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.sky import Sky
 from rendezview_ground.evaluate.assessment import pose_error, second_earlier

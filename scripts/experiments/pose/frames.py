@@ -12,8 +12,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import mesh_of
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
+from rendezview import Camera, Pose
 from rendezview.io.sequences import BopSceneWriter
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate import (

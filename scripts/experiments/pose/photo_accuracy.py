@@ -11,11 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import error_of, nees, show, table_of, two
+from rendezview import Camera, Pose, Recognizer, ViewModel, open_sequence
 from rendezview.calibration.as_built import ShapeEstimator, strained
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
-from rendezview.io.sequences import open_sequence
-from rendezview.sensors.appearance import Recognizer, ViewModel
 
 RIGHT_DEG, WRONG_DEG, CLOSE_DEG = 5.0, 10.0, 2.0
 PRIOR_DEG, PRIOR_SHARE = 5.0, 0.02  # errors of the priors

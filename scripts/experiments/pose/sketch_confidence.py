@@ -24,26 +24,15 @@ from sklearn.ensemble import RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 
 from experiments.frame import error_of, nees
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array, Pose
+from rendezview import Camera, Pose, Recognizer, TrainingOptions, ViewModel, load_mesh
+from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry, angle_between
-from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.judge import sketch_choice
 from rendezview.sensors.appearance.judge.probability_forest import ProbabilityForest
-from rendezview.sensors.appearance.judge.sketch_choice import (
-    DOUBT,
-    PACKAGED,
-    PACKAGED_TREES,
-    POSE_FEATURES,
-    RIVAL_RAD,
-    Passes,
-    opinion_features,
-    packaged,
-)
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
 from rendezview_ground.learn.job import train
-from rendezview_ground.learn.options import TrainingOptions
-from rendezview_ground.mesh.mesh import Mesh, load_mesh
+from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.mesh.symmetries import find_symmetries
 from rendezview_ground.simulate.cloudy_skies import cloudy_sky
 from rendezview_ground.simulate.hard_light import photograph
@@ -114,7 +103,7 @@ def random_target(folder: Path, seed: int, k: int) -> tuple[Path, Mesh]:
 class Searched:
     """What a search on a sketch found in a frame of known pose."""
 
-    passes: Passes
+    passes: sketch_choice.Passes
     truth: Pose
     centre_m: Array  # (3,) of the views
     symmetries: tuple[Symmetry, ...]
@@ -207,7 +196,9 @@ def fitted_merit(searches: list[Searched]) -> np.ndarray:
             slope = slope + features.T @ (among - of_right)
         return float(loss), slope
 
-    return minimize(unlikely, np.zeros(len(POSE_FEATURES)), jac=True, method="L-BFGS-B").x
+    return minimize(
+        unlikely, np.zeros(len(sketch_choice.POSE_FEATURES)), jac=True, method="L-BFGS-B"
+    ).x
 
 
 def fitted_trees(features: np.ndarray, good: np.ndarray) -> ProbabilityForest:
@@ -252,13 +243,15 @@ def with_second_opinions(
     good, wrong, given = good.copy(), wrong.copy(), first > LEAST_CONFIDENCE
     which, features = [], []
     for k, one in enumerate(some):
-        if one.second is None or not DOUBT[0] <= first[k] < DOUBT[1]:
+        if one.second is None or not sketch_choice.DOUBT[0] <= first[k] < sketch_choice.DOUBT[1]:
             continue
         pose, other = one.pose, one.second.pose
         apart = angle_between(pose, other, one.symmetries)
         low, high = sorted((first[k], second[k]))
         which.append(k)
-        features.append(opinion_features(high, low, agree=bool(apart < RIVAL_RAD)))
+        features.append(
+            sketch_choice.opinion_features(high, low, agree=bool(apart < sketch_choice.RIVAL_RAD))
+        )
         if second[k] > first[k]:  # the second one is more confident
             good[k], wrong[k] = one.second.right(other), one.second.error_deg(other) > WRONG_DEG
     doubted, given_features = np.array(which), np.array(features)
@@ -300,10 +293,10 @@ def run(
     read = [load_mesh(Path(name), "m") for name in meshes.split(",")]
     each = [int(seed) for seed in seeds.split(",")]
     searches = [s for seed in each for s in searched(models, read, frames, seed)]
-    record = json.loads(PACKAGED.read_text(encoding="utf-8"))
+    record = json.loads(sketch_choice.PACKAGED.read_text(encoding="utf-8"))
     merit = fitted_merit(searches)
-    record["merit"] = dict(zip(POSE_FEATURES, merit.tolist(), strict=True))
-    packaged().merit[:] = merit  # the features and choices are those of the new merit
+    record["merit"] = dict(zip(sketch_choice.POSE_FEATURES, merit.tolist(), strict=True))
+    sketch_choice.packaged().merit[:] = merit  # the features and choices are those of the new merit
     arrays: dict[str, np.ndarray] = {}
     for kind, prior in (("anywhere", False), ("near", True)):
         some = [s for s in searches if s.prior == prior]
@@ -333,5 +326,5 @@ def run(
     text = json.dumps(record, indent=1) + "\n"
     print(text)
     if write:
-        PACKAGED.write_text(text, encoding="utf-8")
-        np.savez_compressed(PACKAGED_TREES, **arrays)
+        sketch_choice.PACKAGED.write_text(text, encoding="utf-8")
+        np.savez_compressed(sketch_choice.PACKAGED_TREES, **arrays)

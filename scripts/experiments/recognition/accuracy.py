@@ -10,15 +10,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import mesh_of, show, table_of, unit
-from rendezview.geometry.camera import Camera
+from rendezview import Camera, Pose, Recognizer, TrainingOptions, ViewModel
 from rendezview.geometry.geodesic import angle_between
-from rendezview.geometry.pose import Array, Pose, rotation_angle
-from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.geometry.pose import Array, rotation_angle
 from rendezview.sensors.appearance.model.signature import Signature, twist
 from rendezview.sensors.appearance.outline.silhouette import Missing, Silhouette, find_silhouette
 from rendezview.sensors.appearance.outline.votes import Matcher
 from rendezview_ground.learn.jobs.open_executor import open_executor
-from rendezview_ground.learn.options import TrainingOptions, view_geometry
+from rendezview_ground.learn.options import view_geometry
 from rendezview_ground.learn.trees.node_trees import IN_EDGES, OUT_EDGES
 from rendezview_ground.learn.views.views import clean_views, look_from
 from rendezview_ground.mesh.mesh import Mesh

@@ -11,16 +11,13 @@ from scipy.optimize import approx_fprime
 
 from experiments.frame import CLIENT, show, table_of
 from experiments.peers.pnp import PEERS, one_camera
-from experiments.reflectors.plain import Simulator, plain
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose, minimal_rotation
-from rendezview.io.target import Target
+from experiments.reflectors.lab import Simulator, plain
+from rendezview import Camera, LitDark, Pose, Target, patterns_of
+from rendezview.geometry.pose import minimal_rotation
 from rendezview.sensors.beacons import (
     Acquirer,
-    LitDark,
     SixNumbers,
     find_spots,
-    patterns_of,
     pose_of,
     predict_spots,
     six_numbers,

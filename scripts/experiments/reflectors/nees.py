@@ -9,20 +9,11 @@ import cv2
 import numpy as np
 
 from experiments.frame import error_of, nees, show, table_of
-from experiments.reflectors.plain import (
-    CAMERA,
-    FIVE,
-    HALF_TURN,
-    PINHOLE,
-    THREE,
-    Simulator,
-    pictures,
-    plain,
-)
+from experiments.reflectors import lab
+from experiments.reflectors.lab import plain
+from rendezview import Camera, LitDark, Pose, ReflectorSensor
 from rendezview.calibration.one_camera import camera_of_corners
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import LitDark, ReflectorPattern, ReflectorSensor, TrackingOptions
+from rendezview.sensors.beacons import ReflectorPattern, TrackingOptions
 from rendezview.sensors.beacons.detect.registration import register
 
 RANGES_M = (0.8, 1.5, 3.0, 6.0)
@@ -36,8 +27,8 @@ KINDS = (
 )  # fmt: skip
 # σ of fx fy cx cy, and m of each reflector's place, that the files state. The errors have them.
 STATED = {
-    "focal length 0.1 %": (np.full(2, 1e-3 * PINHOLE.focal_px), np.zeros(2)),
-    "focal length 1 %": (np.full(2, 1e-2 * PINHOLE.focal_px), np.zeros(2)),
+    "focal length 0.1 %": (np.full(2, 1e-3 * lab.PINHOLE.focal_px), np.zeros(2)),
+    "focal length 1 %": (np.full(2, 1e-2 * lab.PINHOLE.focal_px), np.zeros(2)),
     "centre 3 px": (np.zeros(2), np.full(2, 3.0)),
 }
 # An edge so many radii from the middle of one disc hides so much of it.
@@ -47,7 +38,7 @@ PLACES_M = {"post 1 mm off": (0.0, 1e-3, 0.0), "places 0.3 mm off": (3e-4,) * 3}
 
 def off(pose: Pose, truth: Pose) -> np.ndarray:
     """(6,) error of a pose, the nearer of two that look alike."""
-    half = truth @ HALF_TURN
+    half = truth @ lab.HALF_TURN
     near = truth if pose.angle_to(truth) < pose.angle_to(half) else half
     return error_of(pose, near)
 
@@ -58,7 +49,7 @@ def jpeg(picture: np.ndarray, quality: int = 75) -> np.ndarray:
 
 
 def frames_of(
-    kind: str, pattern: ReflectorPattern, simulator: Simulator,
+    kind: str, pattern: ReflectorPattern, simulator: lab.Simulator,
     placed: tuple[np.ndarray, np.ndarray], rng: np.random.Generator,
 ) -> LitDark:  # fmt: skip
     """The pictures of one reading under a condition."""
@@ -69,7 +60,7 @@ def frames_of(
         look = replace(look, peak=500.0, even=True)
     background = None
     if kind.startswith("texture"):
-        wall = moved = plain.texture(PINHOLE, rng, 3.0, 60.0)
+        wall = moved = plain.texture(lab.PINHOLE, rng, 3.0, 60.0)
         if "motion" in kind:
             shift, way = np.float32([[1, 0, 0.3], [0, 1, 0.0]]), cv2.BORDER_REFLECT
             size = wall.shape[::-1]
@@ -80,7 +71,7 @@ def frames_of(
         int(rng.integers(len(pattern))): (rng.uniform(0.0, 2.0 * np.pi), edge)
         for share, edge in COVERS.items() if f"{share} covered" in kind
     }  # fmt: skip
-    frames = pictures(
+    frames = lab.pictures(
         simulator, pattern, placed, look, rng, background=background, false=false, covers=covers
     )
     if kind == "texture":
@@ -100,18 +91,18 @@ def filed(
         sigmas = np.array(PLACES_M[kind])
         off = rng.normal(0.0, 1.0, (len(pattern), 3)) * sigmas[:, None]
         moved = pattern.positions_m + off
-        return CAMERA, replace(pattern, positions_m=moved, sigmas_m=sigmas, sigmas_known=True)
+        return lab.CAMERA, replace(pattern, positions_m=moved, sigmas_m=sigmas, sigmas_known=True)
     if kind == "camera of 12 boards":
         return of_boards(rng), pattern
     if kind not in STATED:
-        return CAMERA, pattern
+        return lab.CAMERA, pattern
     focal, centre = STATED[kind]
     off = np.concatenate([focal * rng.normal(), centre * rng.normal(0.0, 1.0, 2)])
     covariance = np.diag(np.concatenate([focal, centre]) ** 2)
     covariance[0, 1] = covariance[1, 0] = focal[0] * focal[1]  # one focal length
-    numbers = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy]) + off
+    numbers = np.array([lab.CAMERA.fx, lab.CAMERA.fy, lab.CAMERA.cx, lab.CAMERA.cy]) + off
     names = dict(zip(("fx", "fy", "cx", "cy"), numbers.tolist(), strict=True))
-    return replace(CAMERA, **names, covariance=covariance.tolist()), pattern
+    return replace(lab.CAMERA, **names, covariance=covariance.tolist()), pattern
 
 
 def of_boards(rng: np.random.Generator) -> Camera:
@@ -122,11 +113,11 @@ def of_boards(rng: np.random.Generator) -> Camera:
     while len(points) < 12:
         turn = plain.turn(rng.normal(size=3), rng.uniform(0.2, 0.7))
         place = np.array([*rng.uniform((-0.1, -0.07), (0.1, 0.07)), rng.uniform(0.4, 0.6)])
-        seen = PINHOLE.project(board @ turn.T + place)
-        if (seen > 5.0).all() and (seen < (PINHOLE.width - 6, PINHOLE.height - 6)).all():
+        seen = lab.PINHOLE.project(board @ turn.T + place)
+        if (seen > 5.0).all() and (seen < (lab.PINHOLE.width - 6, lab.PINHOLE.height - 6)).all():
             points.append(board)
             corners.append(seen + rng.normal(0.0, 0.1, seen.shape))
-    return camera_of_corners(points, corners, (PINHOLE.width, PINHOLE.height))[0]
+    return camera_of_corners(points, corners, (lab.PINHOLE.width, lab.PINHOLE.height))[0]
 
 
 def bloomed(picture: np.ndarray) -> np.ndarray:
@@ -142,13 +133,13 @@ def bloomed(picture: np.ndarray) -> np.ndarray:
 
 def clutter(rng: np.random.Generator) -> np.ndarray:
     """(40, 4) false lights of every size and brightness, in the lit picture only."""
-    places = rng.uniform((0.0, 0.0), (PINHOLE.width, PINHOLE.height), (40, 2))
+    places = rng.uniform((0.0, 0.0), (lab.PINHOLE.width, lab.PINHOLE.height), (40, 2))
     return np.column_stack([places, rng.uniform(0.6, 6.0, 40), rng.uniform(20.0, 240.0, 40)])
 
 
 def run(
     *, readings: int = 60, seed: int = 7,
-    kind: Annotated[str, "the beginning of a condition"] = "", simulator: Simulator = "plain",
+    kind: Annotated[str, "the beginning of a condition"] = "", simulator: lab.Simulator = "plain",
 ) -> None:  # fmt: skip
     """NEES of single poses (6 unknowns: 6 is right) under one condition each, by range.
 
@@ -164,14 +155,14 @@ def run(
     table = table_of(title, columns)
     for condition in (one for one in KINDS if one.startswith(kind)):
         rng, cells = np.random.default_rng(seed), []
-        pattern = FIVE if condition.startswith("five") else THREE
+        pattern = lab.FIVE if condition.startswith("five") else lab.THREE
         for range_m in RANGES_M:
             errors: list[float] = []
             # All dots lie in the picture; near by the target stands in its middle.
-            margin_px = 20.0 + 0.25 * PINHOLE.focal_px / range_m
-            margin_px = min(margin_px, 0.5 * min(PINHOLE.width, PINHOLE.height) - 5.0)
+            margin_px = 20.0 + 0.25 * lab.PINHOLE.focal_px / range_m
+            margin_px = min(margin_px, 0.5 * min(lab.PINHOLE.width, lab.PINHOLE.height) - 5.0)
             for _ in range(readings):
-                placed = plain.look_at(rng, PINHOLE, range_m, TILT_RAD, margin_px)
+                placed = plain.look_at(rng, lab.PINHOLE, range_m, TILT_RAD, margin_px)
                 truth = Pose(*placed)
                 camera, known = filed(condition, pattern, rng)
                 sensor = ReflectorSensor(camera, [known], tracking=TrackingOptions(confirm=False))

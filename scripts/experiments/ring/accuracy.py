@@ -11,18 +11,8 @@ import numpy as np
 
 from experiments.frame import nees, show, table_of, two
 from experiments.peers import opencv_contrib
-from rendezview.geometry.camera import Camera
-from rendezview.sensors.ring import (
-    CirclePose,
-    Ellipse,
-    RingDetector,
-    RingObservation,
-    RingPrior,
-    RingSensor,
-    circle_poses,
-    shape_of_circle,
-    tangent_basis,
-)
+from rendezview import Camera, RingPrior, RingSensor
+from rendezview.sensors import ring
 from rendezview_ground.simulate.ring_frames import (
     Circle,
     RingScene,
@@ -51,7 +41,7 @@ def right(shape: np.ndarray, truth: np.ndarray | None) -> bool:
     """Whether a shape vector is that of a true edge."""
     if truth is None:
         return False
-    found, true = Ellipse.from_shape(shape), Ellipse.from_shape(truth)
+    found, true = ring.Ellipse.from_shape(shape), ring.Ellipse.from_shape(truth)
     allowed = max(2.0, 0.03 * true.semi_axes_px[0])
     return bool(
         np.linalg.norm(found.centre_px - true.centre_px) < allowed
@@ -63,7 +53,7 @@ def ring_edges(scene: RingScene) -> list[tuple[Circle, np.ndarray]]:
     """The true edges of the ring, and their shape vectors."""
     found = []
     for circle in scene.circles:
-        shape = shape_of_circle(scene.camera, circle.centre_m, circle.axis, circle.radius_m)
+        shape = ring.shape_of_circle(scene.camera, circle.centre_m, circle.axis, circle.radius_m)
         if circle.is_ring and shape is not None:
             found.append((circle, shape))
     return found
@@ -79,12 +69,12 @@ def drawn(
         yield scene, render_ring_frame(scene, rng)
 
 
-def nearer(poses: Sequence[CirclePose], circle: Circle) -> CirclePose:
+def nearer(poses: Sequence[ring.CirclePose], circle: Circle) -> ring.CirclePose:
     """The pose whose axis is nearer to the truth."""
     return max(poses, key=lambda p: float(p.axis @ circle.axis))
 
 
-def errors_of(poses: Sequence[CirclePose], circle: Circle) -> tuple[float, float] | None:
+def errors_of(poses: Sequence[ring.CirclePose], circle: Circle) -> tuple[float, float] | None:
     """Centre in % of range and axis in degrees of the pose nearer in axis."""
     if not poses:
         return None
@@ -93,7 +83,7 @@ def errors_of(poses: Sequence[CirclePose], circle: Circle) -> tuple[float, float
     return centre, math.degrees(math.acos(min(1.0, float(pose.axis @ circle.axis))))
 
 
-def our_poses(scene: RingScene, image: np.ndarray) -> tuple[RingObservation, Circle] | None:
+def our_poses(scene: RingScene, image: np.ndarray) -> tuple[ring.RingObservation, Circle] | None:
     """Our reading of a frame and the true edge that it found; None where it found none.
 
     This experiment does not test to which edge the radius belongs: the found one's is given.
@@ -121,7 +111,7 @@ def accuracy(seed: int, count: int, peer: Path | None) -> None:
         for reading, match in filter(None, (our_poses(*one) for one in scenes)):
             ours.append(errors_of(reading.circles, match))
             pose = nearer(reading.circles, match)
-            tilt = tangent_basis(pose.axis).T @ (match.axis - pose.axis)
+            tilt = ring.tangent_basis(pose.axis).T @ (match.axis - pose.axis)
             off = np.concatenate([match.centre_m - pose.centre_m, tilt])
             consistency.append(nees(off, pose.covariance) / 5.0)
         spread = f"{np.median(consistency):.2f} / {np.mean(consistency):.2f}"
@@ -145,10 +135,10 @@ def nearest(scene: RingScene, ellipses: list[list[float]]) -> tuple[float, float
     for x, y, long, short, angle in ellipses:
         if not short > 1.0:
             continue
-        found = Ellipse(np.array([x, y]), (long, short), angle)
+        found = ring.Ellipse(np.array([x, y]), (long, short), angle)
         for circle, truth in ring_edges(scene):
             off = float(np.abs(found.shape - truth).max())
-            poses = circle_poses(CAMERA, found, circle.radius_m)
+            poses = ring.circle_poses(CAMERA, found, circle.radius_m)
             if off < error and right(found.shape, truth) and poses:
                 best, error = errors_of(poses, circle), off
     return best
@@ -159,7 +149,7 @@ def detection(seed: int, count: int, peer: Path | None) -> None:
     best, known = "rendezview, best score", "rendezview, known radius and range to 5 %"
     counts = {best: [0, 0], known: [0, 0]}
     rings = reach = 0
-    detector = RingDetector(CAMERA)
+    detector = ring.RingDetector(CAMERA)
     scenes = list(drawn(CLUTTERED, count, [seed, 99]))
     for number, (scene, image) in enumerate(scenes, 1):
         rng = np.random.default_rng([seed, 98, number])

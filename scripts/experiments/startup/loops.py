@@ -14,46 +14,34 @@ from typing import Annotated, Any
 
 import numpy as np
 
+import rendezview as rv
 from experiments.frame import ROOT, mesh_of
 from experiments.stereo.accuracy import leds_of, spots_of
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.cli.compiling import recorded
-from rendezview.geometry.camera import Camera
-from rendezview.io.bundled import find_target
-from rendezview.io.sequences import open_sequence
-from rendezview.sensors.appearance import AppearanceObservation, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.appearance.following import follow, result_row
-from rendezview.sensors.beacons import (
-    MotionOptions,
-    SixNumbers,
-    StereoTracker,
-    TrackerOptions,
-    patterns_of,
-    pose_of,
-)
+from rendezview.sensors.beacons import MotionOptions, SixNumbers, TrackerOptions, pose_of
 from rendezview.sensors.beacons.run import Mode, pair_up, record
 from rendezview.sensors.beacons.run import follow as read
-from rendezview.sensors.beam import BeamMesh
-from rendezview.sensors.observation import Status
 from rendezview_ground.evaluate.pictures.contact import fuse_to_contact
 from rendezview_ground.learn import job
-from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.simulate.command import default_camera
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview_ground.simulate.ranger import Ranger, write_echoes
 from rendezview_ground.simulate.reflector_scene import simulate_reflectors, without_mesh
-from rendezview_ground.simulate.scene import SceneOptions, simulate
+from rendezview_ground.simulate.scene import SceneOptions
 from rendezview_ground.simulate.trajectories import TrajectoryOptions, trajectory
 from rendezview_service.tracker.tracking import warm_up
 
 # Few nodes, but views enough that lists of shown faces are made. Source: by construction
-_SMALL = TrainingOptions(order=1, perturbed_views=6000, held_out_views=100, contour_radii=(1.0,))
+_SMALL = rv.TrainingOptions(order=1, perturbed_views=6000, held_out_views=100, contour_radii=(1.0,))
 LIST = ROOT / "runtime/rendezview/cli/loops.json"
 
 
 def track(model: Path, scene: Path) -> list[dict[str, Any]]:
     """The loops of ``rendezview track``, without a prior and with one."""
-    loaded, sequence = ViewModel.load(model), open_sequence(scene)
+    loaded, sequence = rv.ViewModel.load(model), rv.open_sequence(scene)
 
     def work() -> None:
         for prior in (None, sequence.frames[0].camera_from_target):
@@ -73,7 +61,7 @@ def train(model: Path, scene: Path) -> list[dict[str, Any]]:
 
 def demo(model: Path, scene: Path) -> list[dict[str, Any]]:
     """The loops of simulation, ring and fusion; the model and the scene are not used."""
-    ring, (_, mesh) = find_target("client").docking_ring, mesh_of("client")
+    ring, (_, mesh) = rv.find_target("client").docking_ring, mesh_of("client")
     assert ring is not None
     straight = TrajectoryOptions(
         frames=8, start_range_m=40.0, end_range_m=2.0, centre_m=tuple(ring.centre_m),
@@ -84,18 +72,21 @@ def demo(model: Path, scene: Path) -> list[dict[str, Any]]:
     def work() -> None:
         with tempfile.TemporaryDirectory() as name:
             folder, spread = Path(name), 1e-4 * np.eye(6)
-            simulate(mesh, default_camera(), path, SceneOptions(), folder / "scene", 0)
+            rv.simulate(mesh, default_camera(), path, SceneOptions(), folder / "scene", 0)
             laser = folder / "laser.jsonl"
             write_echoes(laser, mesh, path, Ranger((0.1, 0.0, 0.0), 0.01), 0)
-            frames = open_sequence(folder / "scene").frames
+            frames = rv.open_sequence(folder / "scene").frames
             poses = [
                 AppearanceObservation(
-                    time_s=f.time_s, status=Status.OK, pose=f.camera_from_target, covariance=spread
+                    time_s=f.time_s,
+                    status=rv.Status.OK,
+                    pose=f.camera_from_target,
+                    covariance=spread,
                 )
                 for f in frames
             ]
             log, video = folder / "state.jsonl", folder / "ring.webm"
-            wall = BeamMesh(mesh.vertices_m, mesh.faces)
+            wall = rv.BeamMesh(mesh.vertices_m, mesh.faces)
             fuse_to_contact(frames, poses, ring, laser, mesh=wall, log=log, video=video)
 
     return recorded(work)
@@ -103,14 +94,14 @@ def demo(model: Path, scene: Path) -> list[dict[str, Any]]:
 
 def reflectors(model: Path, scene: Path) -> list[dict[str, Any]]:
     """The loops of ``rendezview reflectors``; the model and the scene are not used."""
-    target, camera = find_target("client"), Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
-    patterns, options = patterns_of(target), SceneOptions()
+    target, camera = rv.find_target("client"), rv.Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
+    patterns, options = rv.patterns_of(target), SceneOptions()
     steps = (SixNumbers(4.0 - 0.1 * k, 0.02, 0.04, 0.02 * k, 0.1, 0.1) for k in range(6))
     poses = [(0.5 * k, pose_of(six, patterns[0])) for k, six in enumerate(steps)]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         simulate_reflectors(without_mesh(target), target, camera, poses, options, folder, 0)
-        taken = [open_sequence(folder / picture) for picture in ("lit", "dark")]
+        taken = [rv.open_sequence(folder / picture) for picture in ("lit", "dark")]
 
         def work() -> None:
             for sequences, mode in ((taken, Mode.SPLITTER), (taken[:1], Mode.SINGLE)):
@@ -124,7 +115,7 @@ def reflectors(model: Path, scene: Path) -> list[dict[str, Any]]:
 
 def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
     """The loops of ``rendezview stereo track``; the model and the scene are not used."""
-    target = find_target("scole")
+    target = rv.find_target("scole")
     made = Laboratory(leds_of(target), LaboratoryOptions(signal_to_noise=1000.0), seed=71)
     rng = np.random.default_rng(1)
     rig = calibrate_laboratory(made.calibration(rng, scans=4)).rig
@@ -134,7 +125,7 @@ def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
     def work() -> None:
         for motion in (None, MotionOptions(angular_acceleration=0.02, linear_acceleration=0.02)):
             options = TrackerOptions(motion=motion)
-            tracker = StereoTracker.of_target(rig, target, options)
+            tracker = rv.StereoTracker.of_target(rig, target, options)
             for k, seen in enumerate(currents):
                 tracker.update(0.1 * k, spots_of(rig, seen)).record()
 
@@ -143,7 +134,7 @@ def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
 
 GROUPS: dict[str, Callable[[Path, Path], list[dict[str, Any]]]] = {
     "track": track, "train": train, "demo": demo, "reflectors": reflectors, "stereo": stereo,
-    "serve": lambda model, _: recorded(partial(warm_up, ViewModel.load(model))),
+    "serve": lambda model, _: recorded(partial(warm_up, rv.ViewModel.load(model))),
 }  # fmt: skip
 
 

@@ -11,10 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from experiments.frame import MODELS_CAD, error_of, nees, show, table_of, tests_module
 from experiments.peers.pnp import rig as by_peers
+from rendezview import Pose, Rig, StereoTracker, Target
 from rendezview.calibration.laboratory import calibrate_laboratory
-from rendezview.geometry.pose import Pose
-from rendezview.io.target import Target
-from rendezview.sensors.beacons import Rig, Spots, StereoTracker, TrackerOptions
+from rendezview.sensors.beacons import Spots, TrackerOptions
 from rendezview.sensors.beacons.detect.led_spots import find_spots
 from rendezview_ground.simulate.led_laboratory import LaboratoryOptions
 from rendezview_ground.simulate.led_pictures import PictureOptions

@@ -30,7 +30,7 @@ MAP_WEIGHTS = (1.0, 1.5, 1.5)
 DICE_PX = 50.0  # px²; keeps the overlap of small targets smooth
 WARM_UP = 200  # steps
 REPORT_S, REPORTS = 60.0, 20  # least time between reports and checkpoints; their count
-LEARNING_RATE = 2e-3
+LEARNING_RATE = 2e-3  # the highest
 MEAN_DECAY = 0.998  # of the running mean of the weights, a step
 HELD_PIXELS = 32 * SIDE_PX**2  # of held-out pictures, at once
 Batch = tuple[np.ndarray, np.ndarray]  # grey levels (N, S, S), maps (N, MAPS, S, S) 0 … 255
@@ -207,21 +207,14 @@ class Trained:
 
 
 def train(
-    batches: Iterable[Batch],
-    held: list[Batch],
-    networks: dict[Path, tuple[int, ...]],
-    minutes: float,
-    seed: int,
-    highest: float = LEARNING_RATE,
-    *,
-    resume: bool = False,
-) -> list[SketchUNet]:
+    batches: Iterable[Batch], held: list[Batch], networks: dict[Path, tuple[int, ...]],
+    minutes: float, seed: int, *, resume: bool = False,
+) -> list[SketchUNet]:  # fmt: skip
     """AdamW with a cosine of learning rates over the time; all networks see all batches.
 
     Args:
         networks: widths by the ONNX files they will be written to; their weights are kept beside
             these as .pt, once a minute.
-        highest: learning rate.
         resume: the networks begin with the weights that are kept there.
 
     Returns:
@@ -236,7 +229,7 @@ def train(
         spent = time.monotonic() - began
         if (done := spent / (60.0 * minutes)) >= 1.0:
             break
-        rate = highest * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.0 + np.cos(np.pi * done))
+        rate = LEARNING_RATE * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.0 + np.cos(np.pi * done))
         pictures, maps = inputs(batch, device)
         for one in learning:
             one.step(pictures, maps, rate + 1e-6)

@@ -13,23 +13,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import kept, mesh_of, nees, show, table_of
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
+from rendezview import Camera, Pose, Recognizer, Tracker, ViewModel, trajectory
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.appearance.outline.interpolation import Interpolator
 from rendezview.sensors.appearance.outline.votes import Match
-from rendezview.trajectory import (
-    NoFit,
-    PointCloud,
-    Segment,
-    Shape,
-    Spin,
-    camera_place,
-    centre_place,
-    fit_segment,
-    fit_spin,
-    fit_spin_of_directions,
-)
+from rendezview.trajectory import NoFit, PointCloud, Shape, fit_segment
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate import SceneOptions, render_frame, sun_at_phase
 from rendezview_ground.simulate.trajectories import looking_at, torque_free
@@ -163,11 +152,11 @@ def clouds(data: dict[str, Array]) -> dict[str, PointCloud]:
     posed_s = data["times_s"][data["pose_frame"]]
     # The camera's axes known to the chaser, so that the target's attitude takes no part.
     known = np.swapaxes(data["jitter"] @ data["true_rotation"], 1, 2)[data["pose_frame"]]
-    places, spreads = placed(centre_place, data)
+    places, spreads = placed(trajectory.centre_place, data)
     own = (np.einsum("nij,nj->ni", known, places), known @ spreads @ np.swapaxes(known, 1, 2))
     return {
         "nodes": PointCloud.of_nodes(*weighted("node", data)),
-        "refined": PointCloud.of_places(posed_s, *placed(camera_place, data)),
+        "refined": PointCloud.of_places(posed_s, *placed(trajectory.camera_place, data)),
         "refined, own attitude": PointCloud.of_places(posed_s, *own),
         "between nodes": PointCloud.of_nodes(*weighted("between", data)),
     }
@@ -183,7 +172,7 @@ def placed(
     return places, spreads
 
 
-def spins(data: dict[str, Array], kind: str) -> dict[str, Spin | NoFit]:
+def spins(data: dict[str, Array], kind: str) -> dict[str, trajectory.Spin | NoFit]:
     """From directions of active nodes, from attitudes with the chaser's own known."""
     frames, times = data["pose_frame"], data["times_s"]
     back = np.swapaxes(data["jitter"][frames], 1, 2)
@@ -192,27 +181,27 @@ def spins(data: dict[str, Array], kind: str) -> dict[str, Spin | NoFit]:
     tumbling = kind == "tumble"
     nodes, between = weighted("node", data), weighted("between", data)
     return {
-        "nodes": fit_spin_of_directions(*nodes, tumbling=tumbling),
-        "refined": fit_spin(times[frames], attitudes, spreads, tumbling=tumbling),
-        "between nodes": fit_spin_of_directions(*between, tumbling=tumbling),
+        "nodes": trajectory.fit_spin_of_directions(*nodes, tumbling=tumbling),
+        "refined": trajectory.fit_spin(times[frames], attitudes, spreads, tumbling=tumbling),
+        "between nodes": trajectory.fit_spin_of_directions(*between, tumbling=tumbling),
     }
 
 
-def segment_errors(segment: Segment, data: dict[str, Array], kind: str, seed: int) -> Array:
+def segment_errors(fit: trajectory.Segment, data: dict[str, Array], kind: str, seed: int) -> Array:
     """Median error of the fit, % of range; of the prediction; NEES; within 10 % of range."""
     flown, _ = true_path(kind, float(data["radius_m"]), data["centre_m"], seed)
     times = data["times_s"]
     errors = []
     for at in (times, times + SPAN_S):
         truth = flown(at) - data["centre_m"]
-        off = np.linalg.norm(segment.places(at) - truth, axis=1) / np.linalg.norm(truth, axis=1)
+        off = np.linalg.norm(fit.places(at) - truth, axis=1) / np.linalg.norm(truth, axis=1)
         errors.append(100.0 * float(np.median(off)))
-    middle = np.array([segment.middle_s])
-    miss = segment.places(middle)[0] - (flown(middle)[0] - data["centre_m"])
-    return np.array([*errors, nees(miss, segment.place_covariance(segment.middle_s))])
+    middle = np.array([fit.middle_s])
+    miss = fit.places(middle)[0] - (flown(middle)[0] - data["centre_m"])
+    return np.array([*errors, nees(miss, fit.place_covariance(fit.middle_s))])
 
 
-def spin_errors(spin: Spin, data: dict[str, Array], kind: str, seed: int) -> Array:
+def spin_errors(spin: trajectory.Spin, data: dict[str, Array], kind: str, seed: int) -> Array:
     """Rate, %; axis, degrees; camera's place as the spin puts it, % of range, fitted, predicted."""
     _, turn = true_path(kind, float(data["radius_m"]), data["centre_m"], seed)
     true_rate = turn(np.array([spin.time_s]))[1][0]

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, optional
 from rendezview.io.sequences.message_images import Calibration, PackedPicture, RawPicture
 from rendezview.io.sequences.message_video import VideoPart
 from rendezview.io.sequences.recordings import Content, CutOff, Message
@@ -21,7 +21,6 @@ _FOXGLOVE = (
     "foxglove.RawImage", "foxglove.CompressedImage", "foxglove.CompressedVideo",
     "foxglove.CameraCalibration",
 )  # fmt: skip
-_NEEDED = "pip install 'rendezview[{}]'"
 _MOST_RECORD = 4_000_000_000  # bytes; a longer record is damage. Source: a chosen limit
 _Decoder = Callable[[str, int, bytes], Message]
 
@@ -33,15 +32,11 @@ def mcap_messages(path: Path) -> Iterator[Message]:
         CutOff: at the end of a file that was cut off.
         RendezviewError: a package is not installed, or this is no MCAP file.
     """
-    try:
+    with optional(f"{path}: MCAP files need", "service"):
         from mcap.exceptions import EndOfFile
         from mcap.records import Channel, Schema
         from mcap.records import Message as Record
         from mcap.stream_reader import StreamReader
-    except ModuleNotFoundError as error:
-        raise RendezviewError(
-            f"{path}: MCAP files need {error.name}: {_NEEDED.format('service')}"
-        ) from None
     schemas: dict[int, Any] = {}
     topics: dict[int, str] = {}
     decoders: dict[int, _Decoder | None] = {}
@@ -85,17 +80,13 @@ def _decoder(path: Path, encoding: str, schema: Any) -> _Decoder | None:
 
 
 def _ros(path: Path, schema: Any, encoding: str) -> _Decoder:
-    try:
+    with optional(f"{path}: ROS's messages need", "ros"):
         from rosbags.typesys import (
             Stores,
             get_types_from_idl,
             get_types_from_msg,
             get_typestore,
         )
-    except ModuleNotFoundError as error:
-        raise RendezviewError(
-            f"{path}: ROS's messages need {error.name}: {_NEEDED.format('ros')}"
-        ) from None
     package, name = short_name(schema.name).split("/")
     full = f"{package}/msg/{name}"
     store = get_typestore(Stores.EMPTY)
@@ -116,15 +107,11 @@ def _foxglove(path: Path, name: str, encoding: str) -> _Decoder:
         parse: Callable[[bytes], Any] = json.loads
         read = _json_content
     else:
-        try:
+        with optional(f"{path}: Foxglove's messages need", "service"):
             from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
             from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
             from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
             from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-        except ModuleNotFoundError as error:
-            raise RendezviewError(
-                f"{path}: Foxglove's messages need {error.name}: {_NEEDED.format('service')}"
-            ) from None
         kinds: tuple[Any, ...] = (RawImage, CompressedImage, CompressedVideo, CameraCalibration)
         parse = kinds[_FOXGLOVE.index(name)].FromString
         read = _protobuf_content

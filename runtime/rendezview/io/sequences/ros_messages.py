@@ -10,14 +10,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, optional
 from rendezview.io.sequences.message_images import Calibration, PackedPicture, RawPicture
 from rendezview.io.sequences.message_video import VideoPart
 from rendezview.io.sequences.recordings import Content, Message
 
 BAG_SUFFIXES = frozenset({".bag", ".db3"})
 
-_NEEDED = "pip install 'rendezview[ros]'"
 # Type names without ``/msg``, which only ROS 2 has.
 VIDEOS = ("ffmpeg_image_transport_msgs/FFMPEGPacket", "foxglove_msgs/CompressedVideo")
 PICTURES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", *VIDEOS)
@@ -42,11 +41,9 @@ def bag_messages(path: Path) -> Iterator[Message]:
     Raises:
         RendezviewError: rosbags is not installed, or the bag cannot be read.
     """
-    try:
+    with optional(f"{path}: ROS bags need", "ros"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    except ModuleNotFoundError as error:
-        raise RendezviewError(f"{path}: ROS bags need {error.name}: {_NEEDED}") from None
     try:
         defaults = get_typestore(Stores.ROS2_HUMBLE)
         with AnyReader([path], default_typestore=defaults) as reader:

@@ -19,16 +19,12 @@ import warnings
 from collections.abc import Generator, Mapping, Sequence
 from typing import Any, Self
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import optional
 from rendezview_ground.learn.jobs.installed import Installed, check_versions, installed
 from rendezview_ground.learn.jobs.shard_executor import ClusterError, Shared, Task, run_shard
 
-try:
+with optional("a cluster needs", "dask", ", which is not installed"):
     import distributed
-except ModuleNotFoundError as error:
-    raise RendezviewError(
-        f"a cluster needs {error.name}, which is not installed: pip install 'rendezview[dask]'"
-    ) from None
 
 _MOST_LOSSES = 3  # losses of shared data in a row, with no shard finished between them
 

@@ -9,15 +9,15 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from mcap.reader import make_reader
+from tests.service.served import Served
 
-from experiments.service.log_faults import campaign
-from experiments.service.serving import Loop, Served
-from rendezview.errors import RendezviewError
-from rendezview_service.client import Client
+from experiments.service.serving import Loop
+from rendezview import Client, RendezviewError
 from rendezview_service.logs.log_repair import mend
 from rendezview_service.logs.replay import read_log
 
@@ -42,17 +42,14 @@ def states_of(path: Path) -> dict[int, dict]:
     return {state["frame"]: state for state in states}
 
 
-def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0, log_faults: int = 0) -> None:
-    """Kill the recording service repeatedly, and count acknowledged poses that are lost.
+def campaign(serve: Callable[..., Served], scene: Path, kills: int, seed: int) -> bool:
+    """Kill the recording service repeatedly; whether no acknowledged pose is lost.
 
     Each time a service starts with a log, two clients send frames as fast as they are answered,
     and after a random time the whole process group gets kill -9. The log is read as it was left,
     and again after mending, by the reader of the mcap package. Every answer with
-    "recorded": true must be there, number for number. With --log-faults, so many faults of disks,
-    files and processes under the writer of a log instead, all kinds in turns.
+    "recorded": true must be there, number for number. ``serve`` starts one with flags and settings.
     """
-    if log_faults:
-        sys.exit(not campaign(log_faults, seed))
     rng = np.random.default_rng(seed)
     total = lost = unreadable = cut_bytes = 0
     for done in range(1, kills + 1):
@@ -61,7 +58,7 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0, log_faults
             folder.mkdir()
             # Logs without the model: written each time it only takes time.
             flags = ("--workers", "1", "--record", str(folder), "--models", f"{work}/models")
-            served = Served(model, *flags, group=True, record_model="false")
+            served = serve(*flags, record_model="false")
             acknowledged: dict[str, list[dict]] = {}
             threads = [
                 threading.Thread(target=send, args=(served.url, scene, name, acknowledged))
@@ -98,4 +95,4 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0, log_faults
         f"seed {seed}: {kills} kills, {total} acknowledged poses, {lost} lost, {unreadable} logs "
         f"unreadable; {cut_bytes} bytes of half frames cut"
     )
-    sys.exit(bool(lost or unreadable))
+    return not (lost or unreadable)

@@ -8,9 +8,8 @@ from typing import Literal
 import numpy as np
 
 from experiments.frame import tests_module
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import LitDark, ReflectorPattern
+from rendezview import Camera, LitDark, Pose, Status
+from rendezview.sensors.beacons import ReflectorPattern
 from rendezview_ground.simulate.reflector_frames import Clutter, ReflectorFrameOptions, render_pair
 
 plain = tests_module("plain_pictures")
@@ -18,13 +17,14 @@ plain = tests_module("plain_pictures")
 Simulator = Literal["plain", "own"]
 
 PINHOLE = plain.Pinhole()
-CAMERA = Camera(
-    PINHOLE.width, PINHOLE.height, PINHOLE.focal_px, PINHOLE.focal_px, PINHOLE.cx, PINHOLE.cy
-)
+_FOCAL_PX = (PINHOLE.focal_px, PINHOLE.focal_px)
+CAMERA = Camera(PINHOLE.width, PINHOLE.height, *_FOCAL_PX, PINHOLE.cx, PINHOLE.cy)
 _HALF, _POST = 0.5 * 14.5 * 0.0254, 4 * 0.0254  # m, of the paper's target
 _PLACES = np.array(
     [[-_HALF, 0, 0], [0, 0, _POST], [_HALF, 0, 0], [0, 0.75 * _HALF, 0], [0, -0.75 * _HALF, 0]]
 )
+KINDS = ("right", "wrong", "ambiguous", "none")
+WRONG_DEG, WRONG_SHARE = 5.0, 0.03
 HALF_TURN = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 
 
@@ -68,13 +68,21 @@ def pictures(
     return LitDark(lit, dark)
 
 
-def apart(pose: Pose, truth: Pose, half_turns: bool) -> tuple[float, float]:
-    """Degrees and share of the range between two poses of these targets.
+def apart(pose: Pose, *truths: Pose) -> tuple[float, float]:
+    """Degrees and share of the range between a pose and the nearest of those that look alike."""
+    return min(
+        (
+            math.degrees(pose.angle_to(one)),
+            float(np.linalg.norm(pose.translation_m - one.translation_m))
+            / float(np.linalg.norm(one.translation_m)),
+        )
+        for one in truths
+    )
 
-    ``half_turns``: half a turn about the face is no error.
-    """
-    angle = pose.angle_to(truth)
-    if half_turns:
-        angle = min(angle, pose.angle_to(truth @ HALF_TURN))
-    off = np.linalg.norm(pose.translation_m - truth.translation_m)
-    return math.degrees(angle), float(off / np.linalg.norm(truth.translation_m))
+
+def kind(pose: Pose | None, status: Status | None, *truths: Pose) -> str:
+    """What an answer is, one of ``KINDS``."""
+    if pose is None:
+        return "ambiguous" if status is Status.AMBIGUOUS else "none"
+    degrees, share = apart(pose, *truths)
+    return "wrong" if degrees > WRONG_DEG or share > WRONG_SHARE else "right"

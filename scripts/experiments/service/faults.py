@@ -1,0 +1,46 @@
+"""The service under faults: kills, sick disks, malformed and hostile requests, by the thousand."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal
+
+from experiments.frame import tests_module
+from experiments.service.serving import serve
+
+
+def run(
+    kind: Literal["kills", "disks", "fuzz", "hostile"],
+    model: Annotated[Path | None, "of all kinds but disks"] = None,
+    scene: Annotated[Path | None, "of kills: frames of the model's target"] = None, *,
+    count: Annotated[int, "kills, faults, cases, or seconds of each hostile client"] = 100,
+    minutes: Annotated[float, "after which no block of cases begins"] = 600.0, seed: int = 0,
+) -> None:  # fmt: skip
+    """What must not be lost, fail, hang or leak, by the harnesses of tests/service.
+
+    kills: kill -9 while two clients send frames; every acknowledged pose must be in the log. disks:
+    faults of disks, files and processes under the writer of a log, all kinds in turns. fuzz:
+    malformed frames, requests and messages. hostile: clients that take what they can, beside an
+    innocent one. The exit status is 1 where something was lost or failed.
+    """
+    if kind == "disks":
+        sys.exit(not tests_module("service.log_faults").campaign(count, seed))
+    if model is None or (kind == "kills" and scene is None):
+        sys.exit(f"{kind} needs a model{', and a scene' * (kind == 'kills')}")
+    if kind == "kills":
+        campaign = tests_module("service.kills").campaign
+        sys.exit(not campaign(partial(serve, model), scene, count, seed))
+    if kind == "fuzz":
+        served = serve(model, spare_worker="false")
+        found = tests_module("service.fuzz").campaign(served, seed, count, minutes=minutes)
+        served.stop()
+        sys.exit(bool(found.failures))
+    with tempfile.TemporaryDirectory() as logs:
+        served = serve(model, "--record", logs, record_all="false")
+        clients = tests_module("service.hostile_clients")
+        for line in clients.campaign(served, Path(logs), float(count)):
+            print(line, flush=True)
+        served.stop()
