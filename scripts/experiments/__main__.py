@@ -36,7 +36,6 @@ EXPERIMENTS = {
         "compiled-loops": ("startup.loops", "lists the loops that commands compile"),
     },
     "training": {
-        "foreground-network": ("training.foreground_network", "trains the foreground network"),
         "sketch-network": ("training.sketch_network", "trains the sketch network (PyTorch)"),
     },
     "integrity": {

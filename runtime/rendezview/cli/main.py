@@ -17,7 +17,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
-from rendezview.errors import RendezviewError, without_cache
+from rendezview.errors import RendezviewError, optional, without_cache
 
 GROUP = "rendezview.commands"
 _OTHER_OPENCV = ("opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless")
@@ -128,15 +128,9 @@ def _place(name: str) -> tuple[int, str]:
 
 
 def _load(point: metadata.EntryPoint) -> Callable[..., Any] | typer.Typer:
-    try:
+    who = f"`rendezview {point.name}` belongs to the ground side and"
+    with optional(who, "training", " is not installed"):
         command: Callable[..., Any] | typer.Typer = point.load()
-    except ModuleNotFoundError as error:
-        if (error.name or "").startswith("rendezview"):
-            raise
-        raise RendezviewError(
-            f"`rendezview {point.name}` belongs to the ground side and {error.name} is not "
-            "installed: pip install 'rendezview[training]'"
-        ) from None
     return command
 
 

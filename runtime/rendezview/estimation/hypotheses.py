@@ -7,13 +7,15 @@ and its rivals, the best ones that are other answers; `posterior` gives probabil
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
+
+T = TypeVar("T")
 
 
 class Choice(NamedTuple):
@@ -56,6 +58,11 @@ def choose(
             kept.append(k)
     margin = float(scores[kept[0]] - scores[kept[1]]) if len(kept) > 1 else np.inf
     return Choice(kept[0], tuple(kept[1:]), margin)
+
+
+def best_by(score: Callable[[T], float], hypotheses: Iterable[T]) -> T | None:
+    """The hypothesis with the highest score, the first of equals; None where there are none."""
+    return max(hypotheses, key=score, default=None)
 
 
 def posterior(log_odds: Array) -> Array:

@@ -121,7 +121,8 @@ def _groups(sensor: str) -> list[slice]:
 def _row(sensor: str, seen: list[Seen]) -> dict[str, Any]:
     """Share of frames answered, σ and claimed σ, scatter of the claims (σ of their logarithm).
 
-    Wild readings are apart: their share of the answers, and the σ of their errors.
+    ``follows`` is the power of a frame's claim that its errors grow with. Wild readings are apart:
+    their share of the answers, and the σ of their errors.
     """
     found = [(s.range_m, s.found[sensor]) for s in seen if sensor in s.found]
     row: dict[str, Any] = {"answered": round(len(found) / max(len(seen), 1), 3)}
@@ -129,28 +130,32 @@ def _row(sensor: str, seen: list[Seen]) -> dict[str, Any]:
     found = [f for f in found if np.abs(f[1][0] / f[1][1]).max() <= OUTLIER]
     if len(found) < FEWEST:
         return row
-    sigma, claimed, scatter = _sizes(sensor, found)
-    row |= {"sigma": sigma, "claimed": claimed, "scatter": scatter}
+    errors, claims = np.array([f[1] for f in found]).transpose(1, 0, 2)
+    larger = np.log(claims[:, 0]) - np.log(claims[:, 0]).mean()
+    sizes = np.log(np.abs(errors / np.exp(np.log(claims).mean(axis=0)))).mean(axis=1)
+    slope = float(larger @ (sizes - sizes.mean())) / max(float(larger @ larger), 1e-12)
+    follows = min(max(slope, 0.0), 1.0)
+    sigma, claimed = _sizes(sensor, found, np.exp(follows * larger))
+    row |= {"sigma": sigma, "claimed": claimed, "scatter": round(float(larger.std()), 3)}
+    row["follows"] = round(follows, 3)
     row["wild"] = round(len(wild) / (len(found) + len(wild)), 3)
-    row["wild_sigma"] = sigma if not wild else _sizes(sensor, wild, plain=True)[0]
+    row["wild_sigma"] = sigma if not wild else _sizes(sensor, wild, np.ones(len(wild)))[0]
     return row
 
 
 def _sizes(
-    sensor: str, found: list[tuple[float, Array]], *, plain: bool = False
-) -> tuple[list[float], list[float], float]:
-    """σ (r.m.s. in claimed σ, times these; plain: r.m.s.) and claimed σ by group; scatter."""
+    sensor: str, found: list[tuple[float, Array]], times: Array
+) -> tuple[list[float], list[float]]:
+    """σ and claimed σ by group; ``times`` (N,): how much worse a frame is than the usual one."""
     errors, claims = np.array([f[1] for f in found]).transpose(1, 0, 2)
     ranges = np.array([f[0] for f in found])
     sigma, claimed, groups = [], [], _groups(sensor)
     for place, columns in enumerate(groups):
         over = ranges[:, None] if place >= len(groups) - 2 else 1.0
         some, told = errors[:, columns] / over, claims[:, columns] / over
-        usual = float(np.exp(np.log(told).mean()))
-        size = np.sqrt((some**2).mean()) if plain else usual * np.sqrt(((some / told) ** 2).mean())
-        claimed.append(float(f"{usual:.3g}"))
-        sigma.append(float(f"{size:.3g}"))
-    return sigma, claimed, round(float(np.log(claims[:, 0]).std()), 3)
+        claimed.append(float(f"{np.exp(np.log(told).mean()):.3g}"))
+        sigma.append(float(f"{np.sqrt(((some / times[:, None]) ** 2).mean()):.3g}"))
+    return sigma, claimed
 
 
 def _filled(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

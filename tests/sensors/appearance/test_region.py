@@ -197,8 +197,8 @@ def test_edges_that_the_sketch_contradicts_give_no_pose(recognizer, bumpy_mesh, 
     frame, _ = room(bumpy_mesh, pose, 1)
     box, best = told(pose, model), SketchSearch.best
 
-    def another(self, frame, sky):
-        found = best(self, frame, sky)
+    def another(self, frame, sky, sketch):
+        found = best(self, frame, sky, sketch)
         rotation = Rotation.from_rotvec([0.0, 2.0, 0.0]).as_matrix() @ found.best.pose.rotation
         there = Pose(rotation, pose.apply(model.centre_m) - rotation @ model.centre_m)
         return replace(found, best=replace(found.best, pose=there), probability=0.3)

@@ -8,6 +8,7 @@ lasts, or one in the last metre, makes it retreat to a hold point; too many retr
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
@@ -51,6 +52,7 @@ class Known:
     turning: Array  # (3,) by its gyroscope, rad/s, camera frame
     used: tuple[str, ...] = ()  # sensors whose readings were accepted since the last step
     rivals: tuple[tuple[str, float], ...] = ()  # what else may be true, and how likely
+    forecast: Callable[[float], Estimate] | None = None  # of a time shortly ahead
 
 
 @lru_cache(maxsize=256)

@@ -62,7 +62,7 @@ class FusedEstimator:
             if isinstance(reading, RateMeasurement):
                 self._turning = reading.rate_rad_s
         state, rivals = self.fusion.state_at(time_s), tuple(self.fusion.rivals.items())
-        return Known(time_s, state, self._turning, tuple(used), rivals)
+        return Known(time_s, state, self._turning, tuple(used), rivals, self.fusion.state_at)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

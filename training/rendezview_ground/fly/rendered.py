@@ -139,8 +139,9 @@ class RenderedSensors(Pictures):
     def _look(
         self, image: npt.NDArray[np.uint8], time_s: float, known: Known | None
     ) -> list[Measurement]:
-        """Recognizer and ring; each knows what the filter forecast at the last step."""
-        estimate = None if known is None else known.estimate
+        """Recognizer and ring; each knows what the filter forecasts for the frame."""
+        forecast = None if known is None else known.forecast
+        estimate = None if forecast is None else forecast(time_s)
         pose = None if estimate is None else estimate.pose
         assert self._tracker is not None
         if estimate is not None and pose is not None and self._tracker.lost:

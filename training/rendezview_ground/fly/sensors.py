@@ -36,6 +36,8 @@ from rendezview_ground.fly.options import FlyPlan
 # Source: `fusion-approach`, of which the error tables are
 CAMERA = Camera(1024, 1024, 800.0, 800.0, 511.5, 511.5)
 _STREAM = 3  # of the seed
+# Of the tables of a sensor, in the order of `ErrorTable`. Source: by construction
+_COLUMNS = ("answered", "sigma", "claimed", "scatter", "follows", "wild", "wild_sigma")
 _LEAST_THRUST_M_S = 1e-4  # σ of a pulse that is told. Source: a quarter of the least impulse
 
 
@@ -46,14 +48,16 @@ class Quality:
     answered: float
     sigma: Array
     claimed: Array
-    scatter: float  # σ of the logarithm of both, from frame to frame
+    scatter: float  # σ of the logarithm of what it claims, from frame to frame
+    follows: float  # the power of a frame's claim that its errors grow with
     wild: float  # share of the readings that are of something else
     wild_sigma: Array  # (K,) of these
 
     def in_frame(self, rng: np.random.Generator) -> Quality:
         """As good or as bad as one frame is."""
         times = math.exp(self.scatter * rng.standard_normal())
-        sigma = self.wild_sigma if rng.random() < self.wild else times * self.sigma
+        worse = times**self.follows
+        sigma = self.wild_sigma if rng.random() < self.wild else worse * self.sigma
         return replace(self, sigma=sigma, claimed=times * self.claimed)
 
 
@@ -66,6 +70,7 @@ class ErrorTable:
     sigma: Array  # (N, K)
     claimed: Array  # (N, K)
     scatter: Array  # (N,)
+    follows: Array  # (N,)
     wild: Array  # (N,)
     wild_sigma: Array  # (N, K)
 
@@ -76,10 +81,11 @@ class ErrorTable:
             np.array([math.exp(np.interp(x, known, np.log(column))) for column in table.T])
             for table in (self.sigma, self.claimed, self.wild_sigma)
         ]
-        answered, scatter, wild = (
-            float(np.interp(x, known, some)) for some in (self.answered, self.scatter, self.wild)
+        answered, scatter, follows, wild = (
+            float(np.interp(x, known, some))
+            for some in (self.answered, self.scatter, self.follows, self.wild)
         )
-        return Quality(answered, columns[0], columns[1], scatter, wild, columns[2])
+        return Quality(answered, columns[0], columns[1], scatter, follows, wild, columns[2])
 
 
 @lru_cache(maxsize=1)
@@ -91,7 +97,7 @@ def measured() -> tuple[dict[str, ErrorTable], list[dict[str, Any]]]:
     tables = {
         name: ErrorTable(
             ranges, *(np.array([row[name][key] for row in rows])
-                      for key in ("answered", "sigma", "claimed", "scatter", "wild", "wild_sigma")),
+                      for key in _COLUMNS),
         )
         for name in ("camera", "ring", "reflectors")
     }  # fmt: skip

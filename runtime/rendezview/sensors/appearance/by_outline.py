@@ -6,6 +6,7 @@ first two steps, `OutlineRecognition.recognize` the others.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
@@ -17,12 +18,13 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.edges.contour_at import target_box
+from rendezview.sensors.appearance.edges.network import Sketch, Sketcher
 from rendezview.sensors.appearance.model.signature import Outlines, Signature
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation, StageClock
 from rendezview.sensors.appearance.outline.bright_sky import find_bodies
 from rendezview.sensors.appearance.outline.cut_out import CutOut
-from rendezview.sensors.appearance.outline.foreground import Foreground
 from rendezview.sensors.appearance.outline.interpolation import Interpolator
 from rendezview.sensors.appearance.outline.placement import node_points, place
 from rendezview.sensors.appearance.outline.reading import LateReading, OutlineReading
@@ -42,6 +44,8 @@ from rendezview.sensors.observation import Status
 # Log odds of the forest about a pose that no refinement confirms.
 # Source: experiment tree-ablation (0.1), seed 4101
 _LEAST_VOTES = 0.0
+# Px; before a bright sky, larger pictures are shrunk. Source: by construction, as fine as a sketch
+_AREA_PX = 640 * 480
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +55,7 @@ class Traced:
     silhouette: Silhouette | None  # the likeliest, if there are several
     outlines: list[Outlines]  # of each silhouette that encloses an area
     missing: Missing | None = None
+    sketch: Sketch | None = None  # before a bright sky
 
 
 class OutlineRecognition:
@@ -69,7 +74,7 @@ class OutlineRecognition:
         self._options_of_means = replace(silhouette, averaged_px=1)
         self.matcher = Matcher(model, match)
         self._interpolator = None if model.views.far_change is None else Interpolator(model)
-        self._foreground = Foreground()
+        self.sketcher = Sketcher()
         self._forest_scores = self.matcher.forest_scores
         self._voted = None if self._forest_scores is None else VotedPose(model, self._forest_scores)
         self._region: Region | None = None
@@ -91,15 +96,16 @@ class OutlineRecognition:
             frame: (H, W) of the camera's size.
             prior: camera_from_target; it chooses among several bodies.
             clock: counts the stages ``silhouette`` and ``signature``.
-            bright_sky: whether the network looks for the target first.
+            bright_sky: whether a sketch shows the target.
         """
         bodies: list[Silhouette] | Missing | None = None
+        sketch: Sketch | None = None
         region = self._region
         if region is not None and region.mask is not None:
             told = silhouette_of_mask(region.mask)
             bodies = told if isinstance(told, Missing) else [told]
         elif bright_sky:
-            bodies = find_bodies(frame, self._foreground)
+            sketch, bodies = self._sketched(frame, prior)
         if bodies is None or isinstance(bodies, Missing):
             expected_px = None
             if region is not None and region.place_px is not None:
@@ -110,7 +116,22 @@ class OutlineRecognition:
             found = find_silhouette(frame, self.silhouette_options, expected_px)
             bodies = found if isinstance(found, Missing) else [found]
         clock.lap("silhouette")
-        return self._traced(bodies, clock)
+        return replace(self._traced(bodies, clock), sketch=sketch)
+
+    def _sketched(
+        self, frame: Picture, prior: Pose | None
+    ) -> tuple[Sketch | None, list[Silhouette] | Missing | None]:
+        """The sketch of a frame, and the bodies on it; None: it shows none.
+
+        Without a prior, they are those of a finer one.
+        """
+        if prior is not None:
+            sketch = finer = self.sketcher.near(frame, target_box(self.model, self.camera, prior))
+        else:
+            sketch = finer = self.sketcher.find(frame)
+            finer = None if sketch is None else self.sketcher.closer(frame, sketch)
+        times = max(1, math.isqrt(frame.size // _AREA_PX))
+        return sketch, None if finer is None else find_bodies(finer.odds(frame.shape, times), times)
 
     def seen(self, traced: Traced, pose: Pose, clock: StageClock) -> AppearanceObservation:
         """An outline in which the trees look at a pose when asked; see `read`."""

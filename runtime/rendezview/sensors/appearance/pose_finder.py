@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy.typing as npt
 
-from rendezview.estimation.hypotheses import choose
+from rendezview.estimation.hypotheses import best_by, choose
 from rendezview.geometry.boxes import overlap
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.by_outline import OutlineRecognition
+from rendezview.sensors.appearance.by_outline import OutlineRecognition, Traced
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
 from rendezview.sensors.appearance.edges.contour_at import NOWHERE, target_box
 from rendezview.sensors.appearance.judge.found import NEAR_RAD, Found
@@ -45,8 +45,7 @@ from rendezview.sensors.appearance.verdict import (
 )
 from rendezview.sensors.observation import Status
 
-# Confidence: with less after the likeliest starts, a sketch is tried before all others. Of 79
-# frames of Hubble, Sun 30° and 60° aside, 4 have less although grey edges find their pose at last.
+# Confidence of the likeliest starts: with less, they propose nothing beside a sketch.
 # Source: by hand, seeds 5 and 6 of rendezview simulate --trajectory random
 _LEAST_CONFIDENT = 0.1
 # merit; chance decides between two poses nearer to each other, where no look-alike was drawn.
@@ -90,15 +89,16 @@ class PoseFinder:
         self.close = None
         if self.search is not None and model.near:
             self.close = CloseSearch(model, camera)
-        self.sketch = None
-        # A sketch shows one angle of the joints only.
-        sketch = sketch and not model.joints
-        if sketch and self.search is not None and model.sketches is not None:
-            self.sketch = SketchSearch(model, camera, self.search.refiner.views)
         if silhouette is None and self.search is not None:
             # Shadow cuts a body into pieces; refinement decides whether they are the target's.
             silhouette = SilhouetteOptions(rival_fraction=2.0, merge_gap=0.6)
         self.outline = OutlineRecognition(model, camera, silhouette or SilhouetteOptions(), match)
+        self.sketch = None
+        # A sketch shows one angle of the joints only.
+        sketch = sketch and not model.joints
+        if sketch and self.search is not None and model.sketches is not None:
+            views, sketcher = self.search.refiner.views, self.outline.sketcher
+            self.sketch = SketchSearch(model, camera, views, sketcher)
         self.prior_error_rad = self.outline.matcher.options.prior_error_rad
 
     def looking_at(self, region: Region) -> PoseFinder:
@@ -152,43 +152,38 @@ class PoseFinder:
     def _anywhere(
         self, search: PoseSearch, frame: Picture, sky: Sky, clock: StageClock
     ) -> AppearanceObservation:
-        """Without a prior: by the outline, then on a sketch, then by the outline thoroughly."""
+        """Without a prior: by the outline, then on a sketch."""
         traced = self.outline.trace(frame, None, clock, bright_sky=not sky.dark)
-        by_outline = partial(search.anywhere, frame, sky, traced.outlines)
         found, sketched = None, None
         if traced.outlines:
-            found = by_outline(give_up=0.0 if self.sketch is None else _LEAST_CONFIDENT)
+            give_up = 0.0 if self.sketch is None else _LEAST_CONFIDENT
+            found = search.anywhere(frame, sky, traced.outlines, give_up=give_up)
             clock.lap("refine")
         # In a window of a bright frame other things have edges, too: two estimators must agree.
         alone = sky.dark or self.sketch is None or self.region is None
-        best = found if alone and self._confident(found) else None
-        if best is None and self.sketch is not None:
-            sketched = self.sketch.best(frame, sky)
+        given, surer = found if alone and self._confident(found) else None, found
+        if given is None and self.sketch is not None:
+            sketched = self.sketch.best(frame, sky, traced.sketch)
             clock.lap("sketch")
-            doubtful = found is None or found.confidence < _LEAST_CONFIDENT
-            answers = [] if found is None or doubtful else found.answers
             if sketched is not None:
                 # Grey edges judge what the sketch proposes, and are the finer ones.
-                answers = sketched.answers + answers
+                answers = sketched.answers
+                if found is not None and found.confidence >= _LEAST_CONFIDENT:
+                    answers += found.answers
                 doubted = not self._confident(sketched) or sketched.margin < CLOSE_MARGIN
                 proposed = search.proposed(
                     frame, sky, answers, traced.outlines, half_turns=doubted, sketched=sketched
                 )
                 found = found if proposed is None else proposed
-            best = self._likelier(search, frame, sky, found, sketched)
-            if best is None and traced.outlines and doubtful:
-                answers += [] if found is None else found.answers
-                found = by_outline(again=True, also=answers, sketched=sketched)
-                best = self._likelier(search, frame, sky, found, sketched)
+            given, surer = self._chosen(search, frame, sky, found, sketched)
             clock.lap("refine")
         apart_rad = 0.0
-        if not alone and best is not None and sketched is not None:
-            poses = best.best.pose, sketched.best.pose
+        if not alone and given is not None and sketched is not None:
+            poses = given.best.pose, sketched.best.pose
             apart_rad = angle_between(*poses, self.model.symmetries)
-        if best is not None and apart_rad <= NEAR_RAD:
-            return self._given(self.outline.seen(traced, best.best.pose, clock), best)
-        view = self.outline.recognize(traced, None, None, clock)
-        seen = refused(view, self._refusable(found, sketched))
+        if given is not None and apart_rad <= NEAR_RAD:
+            return self._given(self.outline.seen(traced, given.best.pose, clock), given)
+        seen = refused(self.outline.recognize(traced, None, None, clock), surer)
         return contradicted(seen, apart_rad) if apart_rad > NEAR_RAD else seen
 
     def _among_others(self, seen: AppearanceObservation, request: Request) -> AppearanceObservation:
@@ -252,52 +247,49 @@ class PoseFinder:
     def _near(
         self, search: PoseSearch, frame: Picture, sky: Sky, near: Near, clock: StageClock
     ) -> AppearanceObservation:
-        """Within the error of a prior: by outline and rotations of it, then on a sketch."""
+        """Within the error of a prior: by outline and rotations of it, then on a sketch.
+
+        Before a bright sky an outline shows nothing that rotations of the prior do not.
+        """
         prior, error_rad = near.prior, near.error_rad
-        traced = self.outline.trace(frame, prior, clock, bright_sky=not sky.dark)
-        view = self.outline.recognize(traced, prior, error_rad, clock)
+        view = AppearanceObservation(Status.OK, stage_ms=clock.stage_ms)
+        traced = Traced(None, [])
+        if sky.dark:
+            traced = self.outline.trace(frame, prior, clock, bright_sky=False)
+            view = self.outline.recognize(traced, prior, error_rad, clock)
         if self.overflows(prior):
             return refused(view, None)
         also = [] if view.pose is None else [view.pose]
         found = near.bounds(search.near(frame, sky, prior, error_rad, traced.outlines, also))
         clock.lap("refine")
-        if found is not None and self._confident(found):
-            return self._given(view, found)
-        sketched = None
-        if self.sketch is not None:
+        given, surer = found if self._confident(found) else None, found
+        if given is None and self.sketch is not None:
             sketched = near.bounds(self.sketch.near(frame, sky, prior, error_rad))
             clock.lap("sketch")
-            best = near.bounds(self._likelier(search, frame, sky, found, sketched))
+            given, surer = self._chosen(search, frame, sky, found, sketched)
+            given = near.bounds(given)
             clock.lap("refine")
-            if best is not None:
-                return self._given(self.outline.seen(traced, best.best.pose, clock), best)
-        return refused(view, self._refusable(found, sketched))
+        if given is None:
+            return refused(view, surer)
+        if not sky.dark and self.trees:
+            view = self.outline.seen_from(frame, given.best.pose, clock, bright_sky=True)
+        elif given is not found:
+            view = self.outline.seen(traced, given.best.pose, clock)
+        return self._given(view, given)
 
-    def _likelier(
+    def _chosen(
         self, search: PoseSearch, frame: Picture, sky: Sky, found: Found | None,
         sketched: Found | None,
-    ) -> Found | None:  # fmt: skip
-        """What grey edges found, or else a sketch; None where neither is confident."""
-        if self._confident(found):
-            return found
-        sketched = self._beside(found, sketched)
-        if sketched is None or not self._confident(sketched):
-            return None
-        # Grey edges are the finer ones, where they are seen.
-        return search.at(frame, sky, sketched.best.pose, NEAR_RAD) or sketched
-
-    def _beside(self, found: Found | None, sketched: Found | None) -> Found | None:
-        """What a sketch shows, beside the look-alikes that were weighed with it."""
-        if sketched is None or found is None or not found.weighed:
-            return sketched
-        return sketched.beside(found.weighed, self.model.symmetries)
-
-    def _refusable(self, found: Found | None, sketched: Found | None) -> Found | None:
-        """What is the reason for no pose: the more confident of both."""
-        sketched = self._beside(found, sketched)
-        if sketched is None or (found is not None and found.confidence >= sketched.confidence):
-            return found
-        return sketched
+    ) -> tuple[Found | None, Found | None]:  # fmt: skip
+        """Of what grey edges and a sketch show the one to give, if any, and the surer one."""
+        if sketched is not None and found is not None and found.weighed:
+            sketched = sketched.beside(found.weighed, self.model.symmetries)
+        answers = [one for one in (found, sketched) if one is not None]
+        given = next(filter(self._confident, answers), None)
+        if given is not None and given is sketched:
+            # Grey edges are the finer ones, where they are seen.
+            given = search.at(frame, sky, given.best.pose, NEAR_RAD) or given
+        return given, best_by(lambda one: one.confidence, answers)
 
     def overflows(self, pose: Pose) -> bool:
         """Whether a target there is too near for a whole view: no search near it can find one."""

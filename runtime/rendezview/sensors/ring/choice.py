@@ -85,26 +85,19 @@ class MotionChooser:
     """Follows both axes over frames: on a target that does not turn, only the false axis turns.
 
     As the camera moves round the ring (or the ring across the picture) the true axis stays and the
-    false one swings with the line of sight. Holds for a camera that keeps its own attitude, or
-    whose turns are given.
+    false one swings with the line of sight. Holds for a camera that keeps its own attitude.
     """
 
     _axes: list[list[Array]] = field(default_factory=lambda: [[], []])
     _noise: list[float] = field(default_factory=list)
     decided: int | None = None
 
-    def update(self, poses: Sequence[CirclePose], turn: npt.ArrayLike | None = None) -> Choice:
-        """Take in a frame's poses.
-
-        Args:
-            poses: both poses of the circle in this frame.
-            turn: (3, 3) rotation from this camera frame to one that does not turn; None: none.
-        """
+    def update(self, poses: Sequence[CirclePose]) -> Choice:
+        """Take in both poses of the circle in a frame."""
         single = only_one(poses)
         if single is not None:
             return single
-        fixed = np.eye(3) if turn is None else np.asarray(turn, dtype=np.float64)
-        axes = [fixed @ pose.axis for pose in poses]
+        axes = [pose.axis for pose in poses]
         order = (0, 1)
         if self._axes[0]:
             last = [track[-1] for track in self._axes]

@@ -85,6 +85,12 @@ def test_a_part_of_the_target_gives_the_pose(mesh, model, range_m):
     assert without.pose is None
 
 
+def test_a_ring_alone_tells_no_roll(mesh, model):
+    """Its facets fit at every few degrees; on a flight that was taken for a sudden turn."""
+    truth = before(0.95)
+    assert Recognizer(model, CAMERA).recognize(frame_of(mesh, truth), truth).pose is None
+
+
 def test_a_prior_that_is_far_off_and_an_empty_frame_give_no_pose(mesh, model):
     truth = before(2.0)
     close = Recognizer(model, CAMERA)

@@ -15,9 +15,10 @@ from rendezview.sensors.appearance.edges.alignment import (
     Stage,
     align,
     align_each,
-    gauss_newton_step,
     inlier_ratios,
     nearest_distance,
+    normal_equations,
+    take_step,
 )
 from rendezview.sensors.appearance.edges.grey import measure_edges
 from rendezview.sensors.appearance.edges.lighting import fit_light
@@ -267,26 +268,27 @@ def test_each_of_several_poses_is_aligned_as_by_itself(scene, survivors):
     assert 1 <= np.sum(np.any(expected > 0.0, axis=1)) <= survivors
 
 
-def test_gauss_newton_step_is_the_damped_solution_and_refuses_to_leave():
+def test_a_step_is_the_damped_solution_and_refuses_to_leave(scene):
     rng = np.random.default_rng(8)
-    jacobian, residual = rng.normal(size=(40, 6)), 0.01 * rng.normal(size=40)
-    matrix, right = jacobian.T @ jacobian, jacobian.T @ residual
-    held, radius_m, nearest_m = 0.3, 2.0, 1.5
-    damped = matrix + np.diag([held * radius_m**2] * 3 + [held] * 3)
-    step = np.linalg.solve(damped, right)
-    rotation, centre = np.eye(3), np.array([0.1, 0.2, 9.0])
-    moved = gauss_newton_step(
-        matrix.copy(), right, held, 1.0, radius_m, nearest_m, rotation, centre
-    )
+    edges = np.zeros((40, COLUMNS))
+    edges[:, :6], edges[:, RESIDUAL] = rng.normal(size=(40, 6)), 0.01 * rng.normal(size=40)
+    edges[:, STATE], edges[:, WEIGHT] = FOUND, 1.0
+    views = scene.views._replace(radius_m=2.0, shells_m=np.array([4.0]))
+    lens, damping, place = scene.lens, 0.003, np.array([0.1, 0.2, 9.0])
+    matrix, right = np.empty((6, 6)), np.empty(6)
+    _, weights = normal_equations(edges, 0.1, matrix, right)
+    held = damping * weights * (lens[0][0] / place[2]) ** 2
+    step = np.linalg.solve(matrix + np.diag([4.0 * held] * 3 + [held] * 3), right)
+    rotation, centre = np.eye(3), place.copy()
+    assert take_step(edges, 0.1, damping, 1.0, lens, views, rotation, centre) > 0.0
     assert rotation == pytest.approx(Rotation.from_rotvec(step[:3]).as_matrix(), abs=1e-9)
-    assert centre == pytest.approx(np.array([0.1, 0.2, 9.0]) + step[3:], abs=1e-9)
-    assert moved > 0.0
+    assert centre == pytest.approx(place + step[3:], abs=1e-9)
     near = np.array([0.0, 0.0, 1.0])  # within the target
-    assert gauss_newton_step(
-        matrix.copy(), right, held, 1.0, radius_m, nearest_m, np.eye(3), near
-    ) < 0.0  # fmt: skip
-    passed = gauss_newton_step(matrix.copy(), right, held, 1.0, radius_m, 0.5, np.eye(3), near)
-    assert passed > 0.0
+    assert take_step(edges, 0.1, damping, 1.0, lens, views, np.eye(3), near.copy()) < 0.0
+    within = views._replace(shells_m=np.array([0.5]))  # a part of it has nearer views
+    assert take_step(edges, 0.1, damping, 1.0, lens, within, np.eye(3), near.copy()) > 0.0
+    few = edges[:11]
+    assert take_step(few, 0.1, damping, 1.0, lens, views, np.eye(3), place.copy()) < 0.0
 
 
 def test_the_nearest_distance_is_outside_the_target_or_inside_its_nearest_view(scene):

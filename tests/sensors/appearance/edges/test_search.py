@@ -74,7 +74,7 @@ def test_starts_whose_edges_are_not_found_are_not_refined(
     assert refined(truth.rotation[None], 0.6) == pytest.approx([0.0], abs=np.deg2rad(0.5))
 
 
-@pytest.mark.parametrize("how", [{}, {"give_up": 0.5}, {"again": True}])
+@pytest.mark.parametrize("how", [{}, {"give_up": 0.5}])
 def test_beside_a_sketch_right_poses_are_found_as_without_and_others_given_up(
     refining_model, bumpy_mesh, camera, draw, truth, how
 ):

@@ -84,24 +84,11 @@ def test_the_true_pose_under_the_true_sun_explains_the_frame(model: ViewModel, d
     assert turned is not None
     beside = window.beside([right, turned])
     right, turned = (dataclasses.replace(d, window=beside) for d in (right, turned))
-    # Of 1257 cells of its disc, few are unexplained; the wrong pose's Sun is fitted, too.
-    best = turned.under_best(turned.under(SUN))
+    # Of 1257 cells of its disc, few are unexplained; the wrong pose may have any Sun.
+    suns = Rotation.random(200, random_state=1).apply(SUN)
+    best = min(turned.under(sun).cost for sun in suns)
     assert right.under(SUN).cost < 40.0
-    assert best.cost > 1.5 * right.under(SUN).cost
-
-
-@pytest.mark.parametrize("off_deg", [(12.0, 0.0), (-9.0, 9.0), (0.0, 15.0)])
-def test_the_sun_is_found_from_nearby(
-    model: ViewModel, drum: Mesh, off_deg: tuple[float, float]
-) -> None:
-    frame = picture(drum, SIDE)
-    evidence = DrawnEvidence(model.shape, model, CAMERA)
-    drawn = evidence.drawn(evidence.window(frame, Sky.of(frame), SIDE), SIDE)
-    assert drawn is not None
-    begin = Rotation.from_euler("xy", off_deg, degrees=True).as_matrix() @ SUN
-    found = drawn.under_best(drawn.under(begin))
-    assert np.rad2deg(np.arccos(found.sun_camera @ SUN)) < 10.0  # a drum has few facets
-    assert found.cost < min(2.0 * drawn.under(SUN).cost, 0.2 * drawn.under(begin).cost)
+    assert best > 1.5 * right.under(SUN).cost
 
 
 def test_a_sun_that_is_known_is_used(model: ViewModel, drum: Mesh) -> None:

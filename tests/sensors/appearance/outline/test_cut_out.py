@@ -1,11 +1,10 @@
 """The part of a frame around the target."""
 
-import cv2
 import numpy as np
 import pytest
 
 from rendezview.geometry.camera import Camera
-from rendezview.sensors.appearance.outline.cut_out import CutOut, means_over_squares
+from rendezview.sensors.appearance.outline.cut_out import CutOut
 from rendezview.sensors.appearance.outline.silhouette import (
     Missing,
     SilhouetteOptions,
@@ -56,14 +55,6 @@ def test_the_outline_is_that_of_the_whole_frame(centre_m, times):
     np.testing.assert_allclose(*middles, atol=0.1)
     place = (cut.centre_px + 0.5) * times - 0.5 + cut.corner_px
     np.testing.assert_allclose(place, CAMERA.project(centre))
-
-
-@pytest.mark.parametrize("times", [1, 2, 4, 8])
-def test_a_pixel_is_the_rounded_mean_of_its_square_as_in_opencv(times):
-    frame = np.random.default_rng(2).integers(0, 256, (80, 120)).astype(np.uint8)
-    part = frame[8:72, 16:112]
-    expected = cv2.resize(part, (96 // times, 64 // times), interpolation=cv2.INTER_AREA)
-    np.testing.assert_array_equal(means_over_squares(part, times), expected)
 
 
 def test_a_target_around_the_camera_or_behind_it_leaves_the_frame_whole():

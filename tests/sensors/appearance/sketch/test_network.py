@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.appearance.edges.network import SIDE_PX, Sketcher, from_squares, to_squares
+from rendezview.sensors.appearance.edges.network import (
+    SIDE_PX,
+    Sketch,
+    Sketcher,
+    from_squares,
+    to_squares,
+)
 from rendezview.sensors.appearance.model.sketches import COVER, EDGE, MAPS
 
 
@@ -55,6 +61,22 @@ def test_a_sketch_keeps_the_picture_of_its_part_upright(sketcher, turned):
     frame = np.random.default_rng(3).integers(0, 255, (256, 256), np.uint8)
     sketch = sketcher.look(frame, (-0.5, -0.5, 255.5, 255.5), turned=turned)
     assert np.array_equal(sketch.grey, frame)
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_the_odds_of_the_target_lie_where_the_frame_shows_it(times):
+    maps = np.zeros((MAPS, 40, 60), np.float32)
+    maps[COVER, 10:30, 12:48] = 1.0
+    no_side = np.zeros((2, 2), bool)
+    sketch = Sketch(maps, np.zeros((40, 60), np.uint8), 0.25, -20.0, -15.0, no_side, 1.0)
+    odds = sketch.odds((300, 480), times)
+    assert odds.shape == (300 // times, 480 // times)
+    assert odds.min() < -10.0
+    rows, columns = np.flatnonzero((odds > 0).any(1)), np.flatnonzero((odds > 0).any(0))
+    sides = columns[0], rows[0], columns[-1] + 1, rows[-1] + 1
+    found = [times * side - 0.5 for side in sides]
+    left, top, right, bottom = sketch.box_in_frame((12, 10, 48, 30))
+    assert found == pytest.approx([left, top, right, bottom], abs=times)
 
 
 @pytest.mark.parametrize(("x", "y", "radius"), [(300.0, 200.0, 60.0), (900.0, 500.0, 150.0)])

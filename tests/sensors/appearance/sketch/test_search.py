@@ -83,8 +83,9 @@ def test_a_model_without_views_is_searched_without_a_sketch(refining_model, came
     assert recognizer.sketch is None
     frame = np.full((camera.height, camera.width), 20, np.uint8)
     assert "sketch" not in recognizer.recognize(frame).stage_ms
+    views, sketcher = recognizer.search.refiner.views, recognizer.outline.sketcher
     with pytest.raises(ValueError, match="no sketches"):
-        SketchSearch(recognizer.model, camera, recognizer.search.refiner.views)
+        SketchSearch(recognizer.model, camera, views, sketcher)
 
 
 def test_a_turned_grid_is_the_turned_picture():

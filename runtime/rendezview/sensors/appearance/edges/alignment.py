@@ -206,9 +206,8 @@ def align(
         How well one light explains the frame, see ``fit_light``, 0 where that was not asked;
         ``DIVERGED`` where too few edges are found or the pose runs away.
     """
-    matrix, right = np.empty((6, 6)), np.empty(6)
     shade = np.zeros(views.palette.shape[0])
-    radius_m, nearest_m = views.radius_m, nearest_distance(views)
+    radius_m = views.radius_m
     sun = np.zeros(3)
     explained = 0.0
     points = views.point.shape[2]
@@ -233,32 +232,44 @@ def align(
                     int(stage[REACH]), stage[SPREAD], int(stage[SMOOTH]), stage[ROOM],
                     int(stage[LINES]), int(stage[STRIDE]), fit, rows,
                 )  # fmt: skip
-            used, weights = normal_equations(edges, CUT_SPREADS * stage[SPREAD], matrix, right)
-            if used < _LEAST_EDGES:
-                return DIVERGED
             scale = lens[0][0] / centre[2]  # pixels a metre
-            held = stage[DAMPING] * weights * scale * scale
-            moved = gauss_newton_step(matrix, right, held, stage[RELAXATION], radius_m,
-                                      nearest_m, rotation, centre)  # fmt: skip
-            if moved < 0.0:
+            moved_px = take_step(
+                edges, CUT_SPREADS * stage[SPREAD], stage[DAMPING], stage[RELAXATION], lens, views,
+                rotation, centre,
+            )  # fmt: skip
+            if moved_px < 0.0:
                 return DIVERGED
             # The last step is small in pixels, and beside a target that is small itself.
-            if scale * moved < stage[STOP] * min(1.0, _SMALL * scale * radius_m):
+            if moved_px < stage[STOP] * min(1.0, _SMALL * scale * radius_m):
                 break
     orthonormalise(rotation)
     return explained
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def gauss_newton_step(
-    matrix: Array, right: Array, held: float, relaxation: float, radius_m: float, nearest_m: float,
+def take_step(
+    edges: Array, cut: float, damping: float, relaxation: float, lens: Lens, views: ViewTables,
     rotation: Array, centre: Array,
 ) -> float:  # fmt: skip
-    """Move a pose in place by one damped step; metres that the target's points move, about.
+    """Move a pose in place by one damped step onto the edges last measured, of any source.
 
-    −1 where the equations give no step or the view centre comes nearer than ``nearest_m``.
-    ``held`` is the damping, information per m²; rotations count at the target's radius.
+    Args:
+        edges: (N, COLUMNS); residuals beyond ``cut`` do not count.
+        damping: share of the information, held; rotations count at the target's radius.
+        relaxation: of the step.
+        lens: of the picture of the edges.
+        rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
+
+    Returns:
+        Pixels that the target's points move, about; −1 where too few edges are found, they give no
+        step, or the view centre comes too near or too far.
     """
+    matrix, right = np.empty((6, 6)), np.empty(6)
+    used, weights = normal_equations(edges, cut, matrix, right)
+    if used < _LEAST_EDGES:
+        return -1.0
+    scale, radius_m = lens[0][0] / centre[2], views.radius_m  # pixels a metre
+    held = damping * weights * scale * scale
     for a in range(3):
         matrix[a, a] += held * radius_m * radius_m
         matrix[3 + a, 3 + a] += held
@@ -277,9 +288,9 @@ def gauss_newton_step(
         centre[a] += step[3 + a]
         for b in range(3):
             rotation[a, b] = turned[a, b]
-    if not (centre[2] > nearest_m and centre[2] < _FURTHEST_RADII * radius_m):
+    if not (centre[2] > nearest_distance(views) and centre[2] < _FURTHEST_RADII * radius_m):
         return -1.0
-    return turn * radius_m + shift  # type: ignore[no-any-return]
+    return scale * (turn * radius_m + shift)  # type: ignore[no-any-return]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

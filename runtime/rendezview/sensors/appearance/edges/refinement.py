@@ -37,13 +37,13 @@ from rendezview.sensors.appearance.edges.lit_inliers import lit_inliers
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
 from rendezview.sensors.appearance.edges.stages import (
+    COARSE,
     COARSE_STAGES,
     CUT_PX,
     FINE,
     INEXACT,
     INEXACT_CUT_PX,
-    QUICK,
-    THOROUGH,
+    ROUGH,
 )
 from rendezview.sensors.appearance.edges.strain import StrainMoves
 from rendezview.sensors.appearance.hypothesis import Hypothesis
@@ -186,7 +186,6 @@ class Refiner:
         centres: Array,
         keep: int = 4,
         *,
-        thorough: bool = False,
         least: float = 0.0,
     ) -> list[Hypothesis]:
         """Align starting poses coarsely, refine the ``keep`` best; by inlier ratio, best first.
@@ -194,15 +193,13 @@ class Refiner:
         Args:
             rotations: (K, 3, 3) camera_from_target, changed in place.
             centres: (K, 3) of the view centre in the camera frame, changed in place.
-            thorough: align with more points, in more steps.
             least: inlier ratio after the coarse stages; others are not refined.
         """
-        rough, coarse = THOROUGH if thorough else QUICK
         ratios = np.empty((len(rotations), 3))
         frame = sky.vector
         survivors = max(2 * keep, len(rotations) * 2 // 5)
         align_each(
-            image, self._lens, frame, rough, coarse, self.views, rotations, centres,
+            image, self._lens, frame, ROUGH, COARSE, self.views, rotations, centres,
             survivors, ratios,
         )  # fmt: skip
         merit = (2.0 * ratios[:, 0] + ratios[:, 1]) / 3.0

@@ -16,11 +16,10 @@ from numba import njit
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import orthonormalise
 from rendezview.sensors.appearance.edges.alignment import (
+    CUT_SPREADS,
     covariance_of,
-    gauss_newton_step,
-    nearest_distance,
     nearest_views,
-    normal_equations,
+    take_step,
 )
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
@@ -56,9 +55,6 @@ _LEAST_PROBABILITY = 0.08  # of an edge, to be a candidate. Source: experiment p
 _STEP_PX = 3.0  # sketch px to either side of an outline, where the cover is read
 # Source: experiment photo-accuracy
 _LEAST_CONTRAST = 0.15  # of the cover, added: where the cover is wrong an edge still counts
-# Source: as edges/alignment.py
-CUT_SPREADS = 2.5  # of the spread: residuals beyond do not count (Tukey)
-_LEAST_EDGES = 10  # found, for six unknowns. Source: as edges/alignment.py
 # Source: a tenth of an edge's error, by construction
 _STOP_PX = 0.05  # sketch px; a shorter step is the last
 _HELD = 1e-3  # damping, share of the information. Source: as edges/alignment.py
@@ -213,7 +209,6 @@ def align_to_sketch(
         stages: (K, 5) reach, spread (sketch px), steps, stride, weight of inner edges.
         edges: (N, COLUMNS) scratch; holds the last measurements afterwards.
     """
-    matrix, right = np.empty((6, 6)), np.empty(6)
     for stage in stages:
         reach, spread = int(stage[0]), stage[1]
         for _ in range(int(stage[2])):
@@ -221,17 +216,12 @@ def align_to_sketch(
             measure_sketch(
                 maps, lens, views, rotation, centre, reach, spread, int(stage[3]), stage[4], edges
             )
-            used, weights = normal_equations(edges, CUT_SPREADS * spread, matrix, right)
-            if used < _LEAST_EDGES:
-                return False
-            scale = lens[0][0] / centre[2]  # sketch px a metre
-            held = _HELD * weights * scale * scale
-            moved = gauss_newton_step(
-                matrix, right, held, 1.0, views.radius_m, nearest_distance(views), rotation, centre
+            moved_px = take_step(
+                edges, CUT_SPREADS * spread, _HELD, 1.0, lens, views, rotation, centre
             )
-            if moved < 0.0:
+            if moved_px < 0.0:
                 return False
-            if scale * moved < _STOP_PX:
+            if moved_px < _STOP_PX:
                 break
     orthonormalise(rotation)
     return True

@@ -6,18 +6,10 @@ import numpy as np
 
 from rendezview.sensors.appearance.edges.alignment import Stage
 
-# Stages of alignment. Source: experiment pose-accuracy, seeds 1, 88, 99, 123.
-# Many starting poses are aligned roughly, the better ones coarsely, …
-QUICK = (
-    np.array([Stage(20, 9, 2, smooth_px=4, room_px=4, stride=4)]),
-    np.array([Stage(10, 4, 3, smooth_px=2, room_px=2, stride=2), Stage(5, 1.5, 2)]),
-)
-# … with more points and steps if that leads to no confident pose. Source: seeds 1, 88, 99 and 123
-# of pose-accuracy, docs/notes/refinement.md
-THOROUGH = (
-    np.array([Stage(20, 9, 3, smooth_px=4, room_px=4, stride=2)]),
-    np.array([Stage(10, 4, 3, smooth_px=2, room_px=2), Stage(5, 1.5, 2)]),
-)
+# Many starting poses are aligned roughly. Source: pose-accuracy, seeds 1, 88, 99, 123
+ROUGH = np.array([Stage(20, 9, 2, smooth_px=4, room_px=4, stride=4)])
+# The better ones then coarsely. Source: the same
+COARSE = np.array([Stage(10, 4, 3, smooth_px=2, room_px=2, stride=2), Stage(5, 1.5, 2)])
 # Each stage iterates to convergence before the search range shrinks: attitudes 5° apart can lie
 # within half a pixel of each other. The last one uses the three nearest views (commit 5e90c44).
 # Source: seeds 1, 88, 99 and 123 of pose-accuracy, docs/notes/refinement.md

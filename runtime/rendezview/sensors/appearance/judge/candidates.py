@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.estimation.hypotheses import Choice, choose
+from rendezview.estimation.hypotheses import Choice, best_by, choose
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between, first_of_each
 from rendezview.io.grey_frame import Picture
@@ -60,17 +60,16 @@ class Candidates:
         return self.add(refine(image, sky, one, closely=closely, least=least) for one in poses)
 
     def refine_best(
-        self, rotations: Array, centres: Array, keep: int, *, thorough: bool = False,
-        least: float = 0.0,
-    ) -> bool:  # fmt: skip
+        self, rotations: Array, centres: Array, keep: int, *, least: float = 0.0
+    ) -> bool:
         """Add the best of some starting poses, aligned; see ``Refiner.best``."""
         image, sky, best = self.image, self.sky, self.level.refiner.best
-        return self.add(best(image, sky, rotations, centres, keep, thorough=thorough, least=least))
+        return self.add(best(image, sky, rotations, centres, keep, least=least))
 
     @property
     def most_inliers(self) -> Hypothesis | None:
         """The pose with the highest inlier ratio, the first of equals."""
-        return max(self._all, key=lambda one: one.inlier_ratio, default=None)
+        return best_by(lambda one: one.inlier_ratio, self._all)
 
     def choose(self, *, shade: bool = True) -> Found | None:
         """The pose of most merit and its rival; None without any pose.

@@ -22,7 +22,7 @@ from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.geometry.so3 import rotate_back_into
 from rendezview.geometry.zbuffer import draw_parallel, draw_perspective, empty_buffers
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.lighting import BEHIND, light_strengths
+from rendezview.sensors.appearance.edges.lighting import light_strengths
 from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -46,8 +46,6 @@ _TOLERANCE = 0.1
 _BRIGHT_QUANTILE = 0.9  # of the levels where the craft is. Source: by construction, not the glints
 # Of the target's radius: errors of neighbouring pixels are alike. Source: fixed with COST_WEIGHT
 _CELLS_ACROSS = 20.0
-# About the best Sun, hexagons. Source: spacing of the surface's nodes, 8.6°, halved twice
-_STEPS_RAD = np.deg2rad([10.0, 5.0, 2.5])
 # Of the two strengths of light. Source: docs/notes/rivals.md, three are too few
 _ROUNDS = 6
 # The compared pixels reach so far beyond the craft. Source: by construction, three σ of blur
@@ -240,18 +238,6 @@ class Drawn:
         sunlit = np.empty(len(self.where))
         _sunlit(self.points, self.normals, self.albedo, sun, tilt, scale, depth, sunlit)
         return sunlit
-
-    def under_best(self, begin: Explained) -> Explained:
-        """What stays unexplained under the Sun that fits best, from one that may be near."""
-        best = begin
-        for step in _STEPS_RAD:
-            tilt = minimal_rotation(np.array([0.0, 0.0, 1.0]), best.sun_camera)
-            for k in range(6):
-                a, s = k * math.pi / 3.0, math.sin(step)
-                sun = tilt @ np.array([s * math.cos(a), s * math.sin(a), math.cos(step)])
-                if sun[2] <= -BEHIND:
-                    best = min(best, self.under(sun), key=cost_of)
-        return best
 
 
 def cost_of(explained: Explained) -> float:

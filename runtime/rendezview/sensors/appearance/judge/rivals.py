@@ -28,9 +28,6 @@ from rendezview.sensors.appearance.sky import Sky
 COST_WEIGHT, MERIT_WEIGHT = 22.0, 18.0
 # The same where a sketch was drawn, and of the merit on it. Source: docs/notes/rivals.md
 COST_BESIDE_SKETCH, MERIT_BESIDE_SKETCH, SKETCH_WEIGHT = 13.0, 12.0, 0.65
-# Of the score: a rival so far behind under the Suns of the likeliest is drawn under no others.
-# Source: docs/notes/rivals.md, 40 is no better
-_IN_DOUBT = 12.0
 
 
 class Rivals:
@@ -69,7 +66,7 @@ class Rivals:
 
     def weigh(
         self, image: Picture, sky: Sky, hypotheses: list[Hypothesis], edges: Array, *,
-        beside_sketch: bool = False, coarse: bool = False,
+        beside_sketch: bool = False,
     ) -> list[Hypothesis]:  # fmt: skip
         """Hypotheses of one frame with cost and probability, likeliest first; [] if none is seen.
 
@@ -79,7 +76,6 @@ class Rivals:
             hypotheses: one at least, with their Suns as the surface points have them.
             edges: (N,) of ``edge_scores``.
             beside_sketch: the lines of a sketch are among the edges.
-            coarse: take no Suns around those.
         """
         known = sky.sun_camera
         suns = [FRONT if one.sun_camera is None else one.sun_camera for one in hypotheses]
@@ -97,7 +93,7 @@ class Rivals:
             for one, sun in zip(drawn, suns, strict=True)
         ]
         if known is None:
-            explained = self._under_best_suns(edges, cost_weight, drawn, explained, coarse=coarse)
+            explained = _under_best_suns(edges, cost_weight, drawn, explained)
         scores = _scores(edges, cost_weight, explained)
         if not np.isfinite(scores.max()):
             return []
@@ -108,34 +104,24 @@ class Rivals:
         return sorted(weighed, key=lambda one: -one.probability)
 
     def weigh_coarse(self, image: Picture, sky: Sky, pose: Pose) -> list[Hypothesis]:
-        """A pose that no edges have moved, beside its look-alikes; no edges count.
-
-        Its own errors are larger than those of a Sun, so none is searched for around the likeliest.
-        """
+        """A pose that no edges have moved, beside its look-alikes; no edges count."""
         hypotheses = []
         for one in (pose, *self.look_alikes(pose)):
             shade = self._shading.of(image, sky, one)
             hypotheses.append(Hypothesis(one, sun_camera=None if shade is None else shade.sun))
-        return self.weigh(image, sky, hypotheses, np.zeros(len(hypotheses)), coarse=True)
+        return self.weigh(image, sky, hypotheses, np.zeros(len(hypotheses)))
 
-    def _under_best_suns(
-        self, edges: Array, cost_weight: float, drawn: list[Drawn | None],
-        explained: list[Explained], *, coarse: bool,
-    ) -> list[Explained]:  # fmt: skip
-        """Each under the Suns of the two likeliest, too; those in doubt under Suns around."""
-        order = np.argsort(-_scores(edges, cost_weight, explained), kind="stable")
-        others = [explained[k].sun_camera for k in order[:2]]
-        explained = [
-            seen if one is None else min([seen, *map(one.under, others)], key=cost_of)
-            for one, seen in zip(drawn, explained, strict=True)
-        ]
-        if coarse:
-            return explained
-        scores = _scores(edges, cost_weight, explained)
-        for k, one in enumerate(drawn):
-            if one is not None and scores[k] >= scores.max() - _IN_DOUBT:
-                explained[k] = one.under_best(explained[k])
-        return explained
+
+def _under_best_suns(
+    edges: Array, cost_weight: float, drawn: list[Drawn | None], explained: list[Explained]
+) -> list[Explained]:
+    """Each under the Suns of the two likeliest, too."""
+    order = np.argsort(-_scores(edges, cost_weight, explained), kind="stable")
+    others = [explained[k].sun_camera for k in order[:2]]
+    return [
+        seen if one is None else min([seen, *map(one.under, others)], key=cost_of)
+        for one, seen in zip(drawn, explained, strict=True)
+    ]
 
 
 def edge_scores(merits: Array, on_sketch: Array | None = None) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import cv2
@@ -10,8 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
-from rendezview.io.grey_frame import Picture, shrunk
-from rendezview.sensors.appearance.outline.foreground import Foreground
 from rendezview.sensors.appearance.outline.silhouette import (
     Missing,
     Silhouette,
@@ -24,8 +21,6 @@ from rendezview.sensors.appearance.outline.silhouette import (
 from rendezview.sensors.appearance.outline.specks import without_specks
 from rendezview.sensors.observation import Status
 
-# Px; larger pictures are shrunk, since the network looks at 320 × 240. Source: pose-frames' size
-_AREA_PX = 640 * 480
 # log odds that count as target, tried in this order. Source: seed 1, docs/notes/refinement.md
 _LEAST_LOG_ODDS = (0.0, -1.5, 1.5)
 _LEAST_AREA_PX = 120  # px; a smaller body is missing. Source: seed 1, docs/notes/refinement.md
@@ -41,18 +36,16 @@ _SAME_PX = 4
 _SAME_AREA = 0.04
 
 
-def find_bodies(image: Picture, foreground: Foreground) -> list[Silhouette] | Missing:
-    """The target as the network shows it at several odds, the likeliest first.
+def find_bodies(odds: npt.NDArray[np.float32], times: int) -> list[Silhouette] | Missing:
+    """The target as a sketch shows it at several odds, the likeliest first.
 
     Low odds close the outline around dim panels. High odds separate the target from clouds that
     touch it. Only a comparison with the model shows which is right.
 
     Args:
-        image: (H, W) 8-bit grey frame.
-        foreground: the network.
+        odds: (H, W) log of target to sky; see ``Sketch.odds``.
+        times: pixels of the frame along a side of one of its own.
     """
-    times = max(1, math.isqrt(image.size // _AREA_PX))
-    odds = foreground.log_odds(shrunk(image, times))
     bodies: list[Silhouette] = []
     missing = None
     for least in _LEAST_LOG_ODDS:

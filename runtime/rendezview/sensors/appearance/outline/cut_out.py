@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from numba import njit
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
-from rendezview.io.grey_frame import Picture
+from rendezview.io.grey_frame import Picture, shrunk
 from rendezview.sensors.appearance.outline.silhouette import Silhouette
 
 _AROUND = 1.1  # of the bounding sphere's picture. Source: by construction, some sky is left
@@ -64,7 +62,7 @@ class CutOut:
             return cls.whole(frame, centre_px)
         part = frame[top : top + down * times, left : left + across * times]
         inside_px = (centre_px - (left, top) + 0.5) / times - 0.5
-        return cls(means_over_squares(part, times), (left, top), times, inside_px)
+        return cls(np.ascontiguousarray(shrunk(part, times)), (left, top), times, inside_px)
 
     def in_frame(self, found: Silhouette) -> Silhouette:
         """A silhouette of this picture in the pixels of the frame."""
@@ -82,45 +80,3 @@ class CutOut:
             found.sky_grey,
             found.level_grey,
         )
-
-
-def means_over_squares(part: Picture, times: int) -> Picture:
-    """The means over squares of ``times`` pixels, a power of two that divides both sides."""
-    height, width = part.shape
-    if times == 1:
-        return np.ascontiguousarray(part)
-    small = np.empty((height // times, width // times), dtype=np.uint8)
-    if times == 2:
-        cv2.resize(part, small.shape[::-1], small, interpolation=cv2.INTER_AREA)
-    else:
-        _fill_means(part, times, small)
-    return small
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fill_means(part: Picture, times: int, small: Picture) -> None:
-    """As OpenCV's ``INTER_AREA``, which takes twice as long from four pixels on."""
-    height, width = small.shape
-    bits = np.uint32(2 * np.rint(np.log2(times)))
-    below_half = np.uint32(times * times // 2 - 1)
-    columns = np.empty(width * times, dtype=np.uint32)
-    pairs = np.empty(width * times, dtype=np.uint32)
-    for y in range(height):
-        first = part[y * times]
-        for x in range(len(columns)):
-            columns[x] = first[x]
-        for k in range(1, times):
-            row = part[y * times + k]
-            for x in range(len(columns)):
-                columns[x] += np.uint32(row[x])
-        count = len(columns)
-        while count > width:
-            count //= 2
-            for x in range(count):
-                pairs[x] = columns[2 * x] + columns[2 * x + 1]
-            columns, pairs = pairs, columns
-        mean = small[y]
-        for x in range(width):
-            # Divided by the square; a half goes to the even neighbour.
-            odd = columns[x] >> bits & np.uint32(1)
-            mean[x] = (columns[x] + below_half + odd) >> bits

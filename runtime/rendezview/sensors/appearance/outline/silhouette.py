@@ -10,7 +10,6 @@ from enum import StrEnum
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
@@ -212,42 +211,11 @@ def _level(image: Picture, options: SilhouetteOptions, sky: float, noise: float)
 def mean_above(image: Picture, level_grey: float, averaged_px: int) -> Picture:
     """(H, W) mask, 255 where the mean over a square of ``averaged_px`` is above a level.
 
-    The picture is read once. At its border the outermost pixels are repeated.
+    At its border the outermost pixels are repeated.
     """
-    mask = np.empty(image.shape, dtype=np.uint8)
-    _mean_above(image, int(np.floor(level_grey * averaged_px**2)), averaged_px, mask)
-    return mask
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _mean_above(image: Picture, limit: int, side: int, mask: Picture) -> None:
-    height, width = image.shape
-    half = side // 2
-    limit16 = np.uint16(max(0, min(limit, 65535)))
-    padded = np.zeros(width + 2 * half, dtype=np.uint16)
-    columns = padded[half : half + width]  # sums over the rows of the window
-    total = np.empty(width, dtype=np.uint16)
-    for k in range(-half - 1, half):  # the window one row above the first
-        row = image[min(max(k, 0), height - 1)]
-        for x in range(width):
-            columns[x] += row[x]
-    for y in range(height):
-        enters = image[min(y + half, height - 1)]
-        leaves = image[max(y - half - 1, 0)]
-        for x in range(width):
-            columns[x] = columns[x] + np.uint16(enters[x]) - np.uint16(leaves[x])
-        padded[:half] = columns[0]
-        padded[half + width :] = columns[width - 1]
-        before, after = padded[:width], padded[2 * half :]
-        for x in range(width):
-            total[x] = before[x] + after[x]
-        for k in range(1, side - 1):
-            shifted = padded[k : k + width]
-            for x in range(width):
-                total[x] += shifted[x]
-        out = mask[y]
-        for x in range(width):
-            out[x] = 255 if total[x] > limit16 else 0
+    side, limit = (averaged_px, averaged_px), np.floor([level_grey * averaged_px**2])
+    sums = cv2.boxFilter(image, cv2.CV_16U, side, normalize=False, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.compare(sums, limit, cv2.CMP_GT), dtype=np.uint8)
 
 
 def outer_borders(mask: Picture) -> list[Border]:

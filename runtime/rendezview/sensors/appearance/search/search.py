@@ -9,7 +9,6 @@ regression gives the confidence of the best (``Found.confidence``).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -53,12 +52,12 @@ _LEAST_LEAD = 0.5  # log odds above every half turn. Source: tree-ablation (0.1)
 _WORTH_TURNING = 0.2
 # The same after coarse alignment: of 252 right poses of Mitsuba none had less. Source: the same
 _WORTH_REFINING = 0.15
-_WORTH_REFINING_LAST = 0.08  # in the search after the sketch. Source: the same
 # Inlier ratio of a look-alike after the coarse stages, behind the best pose's: of 300 that come
 # within 0.15 of its merit, 1 % are farther behind. Source: docs/notes/rivals.md
 _MOST_BEHIND = 0.3
-# Source: commits 7a5ba6e and 1cf9b72, experiment pose-accuracy
-_ROUNDS = 2  # of looks around the best two poses where none is confident; after a sketch one
+_ROUNDS = (
+    2  # of look-alikes: of the best, and of the one that is best then. Source: by construction
+)
 # rad; a local optimum lies about that far from the right pose. Source: spacing of the nodes' views,
 # 8.6°
 _ASIDE_RAD = np.deg2rad(9.0)
@@ -76,7 +75,7 @@ class SearchOptions:
     # With a forest: the likeliest are aligned first, and two of them refined. Where edges and the
     # forest agree on a pose, nothing else is tried. Source: tree-ablation (0.1), seed 4101
     voted_first: int = 8
-    retrieved_first: int = 20  # of them, before the others; often enough. Source: commit cb7137c
+    retrieved_first: int = 20  # the same where a sketch comes next. Source: commit cb7137c
     # For each of several outlines before a bright sky. Source: by hand, seeds of
     # docs/notes/refinement.md
     retrieved_of_several: int = 40
@@ -127,17 +126,14 @@ class PoseSearch:
 
     def anywhere(
         self, image: Picture, sky: Sky, bodies: list[Outlines], *, brief: bool = False,
-        give_up: float = 0.0, again: bool = False, also: Sequence[Pose] = (),
-        sketched: Found | None = None,
+        give_up: float = 0.0,
     ) -> Found | None:  # fmt: skip
         """The pose without a prior, from one or several readings of the outline.
 
         Args:
             brief: of the likeliest starts only, confident or not.
-            give_up: confidence that the likeliest starts must reach, else no others are tried.
-            again: after giving up: all starts at once, thoroughly, and one look around the best.
-            also: poses that something else proposes.
-            sketched: what a sketch shows; it is weighed, too.
+            give_up: a sketch comes next, so the likeliest starts are tried alone; confidence that
+                they must reach, else their look-alikes are not.
         """
         area_sr = float(np.median([body.signature.area_sr for body in bodies]))
         range_m = math.sqrt(float(np.median(self.model.views.area_m2)) / area_sr)
@@ -146,54 +142,36 @@ class PoseSearch:
         if times > 1:  # the outlines are finer than the picture
             bodies = [Outlines([r[::times].copy() for r in b.rays], b.signature) for b in bodies]
             candidates.bodies = bodies
-        found = self._from_outlines(candidates, brief, give_up, again, also, sketched)
+        found = self._from_outlines(candidates, brief, give_up)
         return self.levels.finished(found, image, sky)
 
-    def _from_outlines(
-        self, candidates: Candidates, brief: bool, give_up: float, again: bool,
-        also: Sequence[Pose], sketched: Found | None,
-    ) -> Found | None:  # fmt: skip
+    def _from_outlines(self, candidates: Candidates, brief: bool, give_up: float) -> Found | None:
         """``anywhere`` at the level of the candidates."""
         bodies, sun_camera = candidates.bodies, candidates.sky.sun_camera
-        least = worth = 0.0
-        if again or give_up > 0.0:  # beside a sketch, which is better at what is hard here
-            least, worth = _WORTH_REFINING_LAST if again else _WORTH_REFINING, _WORTH_TURNING
+        beside_sketch = give_up > 0.0  # it is better at what is hard here
+        least, worth = (_WORTH_REFINING, _WORTH_TURNING) if beside_sketch else (0.0, 0.0)
         each = self.options.retrieved if len(bodies) == 1 else self.options.retrieved_of_several
-        first = self.options.retrieved_first // len(bodies)
         starts = [
             self._voted(body, *self._retrieval.of(body.signature, each, sun_camera))
             for body in bodies
         ]
-        candidates.refine(also)
-        if self._forest_scores is not None and len(bodies) == 1 and not again:
+        if self._forest_scores is not None and len(bodies) == 1:
             agreed = self._agreed(candidates, bodies[0], *starts[0], least)
             if agreed is not None:
                 return self._beside_look_alikes(candidates, agreed)
+        first = self.options.retrieved_first // len(bodies) if brief or beside_sketch else each
+        rotations, centres = (np.concatenate([s[k][:first] for s in starts]) for k in (0, 1))
+        keep = _REFINED_OF_VOTED if brief else self.options.refined
+        candidates.refine_best(rotations, centres, keep, least=least)
         if brief:
-            rotations, centres = (np.concatenate([s[k][:first] for s in starts]) for k in (0, 1))
-            candidates.refine_best(rotations, centres, _REFINED_OF_VOTED)
             return candidates.choose()
-        turned: list[Pose] = []  # poses whose half turns have been tried
-        found = None
-        likeliest, others = (slice(0, first), False), (slice(first, None), False)
-        everything = (slice(None), True)
-        for part, thorough in (everything,) if again else (likeliest, others, everything):
-            rotations = np.concatenate([r[part] for r, _ in starts])
-            centres = np.concatenate([c[part] for _, c in starts])
-            keep = self.options.refined
-            candidates.refine_best(rotations, centres, keep, thorough=thorough, least=least)
-            best = candidates.most_inliers
-            if best is not None and best.pose not in turned and best.inlier_ratio >= worth:
-                self._half_turned(candidates, best.pose)
-                turned.append(best.pose)
-            found = candidates.choose()
-            confidence = 0.0 if found is None else found.confidence
-            if confidence < give_up:
-                return found
-            if confidence >= _CONFIDENT:
-                return self._beside_look_alikes(candidates, found)
-        found = self._around_best_two(candidates, found, turned, 1 if again else _ROUNDS)
-        return self._beside_look_alikes(candidates, found, sketched)
+        best = candidates.most_inliers
+        if best is not None and best.inlier_ratio >= worth:
+            self._half_turned(candidates, best.pose)
+        found = candidates.choose()
+        if found is None or found.confidence < give_up:
+            return found
+        return self._beside_look_alikes(candidates, found)
 
     def _beside_look_alikes(
         self, candidates: Candidates, found: Found | None, sketched: Found | None = None
@@ -245,28 +223,6 @@ class PoseSearch:
         other = float(np.max(self._forest_scores.scores(body.signature, turned)))
         leads = found.votes >= _LEAST_VOTES and found.votes - other >= _LEAST_LEAD
         return found if leads else None
-
-    def _around_best_two(
-        self, candidates: Candidates, found: Found | None, turned: list[Pose], rounds: int
-    ) -> Found | None:
-        """Search around the best pose and its rival, then around those that lead after that."""
-        searched: list[Pose] = []
-        for _ in range(rounds):
-            more = False
-            for pose in () if found is None else found.answers:
-                if pose in searched:
-                    continue
-                searched.append(pose)
-                more |= self._around(candidates, pose) | self._close_to(candidates, pose)
-                if pose not in turned:
-                    turned.append(pose)
-                    more |= self._half_turned(candidates, pose)
-            if not more:
-                break
-            found = candidates.choose()
-            if found is not None and found.confidence >= _CONFIDENT:
-                break
-        return found
 
     def at(
         self, image: Picture, sky: Sky, prior: Pose, error_rad: float,

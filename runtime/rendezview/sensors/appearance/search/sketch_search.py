@@ -23,12 +23,12 @@ from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import hat, log
 from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.edges.alignment import CUT_SPREADS
 from rendezview.sensors.appearance.edges.contour_at import target_box
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
-from rendezview.sensors.appearance.edges.network import Sketch, Sketcher
+from rendezview.sensors.appearance.edges.network import FINER, Sketch, Sketcher
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
 from rendezview.sensors.appearance.edges.sketch import (
-    CUT_SPREADS,
     Maps,
     align_all_to_sketch,
     align_to_sketch,
@@ -59,7 +59,6 @@ _FINE = np.array([[18.0, 8.0, 10.0, 2.0, 1.0]])
 # are of a first pass, and grow with its fineness: the mesh's errors do. Source: frames of
 # sketch-confidence and photo-accuracy (docs/notes/photographs.md)
 _LAST = np.array([[10.0, 4.5, 40.0, 1.0, 0.7]])
-_FINER = 2  # times a first pass. Source: experiment photo-accuracy
 # Source: experiment photo-accuracy
 _RETRIEVED = 120  # views and rolls that are aligned without a prior
 _RETRIEVED_NEAR = 30  # the same near a prior. Source: experiment photo-accuracy
@@ -93,7 +92,9 @@ class Reading(NamedTuple):
 class SketchSearch:
     """Finds poses of one model in the frames of one camera by their sketches."""
 
-    def __init__(self, model: ViewModel, camera: Camera, views: ViewTables) -> None:
+    def __init__(
+        self, model: ViewModel, camera: Camera, views: ViewTables, sketcher: Sketcher
+    ) -> None:
         """A search; ``views`` are the contour points of the model.
 
         Raises:
@@ -101,7 +102,7 @@ class SketchSearch:
         """
         if model.sketches is None:
             raise ValueError("the model has no sketches")
-        self.sketcher = Sketcher()
+        self.sketcher = sketcher
         self.bounds: tuple[Bound, ...] = ()  # of all poses
         self.retrieval = SketchRetrieval(model, model.sketches, camera)
         self._set_tables(model, camera, views)
@@ -113,24 +114,27 @@ class SketchSearch:
         if model.surface is not None:
             self._surface = SurfaceTables.of(model.surface, model.target_radius_m)
 
-    def best(self, frame: Picture, sky: Sky) -> Found | None:
+    def best(self, frame: Picture, sky: Sky, sketch: Sketch | None = None) -> Found | None:
         """As ``anywhere``, with a second opinion where the pose is in doubt.
 
         Near a prior there is none: both searches are held by the prior, and agree where it is
         wrong.
         """
-        first = self.anywhere(frame, sky)
+        first = self.anywhere(frame, sky, sketch)
         if first is None or not DOUBT[0] <= first.confidence < DOUBT[1]:
             return first
         second = self.anywhere(frame, sky, turned=True)
         return first if second is None else first.with_opinion(second, self.model.symmetries)
 
-    def anywhere(self, frame: Picture, sky: Sky, *, turned: bool = False) -> Found | None:
+    def anywhere(
+        self, frame: Picture, sky: Sky, sketch: Sketch | None = None, *, turned: bool = False
+    ) -> Found | None:
         """The best pose of a frame without a prior; None where the sketch shows no target.
 
-        ``turned``: the network sees the frame upside down.
+        ``sketch``: that of the frame, if it was drawn. ``turned``: the network sees the frame
+        upside down.
         """
-        sketch = self.sketcher.find(frame, turned=turned)
+        sketch = sketch or self.sketcher.find(frame, turned=turned)
         if sketch is None:
             return None
         rotations, centres = self.retrieval.starts(sketch, _RETRIEVED)
@@ -170,7 +174,7 @@ class SketchSearch:
     def closer_sketch(self, frame: Picture, pose: Pose, *, turned: bool = False) -> Sketch | None:
         """The finer sketch of the target at a pose; None where it lies outside the frame."""
         box = target_box(self.model, self.camera, pose)
-        return self.sketcher.near(frame, box, _FINER, turned=turned)
+        return self.sketcher.near(frame, box, FINER, turned=turned)
 
     def measured(self, sketch: Sketch, start: Pose) -> MeasuredEdges | None:
         """The edges of a sketch at the pose next to ``start`` that fits them, sketch px."""
