@@ -71,5 +71,5 @@ def budget_rows(budgets: Iterable[Budget]) -> list[tuple[str, str, str]]:
 
 
 def _part(share: Array) -> Part:
-    turn, place = (math.sqrt(max(float(np.trace(b)), 0.0)) for b in (share[:3, :3], share[3:, 3:]))
-    return Part(turn, place)
+    a, b, c, x, y, z = share.diagonal().tolist()
+    return Part(math.sqrt(max(a + b + c, 0.0)), math.sqrt(max(x + y + z, 0.0)))

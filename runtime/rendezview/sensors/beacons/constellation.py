@@ -12,7 +12,6 @@ import numpy as np
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.so3 import hat
 from rendezview.io.target import Reflector, Target
 
 # area of a triangle over its longest side squared: thinner ones fix no attitude. Source: by
@@ -262,21 +261,22 @@ class Face:
         """(6,) rates of the six numbers; ``rates`` (6,) rad/s and m/s, camera frame."""
         arm = camera_from_target.rotation @ self.origin_m
         x, y, z = (arm + camera_from_target.translation_m).tolist()
-        spin = hat(rates[:3])
-        vx, vy, vz = (spin @ arm + rates[3:]).tolist()
-        turn = camera_from_target.rotation @ self.rotation
-        change = spin @ turn  # dR/dt = [w]× R
+        wx, wy, wz, *velocity = rates.tolist()
+        (p, q, r), (u, v, w) = arm.tolist(), velocity
+        vx, vy, vz = u + wy * r - wz * q, v + wz * p - wx * r, w + wx * q - wy * p
+        turn = (camera_from_target.rotation @ self.rotation).tolist()
+        (a, h, i), (b, e, f), (c, d, g) = turn
+        da, db, dc = wy * c - wz * b, wz * a - wx * c, wx * b - wy * a  # dR/dt = [w]× R
+        dd, dg = wx * e - wy * h, wx * f - wy * i
         level, far, along = math.hypot(x, z), math.hypot(x, y, z), x * vx + z * vz
-        (a, b), (da, db) = turn[:2, 0], change[:2, 0]
-        (c, d), (dc, dd) = turn[2, 1:], change[2, 1:]
         return np.array(
             [
                 (along + y * vy) / far,
                 (z * vx - x * vz) / level**2,
                 (y * along / level - level * vy) / far**2,
                 (a * db - b * da) / (a * a + b * b),
-                (d * dc - c * dd) / (c * c + d * d),
-                change[2, 0] / math.sqrt(1.0 - min(turn[2, 0] ** 2, 1.0 - 1e-12)),
+                (g * dd - d * dg) / (d * d + g * g),
+                dc / math.sqrt(1.0 - min(c**2, 1.0 - 1e-12)),
             ]
         )
 

@@ -134,7 +134,7 @@ class WindowFit:
         )  # fmt: skip
         if iterations < 0:
             return None
-        return Refined(Pose(rotation, translation), shares, residuals)
+        return Refined(Pose.unchecked(rotation, translation), shares, residuals)
 
     def without_strangers(
         self, start: Pose, refined: Refined, table: Array, seen: Ints
@@ -231,11 +231,14 @@ class WindowFit:
 
     def misses(self, seen: Ints) -> bool:
         """Whether a reflector is not visible that is expected well inside the picture."""
-        places = self.expected[:, :2].copy()
-        places[seen] = np.nan
-        margin = 3.0 * self.expected[:, 2:] + self.options.window_px
-        size = (self.camera.width - 1, self.camera.height - 1)
-        return bool(((places > margin) & (places < size - margin)).all(axis=1).any())
+        width, height = self.camera.width - 1, self.camera.height - 1
+        visible = seen.tolist()
+        for k, (x, y, size) in enumerate(self.expected.tolist()):
+            margin = 3.0 * size + self.options.window_px
+            inside = margin < x < width - margin and margin < y < height - margin
+            if inside and k not in visible:
+                return True
+        return False
 
     def nudge(self, track: Track, seen: Ints) -> None:
         """Move the remembered pose by the least that brings it under the visible spots."""

@@ -114,10 +114,11 @@ def _compare(
         size = beside[2, i] + (smaller if beside[2, i] < 0.0 else 0.0)
         dim = _BRIGHTNESS_SIGMA**2 + _BRIGHTNESS_WALK**2 * aged[which[i]]
         dim += (_DIMMER * hidden) ** 2 + 2.0 * noise
+        tracked = math.isfinite(beside[3, i])
         if not math.isfinite(off):  # a saturated spot's size is that of its rim
             size = 0.0
         for value, variance in ((size, spread), (beside[3, i], dim)):
-            if value > _SURE * math.sqrt(variance):  # another light may be over it
+            if tracked and value > _SURE * math.sqrt(variance):  # another light may be over it
                 over = _OVER * (1.0 - math.exp(-value)) * rows[i, SIZE]
                 cover[i] = math.hypot(cover[i], over)
             elif math.isfinite(value):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -21,10 +22,10 @@ def mirror(pose: Pose, pattern: ReflectorPattern, which: Ints) -> Pose:
     """
     middle, normal = _plane(pattern, tuple(which.tolist()))
     place = pose.apply(middle)
-    turned, sight = pose.rotation @ normal, place / np.linalg.norm(place)
+    turned, sight = pose.rotation @ normal, place / math.sqrt(float(place @ place))
     # (I − 2 s sᵀ) R (I − 2 n nᵀ), s the line of sight
-    half = pose.rotation - 2.0 * np.outer(turned, normal)
-    rotation = half - 2.0 * np.outer(sight, sight @ half)
+    half = pose.rotation - 2.0 * turned[:, None] * normal
+    rotation = half - 2.0 * sight[:, None] * (sight @ half)
     return Pose.unchecked(rotation, place - rotation @ middle)
 
 
