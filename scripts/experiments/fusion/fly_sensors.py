@@ -25,7 +25,7 @@ from rendezview_ground.fly.guidance import Guidance, Known
 from rendezview_ground.fly.loop import FusedEstimator, Loop
 from rendezview_ground.fly.options import FlyPlan
 from rendezview_ground.fly.rendered import RenderedSensors
-from rendezview_ground.fly.sensors import ModelledSensors
+from rendezview_ground.fly.sensors import SHARES, ModelledSensors
 from rendezview_ground.mesh.mesh import load_mesh
 
 EDGES_M = (61.0, 45.0, 32.0, 22.0, 16.0, 11.0, 7.5, 5.0, 3.0, 2.0, 1.5, 1.2, 1.0)
@@ -119,10 +119,10 @@ def _groups(sensor: str) -> list[slice]:
 
 
 def _row(sensor: str, seen: list[Seen]) -> dict[str, Any]:
-    """Share of frames answered, σ and claimed σ, scatter of the claims (σ of their logarithm).
+    """Share of frames answered, σ and claimed σ, scatter of the claims (its logarithm at `SHARES`).
 
-    ``follows`` is the power of a frame's claim that its errors grow with. Wild readings are apart:
-    their share of the answers, and the σ of their errors.
+    ``follows`` is the power of a frame's claim that its errors grow with, ``lasting`` the share of
+    them that lasts. Wild readings are apart: their share of the answers, and the σ of their errors.
     """
     found = [(s.range_m, s.found[sensor]) for s in seen if sensor in s.found]
     row: dict[str, Any] = {"answered": round(len(found) / max(len(seen), 1), 3)}
@@ -136,7 +136,8 @@ def _row(sensor: str, seen: list[Seen]) -> dict[str, Any]:
     slope = float(larger @ (sizes - sizes.mean())) / max(float(larger @ larger), 1e-12)
     follows = min(max(slope, 0.0), 1.0)
     sigma, claimed = _sizes(sensor, found, np.exp(follows * larger))
-    row |= {"sigma": sigma, "claimed": claimed, "scatter": round(float(larger.std()), 3)}
+    scatter = np.quantile(larger, SHARES).round(3).tolist()
+    row |= {"sigma": sigma, "claimed": claimed, "scatter": scatter}
     row["follows"] = round(follows, 3)
     row["wild"] = round(len(wild) / (len(found) + len(wild)), 3)
     row["wild_sigma"] = sigma if not wild else _sizes(sensor, wild, np.ones(len(wild)))[0]
@@ -168,15 +169,23 @@ def _filled(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return rows
 
 
-def _lasting(seen: list[Seen], lag: int) -> float:
-    """Correlation of the recognizer's errors, in claimed σ, after so many frames."""
+def _lasting(sensor: str, seen: list[Seen], far: float, near: float) -> float:
+    """Share of a sensor's errors, in claimed σ, that lasts: correlation with 1 and 2 frames before.
+
+    Of frames between two ranges; 0 if there are too few.
+    """
     one, two = [], []
-    for a, b in zip(seen, seen[lag:], strict=False):
-        if a.seed == b.seed and "camera" in a.found and "camera" in b.found:
-            one.append(a.found["camera"][0] / a.found["camera"][1])
-            two.append(b.found["camera"][0] / b.found["camera"][1])
-    x, y = np.clip(one, -5.0, 5.0), np.clip(two, -5.0, 5.0)
-    return float((x * y).mean() / np.sqrt((x**2).mean() * (y**2).mean()))
+    for lag in (1, 2):
+        for a, b in zip(seen, seen[lag:], strict=False):
+            both = a.seed == b.seed and sensor in a.found and sensor in b.found
+            if both and near <= b.range_m < far:
+                one.append(a.found[sensor][0] / a.found[sensor][1])
+                two.append(b.found[sensor][0] / b.found[sensor][1])
+    if len(one) < 2 * FEWEST:
+        return 0.0
+    x, y = np.clip(one, -OUTLIER, OUTLIER), np.clip(two, -OUTLIER, OUTLIER)
+    correlation = float((x * y).mean() / np.sqrt((x**2).mean() * (y**2).mean()))
+    return round(min(max(correlation, 0.0), 1.0), 3)
 
 
 def _glare(bad: list[Seen], good: list[Seen], peak_grey: float) -> dict[str, Any]:
@@ -231,10 +240,12 @@ def measure(views: ViewModel, output: Path, seeds: int, seed: int, jobs: int) ->
         some = [s for s in seen if near <= s.range_m < far]
         middle_m = round(float(np.sqrt(far * near)), 3)
         row: dict[str, Any] = {"range_m": middle_m, "frames": len(some)}
-        rows.append(row | {name: _row(name, some) for name in SENSORS})
+        for name in SENSORS:
+            row[name] = _row(name, some)
+            if "sigma" in row[name]:
+                row[name]["lasting"] = _lasting(name, seen, far, near)
+        rows.append(row)
         print(json.dumps(rows[-1]), flush=True)
-    print("correlation of errors after 1, 2, 5, 10 frames:",
-          [round(_lasting(seen, lag), 2) for lag in (1, 2, 5, 10)])  # fmt: skip
     glare = []
     for peak in PEAKS_GREY:
         bad = [s for (_, p), some in zip(flights, made, strict=True) if p == peak for s in some]

@@ -91,9 +91,8 @@ class SensorOptions:
     laser_s: _Positive = 1.0  # Source: chosen
     laser_m: _Positive = 0.02  # noise. Source: `fusion-approach`
     laser_origin_m: _Triple = (0.3, 0.0, 0.0)  # camera frame. Source: `fusion-approach`
-    # Share of a modelled error's variance that lasts, and its correlation. Source:
-    # `fusion-approach --flights`: correlation 0.15, 0.17, 0.12, 0.10 after 1, 2, 5, 10 frames
-    lasting: Annotated[float, Field(ge=0.0, le=1.0)] = 0.16
+    # Correlation of the part of a modelled error that lasts. Source: `fusion-approach --flights`,
+    # the recognizer's 0.15, 0.17, 0.12, 0.10 after 1, 2, 5, 10 frames
     lasting_s: _Positive = 40.0
     reflector_px: _Positive = 0.0144  # centroid error. Source: `reflector-accuracy`
     reflector_bound: _Positive = 1.2  # error over its Cramér–Rao bound. Source: the same, 3 m

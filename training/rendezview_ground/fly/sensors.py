@@ -37,7 +37,9 @@ from rendezview_ground.fly.options import FlyPlan
 CAMERA = Camera(1024, 1024, 800.0, 800.0, 511.5, 511.5)
 _STREAM = 3  # of the seed
 # Of the tables of a sensor, in the order of `ErrorTable`. Source: by construction
-_COLUMNS = ("answered", "sigma", "claimed", "scatter", "follows", "wild", "wild_sigma")
+_COLUMNS = ("answered", "sigma", "claimed", "scatter", "follows", "lasting", "wild", "wild_sigma")
+# Of the frames whose claims are lower than the table's. Source: by construction, to 2 %
+SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
 _LEAST_THRUST_M_S = 1e-4  # σ of a pulse that is told. Source: a quarter of the least impulse
 
 
@@ -48,14 +50,15 @@ class Quality:
     answered: float
     sigma: Array
     claimed: Array
-    scatter: float  # σ of the logarithm of what it claims, from frame to frame
+    scatter: Array  # of the logarithm of what it claims, from frame to frame: at `SHARES`
     follows: float  # the power of a frame's claim that its errors grow with
+    lasting: float  # share of their variance that lasts
     wild: float  # share of the readings that are of something else
     wild_sigma: Array  # (K,) of these
 
     def in_frame(self, rng: np.random.Generator) -> Quality:
         """As good or as bad as one frame is."""
-        times = math.exp(self.scatter * rng.standard_normal())
+        times = math.exp(np.interp(rng.random(), SHARES, self.scatter))
         worse = times**self.follows
         sigma = self.wild_sigma if rng.random() < self.wild else worse * self.sigma
         return replace(self, sigma=sigma, claimed=times * self.claimed)
@@ -69,8 +72,9 @@ class ErrorTable:
     answered: Array  # (N,)
     sigma: Array  # (N, K)
     claimed: Array  # (N, K)
-    scatter: Array  # (N,)
+    scatter: Array  # (N, S)
     follows: Array  # (N,)
+    lasting: Array  # (N,)
     wild: Array  # (N,)
     wild_sigma: Array  # (N, K)
 
@@ -81,11 +85,13 @@ class ErrorTable:
             np.array([math.exp(np.interp(x, known, np.log(column))) for column in table.T])
             for table in (self.sigma, self.claimed, self.wild_sigma)
         ]
-        answered, scatter, follows, wild = (
+        answered, follows, lasting, wild = (
             float(np.interp(x, known, some))
-            for some in (self.answered, self.scatter, self.follows, self.wild)
+            for some in (self.answered, self.follows, self.lasting, self.wild)
         )
-        return Quality(answered, columns[0], columns[1], scatter, follows, wild, columns[2])
+        scatter = np.array([np.interp(x, known, share) for share in self.scatter.T])
+        sigma, claimed, wild_sigma = columns
+        return Quality(answered, sigma, claimed, scatter, follows, lasting, wild, wild_sigma)
 
 
 @lru_cache(maxsize=1)
@@ -206,9 +212,9 @@ class ModelledSensors:
             found += self._reflectors(truth, centre)
         return found
 
-    def _error(self, sensor: str, size: int, time_s: float) -> Array:
-        """(size,) in σ: a part that lasts, and white noise."""
-        share, lasting_s = self.plan.sensors.lasting, self.plan.sensors.lasting_s
+    def _error(self, sensor: str, size: int, time_s: float, share: float) -> Array:
+        """(size,) in σ: a part that lasts, its share of the variance, and white noise."""
+        lasting_s = self.plan.sensors.lasting_s
         white, fresh = self._rng.standard_normal((2, size))
         if sensor in self._lasting:
             last_s, last = self._lasting[sensor]
@@ -229,7 +235,7 @@ class ModelledSensors:
     def _camera(self, truth: Truth, centre: Array) -> list[Measurement]:
         away, rng = float(np.linalg.norm(centre)), self._rng
         quality = self._quality("camera", truth, away)
-        error = _six(quality.sigma, away) * self._error("camera", 6, truth.time_s)
+        error = _six(quality.sigma, away) * self._error("camera", 6, truth.time_s, quality.lasting)
         if rng.random() >= quality.answered:
             return []
         arm = truth.pose.rotation @ self.centre_m
@@ -243,7 +249,7 @@ class ModelledSensors:
         away, rng = float(np.linalg.norm(centre)), self._rng
         quality = self._quality("ring", truth, away)
         sigma, claimed = quality.sigma, quality.claimed
-        error = self._error("ring", 5, truth.time_s)
+        error = self._error("ring", 5, truth.time_s, quality.lasting)
         if rng.random() >= quality.answered:
             return []
         sight = centre / away
@@ -287,7 +293,8 @@ class ModelledSensors:
             covariance = sigma**2 * np.linalg.inv(slope.T @ slope)
             root = np.linalg.cholesky(covariance)
             times = float((quality.sigma / quality.claimed).mean())
-            error = times * root @ self._error(f"reflectors {pattern.name}", 6, truth.time_s)
+            name = f"reflectors {pattern.name}"
+            error = times * root @ self._error(name, 6, truth.time_s, quality.lasting)
             pose = truth.pose.perturbed(error)
             return [PoseMeasurement(truth.time_s, "reflectors", pose, covariance)]
         return []

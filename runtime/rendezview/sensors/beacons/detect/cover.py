@@ -32,13 +32,14 @@ _ROUND_SIGMA = 0.007
 _NOISE = 0.8  # Source: experiment reflector-nees --kind retro
 _SURE = 2.7  # σ; clean spots exceed it once in 200. Source: reflector-nees --kind retro
 # ln(size) that a covered disc loses: × its elongation, and × the square of that over the disc's
-# share. Source: plain simulator, 5 to 50 % hidden at 0.8 to 6 m, within a quarter
+# share. Source: plain simulator, 5 to 50 % hidden: within a quarter at 0.8 to 1.5 m, up to a half
+# too low at 3 to 6 m
 _SMALLER, _SMALLER_YET = 0.45, 1.0
 _QUARTER = 0.25  # Source: likewise
 _DIMMER = 2.0  # × elongation: σ of ln(brightness) of a covered disc. Source: likewise
 _SIZE_SIGMA = 0.035  # of ln(size). Source: AcquisitionOptions.size_sigma
 # of ln(brightness) over its neighbours' since it was last certain, and a √reading since then.
-# Source: by construction, a retro-reflector that turns by some degrees
+# Source: `reflector-hidden --scene glint`, seeds 7 and 1007; a walk of 0.05 lets more glints pass
 _BRIGHTNESS_SIGMA, _BRIGHTNESS_WALK = 0.05, 0.02
 # × the share of light that is too much, × size: σ of the place of two lights that run together.
 # Source: by construction, half a size apart they look as one
