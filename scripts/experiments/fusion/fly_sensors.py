@@ -25,7 +25,7 @@ from rendezview_ground.fly.guidance import Guidance, Known
 from rendezview_ground.fly.loop import FusedEstimator, Loop
 from rendezview_ground.fly.options import FlyPlan
 from rendezview_ground.fly.rendered import RenderedSensors
-from rendezview_ground.fly.sensors import SHARES, ModelledSensors
+from rendezview_ground.fly.sensors import SHARES, ModelledSensors, tilt_moves
 from rendezview_ground.mesh.mesh import load_mesh
 
 EDGES_M = (61.0, 45.0, 32.0, 22.0, 16.0, 11.0, 7.5, 5.0, 3.0, 2.0, 1.5, 1.2, 1.0)
@@ -93,13 +93,20 @@ class _Beside:
         return np.array([np.r_[turn, off], np.sqrt(covariance.diagonal())])
 
     def _ring(self, reading: RingMeasurement, truth: Truth) -> Array:
-        """Tilt twice; the centre across twice and along. Of the better of two circles."""
+        """Tilt twice; the centre across twice and along. Of the better of two circles.
+
+        Across without what the tilt moves it by, see `tilt_moves`.
+        """
         axis, centre = truth.pose.rotation @ self.axis, truth.pose.apply(self.centre_m)
         one = max(reading.candidates, key=lambda c: abs(float(c.axis @ axis)))
-        turn = np.cross(axis, one.axis * np.sign(one.axis @ axis))
-        sigma = np.sqrt(one.covariance.diagonal())
-        tilt = np.sqrt(np.trace(one.covariance[3:, 3:]) / 2.0)
-        return np.array([np.r_[turn[:2], one.centre_m - centre], np.r_[tilt, tilt, sigma[:3]]])
+        off = np.append(one.centre_m - centre, one.axis * np.sign(one.axis @ axis) - axis)
+        apart = np.eye(6)
+        apart[:3, 3:] = -tilt_moves(centre, reading.ring.radius_m)
+        own, covariance = apart @ off, apart @ one.covariance @ apart.T
+        sigma = np.sqrt(covariance.diagonal())
+        tilt = np.sqrt(np.trace(covariance[3:, 3:]) / 2.0)
+        turn = np.cross(axis, off[3:])
+        return np.array([np.r_[turn[:2], own[:3]], np.r_[tilt, tilt, sigma[:3]]])
 
 
 def flown(setup: Setup, seed: int, peak_grey: float) -> list[Seen]:

@@ -10,7 +10,7 @@ from rendezview.fusion import PoseMeasurement, RangeMeasurement, RingMeasurement
 from rendezview.geometry import so3
 from rendezview_ground.fly.dynamics import OrbitDynamics
 from rendezview_ground.fly.faults import Fault
-from rendezview_ground.fly.sensors import SHARES, ModelledSensors, measured
+from rendezview_ground.fly.sensors import SHARES, ModelledSensors, measured, tilt_moves
 
 
 def readings(setup, start_m: float, count: int, fault: Fault | None = None):
@@ -75,6 +75,29 @@ def test_the_reflectors_error_is_the_measured_share_of_their_covariance(setup):
         off = np.r_[turn, truth.pose.translation_m - m.pose.translation_m]
         squared.append(off @ np.linalg.solve(m.covariance, off))
     assert np.mean(squared) == pytest.approx(6.0 * times**2, rel=0.15)
+
+
+def test_a_ring_that_is_taken_for_tilted_is_taken_for_elsewhere_so_that_its_middle_stays():
+    radius_m, centre, axis = 0.6, np.array([0.05, -0.03, 1.5]), np.array([0.0, 0.0, -1.0])
+
+    def middle(place, normal):
+        """Of the ellipse, in the plane at 1: of the points of the circle, by least squares."""
+        side = np.cross(normal, [0.0, 1.0, 0.0])
+        side /= np.linalg.norm(side)
+        angle = np.linspace(0.0, 2.0 * np.pi, 90)[:, None]
+        points = place + radius_m * (np.cos(angle) * side + np.sin(angle) * np.cross(normal, side))
+        x, y = (points[:, :2] / points[:, 2:]).T
+        a, b, c, d, e = np.linalg.lstsq(
+            np.column_stack([x * x, x * y, y * y, x, y]), np.ones(len(x)), rcond=None
+        )[0]
+        return np.linalg.solve([[2.0 * a, b], [b, 2.0 * c]], [-d, -e])
+
+    tilted = axis + np.array([0.04, 0.03, 0.0])
+    tilted /= np.linalg.norm(tilted)
+    moved = centre + tilt_moves(centre, radius_m) @ (tilted - axis)
+    there, stayed = middle(centre, axis), middle(centre, tilted)
+    off = np.linalg.norm(middle(moved, tilted) - there)
+    assert off < 0.1 * np.linalg.norm(stayed - there)
 
 
 @pytest.mark.parametrize("kind", ["camera", "ring", "laser", "reflectors", "glare"])

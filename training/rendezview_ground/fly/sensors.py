@@ -259,17 +259,19 @@ class ModelledSensors:
             place = place * self.fault.size
         axis = truth.pose.rotation @ ring.axis
         tilt = _across_and_along(axis, np.array([sigma[0], 0.0])) @ [*error[3:], 0.0]
-        axis = axis + tilt
+        moves = tilt_moves(centre, ring.radius_m)
+        place, axis = place + moves @ tilt, axis + tilt
         axis /= np.linalg.norm(axis)
         root = _across_and_along(sight, away * claimed[1:])
-        covariance = np.zeros((6, 6))
-        covariance[:3, :3] = root @ root.T
         other = 2.0 * (axis @ sight) * sight - axis
         both = []
-        for normal in (axis, other):
-            flat = np.eye(3) - np.outer(normal, normal)
-            covariance[3:, 3:] = claimed[0] ** 2 * flat
-            both.append(RingCandidate(place, normal, covariance))
+        for normal, middle in ((axis, place), (other, place + moves @ (other - axis))):
+            flat = claimed[0] ** 2 * (np.eye(3) - np.outer(normal, normal))
+            covariance = np.zeros((6, 6))
+            covariance[:3, :3] = root @ root.T + moves @ flat @ moves.T
+            covariance[:3, 3:] = moves @ flat
+            covariance[3:, :3], covariance[3:, 3:] = covariance[:3, 3:].T, flat
+            both.append(RingCandidate(middle, normal, covariance))
         return [RingMeasurement(truth.time_s, "ring", tuple(both), ring)]
 
     def _reflectors(self, truth: Truth, centre: Array) -> list[Measurement]:
@@ -310,6 +312,18 @@ def _about(pose: Pose, centre_m: Array, error: Array) -> Pose:
     """The pose turned about a point of the target, which moves."""
     rotation = so3.exp(error[:3]) @ pose.rotation
     return Pose(rotation, pose.apply(centre_m) + error[3:] - rotation @ centre_m)
+
+
+def tilt_moves(centre: Array, radius_m: float) -> Array:
+    """(3, 3) how far a tilt of a ring's axis moves its centre, m: across the line of sight.
+
+    The middle of an ellipse is seen well, and lies r² n_x n_z / d² beside the picture of the centre
+    of a circle of radius r with normal n at a distance d.
+    """
+    away = float(np.linalg.norm(centre))
+    sight = centre / away
+    moves: Array = radius_m**2 / away * (np.eye(3) - np.outer(sight, sight))
+    return moves
 
 
 def _across_and_along(direction: Array, sigma: Array) -> Array:
