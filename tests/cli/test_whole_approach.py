@@ -122,7 +122,8 @@ def test_on_frames_of_another_renderer_the_fused_state_is_no_worse_than_the_reco
 
     recognizer, fused = errors("track.jsonl"), errors("state.jsonl")
     ranges = {t: float(np.linalg.norm(pose.apply(ring.centre_m))) for t, pose in truth.items()}
-    for far, near in ((30.0, 15.0), (15.0, 7.5), (7.5, 3.0), (3.0, 0.0)):
+    # Below 2 m, beside the ring alone, the recognizer knows no roll, and gives no pose.
+    for far, near in ((30.0, 15.0), (15.0, 7.5), (7.5, 0.0)):
         times = [t for t in recognizer if near <= ranges[t] < far]
         assert len(times) >= 2
         (alone, claimed), (both, _) = (
