@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from importlib.resources import files
 from typing import Any
@@ -36,8 +36,6 @@ from rendezview_ground.fly.options import FlyPlan
 # Source: `fusion-approach`, of which the error tables are
 CAMERA = Camera(1024, 1024, 800.0, 800.0, 511.5, 511.5)
 _STREAM = 3  # of the seed
-# Of the tables of a sensor, in the order of `ErrorTable`. Source: by construction
-_COLUMNS = ("answered", "sigma", "claimed", "scatter", "follows", "lasting", "wild", "wild_sigma")
 # Of the frames whose claims are lower than the table's. Source: by construction, to 2 %
 SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
 _LEAST_THRUST_M_S = 1e-4  # σ of a pulse that is told. Source: a quarter of the least impulse
@@ -102,8 +100,8 @@ def measured() -> tuple[dict[str, ErrorTable], list[dict[str, Any]]]:
     ranges = np.array([row["range_m"] for row in rows])
     tables = {
         name: ErrorTable(
-            ranges, *(np.array([row[name][key] for row in rows])
-                      for key in _COLUMNS),
+            ranges, *(np.array([row[name][column.name] for row in rows])
+                      for column in fields(ErrorTable)[1:]),
         )
         for name in ("camera", "ring", "reflectors")
     }  # fmt: skip

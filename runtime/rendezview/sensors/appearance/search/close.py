@@ -19,7 +19,7 @@ from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refine
 from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.model.view_model import ViewModel
-from rendezview.sensors.appearance.search.starts import rotated_about_axes
+from rendezview.sensors.appearance.search.starts import rotated_about_axes, rotated_by
 from rendezview.sensors.appearance.sky import Sky
 
 # Share of the lit contour points in the picture with an edge in place: right poses have 0.54 or
@@ -99,11 +99,10 @@ def _with_turned(
         return []
     if pose.points > _MANY_POINTS:
         return [pose]
-    axis = np.linalg.eigh(pose.covariance[:3, :3])[1][:, -1]
-    centre, found = pose.pose.apply(refiner.centre_m), [pose]
-    for angle in (-_FURTHEST_RAD, _FURTHEST_RAD):
-        rotation = so3.exp(angle * axis) @ pose.pose.rotation
-        start = Pose(rotation, centre - rotation @ refiner.centre_m)
+    axis = np.linalg.eigh(pose.covariance[:3, :3])[1][:, -1] @ pose.pose.rotation
+    turns = np.array([so3.exp(angle * axis) for angle in (-_FURTHEST_RAD, _FURTHEST_RAD)])
+    found = [pose]
+    for start in rotated_by(pose.pose, turns, refiner.centre_m):
         turned = refiner.refine(image, sky, start)
         if turned is not None:
             found.append(turned)
