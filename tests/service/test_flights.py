@@ -164,10 +164,10 @@ def test_foxglove_and_ros_see_the_fused_states_and_the_orders_of_a_flight(watche
         connect(at, subprotocols=["foxglove.sdk.v1"]) as viewer,
         ServiceEstimator(client, sensors, guidance, speed=0.0) as estimator,
     ):
-        name = estimator.session.name
         truth, known = dynamics.start(), None
         for k in range(60):
             known = estimator.update(truth.time_s, sensors.read(truth, known))
+            name = estimator.session.name
             if known.estimate.pose is not None:
                 fused[round(1e3 * truth.time_s)] = known.estimate.pose.translation_m
             truth = dynamics.step(truth, guidance.command(known))
