@@ -52,7 +52,7 @@ from rendezview.sensors.appearance.model.contours import Contours
 from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.near_views import NearSphere
 from rendezview.sensors.appearance.model.view_model import ViewModel
-from rendezview.sensors.appearance.model.view_tables import ViewTables
+from rendezview.sensors.appearance.model.view_tables import ViewTables, read_only
 from rendezview.sensors.appearance.sky import Sky
 
 # px; one σ of an edge's place in the best of cases. Source: fixed with the fit of error_model.json
@@ -114,21 +114,23 @@ class Refiner:
         contours: Contours = model.contours if sphere is None else sphere.contours
         directions = model.lattice.nodes if sphere is None else sphere.directions
         own = np.copy if model.joints else np.asarray  # the points of parts are turned in place
+        point, tangent = own(contours.point), own(contours.tangent)
         self.views = ViewTables(
-            np.ascontiguousarray(directions),
-            np.ascontiguousarray(contours.shells_m),
-            own(contours.point),
-            own(contours.tangent),
-            contours.kind,
-            contours.run,
-            contours.strip,
-            contours.start,
-            contours.palette,
+            read_only(directions),
+            read_only(contours.shells_m),
+            read_only(point),
+            read_only(tangent),
+            read_only(contours.kind),
+            read_only(contours.run),
+            read_only(contours.strip),
+            read_only(contours.start),
+            read_only(contours.palette),
             self._radius_m,
             self.options.blur_px,
             model.shape_error,
         )
-        self.articulation = Articulation(model, self.views) if model.joints else None
+        turns = Articulation(model, self.views, point, tangent) if model.joints else None
+        self.articulation = turns
         self._lens = (lens_vector(camera), camera.is_distorted)
         inexact = model.shape_error > 0.0
         self._stages, self._cut_px = (INEXACT, INEXACT_CUT_PX) if inexact else (FINE, CUT_PX)
