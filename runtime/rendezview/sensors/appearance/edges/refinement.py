@@ -309,9 +309,11 @@ class Refiner:
     ) -> Hypothesis:
         """The pose with its covariance and inlier ratios; ``edges`` are those last measured."""
         arm, none = rotation @ self.centre_m, self._nothing_known
-        _, residual = covariance_of(edges, self._cut_px, _LEAST_SIGMA_PX, none, arm)
         known = without_shared(edges, self._cut_px, self._radius_m, float(centre[2]))
         covariance, spread_px = covariance_of(known, self._cut_px, _LEAST_SIGMA_PX, none, arm)
+        residual = spread_px
+        if known is not edges:
+            _, residual = covariance_of(edges, self._cut_px, _LEAST_SIGMA_PX, none, arm)
         moves = StrainMoves.of(known, self._cut_px, none, rotation, centre)
         strain = self._strain
         if self.model.shape_error == 0.0:

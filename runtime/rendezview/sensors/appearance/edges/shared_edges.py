@@ -44,7 +44,7 @@ def without_shared(edges: Array, cut_px: float, radius_m: float, range_m: float)
     """
     counted = (edges[:, STATE] == FOUND) & (np.abs(edges[:, RESIDUAL]) < cut_px)
     rows = np.flatnonzero(counted)
-    rows = rows[np.argsort(edges[rows, U], kind="stable")]
+    rows = rows[np.argsort(edges[rows, U])]
     behind = np.zeros(len(rows), dtype=np.bool_)
     _mark(edges, rows, 1.0 + _BEHIND_RADII * radius_m / range_m, behind)
     if not behind.any():
