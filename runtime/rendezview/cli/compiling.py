@@ -152,7 +152,8 @@ class _Counter:
             if self._bar.is_shown or now - self._said < _SAY_EVERY_S:
                 return
             self._said = now
-            left = (now - self._start) * (self._seconds - self._spent) / self._spent
+            rest = max(self._seconds - self._spent, 0.0)
+            left = (now - self._start) * rest / self._spent
             say(f"  {self._done} of {self._total} loops, about {left:.0f} s more")
 
     def follow(self, worker: subprocess.Popen[bytes]) -> None:
