@@ -36,6 +36,7 @@ from rendezview.sensors.appearance.edges.articulation import (
 from rendezview.sensors.appearance.edges.lit_inliers import lit_inliers
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
+from rendezview.sensors.appearance.edges.shared_edges import without_shared
 from rendezview.sensors.appearance.edges.stages import (
     COARSE,
     COARSE_STAGES,
@@ -305,12 +306,11 @@ class Refiner:
         edges: Array,
     ) -> Hypothesis:
         """The pose with its covariance and inlier ratios; ``edges`` are those last measured."""
-        arm = rotation @ self.centre_m
-        covariance, spread_px = covariance_of(
-            edges, self._cut_px, _LEAST_SIGMA_PX, self._nothing_known, arm
-        )
-        residual = spread_px
-        moves = StrainMoves.of(edges, self._cut_px, self._nothing_known, rotation, centre)
+        arm, none = rotation @ self.centre_m, self._nothing_known
+        _, residual = covariance_of(edges, self._cut_px, _LEAST_SIGMA_PX, none, arm)
+        known = without_shared(edges, self._cut_px, self._radius_m, float(centre[2]))
+        covariance, spread_px = covariance_of(known, self._cut_px, _LEAST_SIGMA_PX, none, arm)
+        moves = StrainMoves.of(known, self._cut_px, none, rotation, centre)
         strain = self._strain
         if self.model.shape_error == 0.0:
             scale_px = self.camera.fx * self._radius_m / centre[2]
@@ -321,7 +321,7 @@ class Refiner:
         strained = moves.covariance(arm, strain) + self._shared_offset(centre)
         if self.model.shape_error > 0.0:
             # As for an exact model: the classifier was fitted to that.
-            _, residual = covariance_of(edges, CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm)
+            _, residual = covariance_of(edges, CUT_PX, _LEAST_SIGMA_PX, none, arm)
         outline, inner, visible = inlier_ratios(
             image, self._lens, frame, self.views, rotation, centre, CLOSE_PX, 1, edges
         )
