@@ -20,7 +20,7 @@ from rendezview.cli.compiling import recorded
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.following import follow
-from rendezview_service.tracker.tracking import warm_up
+from rendezview_service.tracker.warming import warm_up, warm_up_sensors
 
 model, sequence = ViewModel.load(sys.argv[1]), open_sequence(sys.argv[2])
 
@@ -29,7 +29,8 @@ def work():
         for frame, observation in follow(model, sequence, prior=prior):
             print(observation.status, observation.reason, file=sys.stderr)
 
-print(json.dumps({"track": recorded(work), "serve": recorded(lambda: warm_up(model))}))
+serve = recorded(lambda: warm_up(model)) + recorded(warm_up_sensors)
+print(json.dumps({"track": recorded(work), "serve": serve}))
 """
 
 
@@ -50,12 +51,13 @@ def test_every_loop_of_tracking_and_of_the_service_is_listed(
     command = [sys.executable, "-c", _TRACK, str(model), str(scene)]
     run = subprocess.run(command, capture_output=True, text=True, check=True, timeout=MOST_S)
     called = {
-        group: [(e["loop"], e["arguments"]) for e in entries]
-        for group, entries in json.loads(run.stdout.splitlines()[-1]).items()
+        command: [(e["loop"], e["arguments"]) for e in entries]
+        for command, entries in json.loads(run.stdout.splitlines()[-1]).items()
     }
-    names = {name.rpartition(":")[2] for group in called.values() for name, _ in group}
+    names = {name.rpartition(":")[2] for loops in called.values() for name, _ in loops}
     assert {"align_each", "shading", "mean_shift", "align_to_sketch"} <= names, run.stderr
     assert {"fit_steps", "judge", "downhill_simplex", "ring_parts"} <= names, run.stderr
-    for group, loops in called.items():
-        listed = [(e["loop"], e["arguments"]) for e in compiling.load_loops(group)]
-        assert [each for each in loops if each not in listed] == [], group
+    for command, loops in called.items():
+        groups = map(compiling.load_loops, compiling.COMMANDS[command])
+        listed = [(e["loop"], e["arguments"]) for group in groups for e in group]
+        assert [each for each in loops if each not in listed] == [], command

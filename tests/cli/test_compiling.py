@@ -50,11 +50,12 @@ def test_an_argument_that_no_loop_takes_is_an_error():
 
 
 @pytest.mark.parametrize(
-    ("group", "least"),
+    ("command", "least"),
     [("track", 20), ("train", 20), ("demo", 20), ("serve", 60), ("reflectors", 15), ("stereo", 6)],
 )
-def test_listed_loops_exist_and_take_their_arguments(group, least):
-    entries = compiling.load_loops(group)
+def test_listed_loops_exist_and_take_their_arguments(command, least):
+    groups = compiling.COMMANDS[command]
+    entries = [entry for group in groups for entry in compiling.load_loops(group)]
     assert len(entries) > least
     for entry in entries:
         loop = compiling._named(entry["loop"])
@@ -155,6 +156,7 @@ def test_processes_that_save_versions_of_one_loop_at_once_lose_none(tmp_path, sm
 def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch):
     said: list[str] = []
     monkeypatch.setattr(compiling, "say", said.append)
+    monkeypatch.setattr(compiling, "_SAY_EVERY_S", float("inf"))
     entries = [e | {"seconds": 1.0} for e in compiling.load_loops("track")[-5:]]
     started = []
 
@@ -191,17 +193,19 @@ def test_where_there_is_no_bar_lines_count_the_loops_and_say_how_long_it_takes(
     said: list[str] = []
     monkeypatch.setattr(compiling, "say", said.append)
     monkeypatch.setattr(compiling, "_SAY_EVERY_S", 0.0)
+    monkeypatch.setattr(compiling, "_START_S", 0.5)
+    monkeypatch.setattr(compiling, "_EACH_S", 0.0)
     now = iter([100.0, *(100.0 + 8.0 * k for k in range(1, 9))])
     monkeypatch.setattr(time, "perf_counter", lambda: next(now))
     loops = [{"seconds": 4.0}, {"seconds": 1.0}, {"seconds": 3.0}]
     with ProgressBar() as bar:
-        counter = compiling._Counter(loops, bar)
+        counter = compiling._Counter(loops, 2, bar)
         counter(1.0)
         program = "print(3.0)\nprint(4.0)"
         with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
             counter.follow(process)
-    assert said[0] == "  1 of 3 loops, about 56 s more"  # 8 s for one of eight
-    assert said[1] == "  2 of 3 loops, about 16 s more"
+    assert said[0] == "  1 of 3 loops, about 28 s more"  # 8 s for start and loop, two of nine
+    assert said[1] == "  2 of 3 loops, about 13 s more"
     assert said[2] == "  3 of 3 loops, about 0 s more"
 
 
@@ -217,7 +221,8 @@ def test_a_machine_is_warmed_for_the_commands_that_are_named(monkeypatch):
     monkeypatch.setattr(warm_command, "compile_ahead", lambda *groups: asked.append(groups))
     warm_command.warm(["track"])
     warm_command.warm(None)
-    assert asked == [("track",), compiling.GROUPS]
+    assert asked[0] == ("track", "hard")
+    assert set(asked[1]) == set(compiling.GROUPS)
     with pytest.raises(RendezviewError, match="name track, train"):
         warm_command.warm(["trak"])
 
@@ -247,14 +252,15 @@ few = [{"loop": name, "arguments": ["int64"], "seconds": 4.0} for name in names]
 compiling.load_loops = lambda group: few
 loops = [compiling._named(entry["loop"]) for entry in few]
 assert not any(compiling._is_cached(loop) for loop in loops)
-with compiling.compile_beside("demo") as ready:
-    ready()
-    assert all(compiling._is_cached(loop) for loop in loops)
-    ready()
+with compiling.compile_beside("demo") as beside:
+    assert beside.is_busy
+    beside.wait()
+    assert not beside.is_busy and all(compiling._is_cached(loop) for loop in loops)
+    beside.wait()
 assert not any(loop.overloads for loop in loops)  # not here
 assert len(spoken) == 1 and "the last of" in spoken[0], spoken
-with compiling.compile_beside("demo") as ready:
-    ready()
+with compiling.compile_beside("demo") as beside:
+    beside.wait()
 assert len(spoken) == 1, spoken
 """
     subprocess.run([sys.executable, "-c", program], env=small_loops, check=True, timeout=MOST_S)

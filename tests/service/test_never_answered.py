@@ -28,12 +28,15 @@ from rendezview.errors import RendezviewError
 from rendezview_service.client import ServiceError
 from rendezview_service.http import streams
 from rendezview_service.hub import source_process, viewers, worker_handle
-from rendezview_service.hub.inputs import Answer, InputQueue, SessionInput
+from rendezview_service.hub.inputs import Answer, InputQueue, NotReady, SessionInput
+from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.source_process import _Reader
 from rendezview_service.hub.watching import Watcher, Watchers
 from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle
+from rendezview_service.hub.worker_pool import WorkerPool
 from rendezview_service.logs.recording import PENDING, RECORDED, LogWriter, RecordingOptions
 from rendezview_service.messages.wire import Unpacker, pack, receive, shared_memory
+from rendezview_service.settings import Settings
 
 # One of the threads for the disk waits for ever.
 HUNG_THREAD = """
@@ -307,3 +310,13 @@ def test_a_disk_that_hangs_while_a_part_is_given_up_holds_up_nobody(tmp_path, ca
         cut.set()
     wait_until(lambda: writer.status.pending == 0)
     writer.close(MOST_S)
+
+
+def test_a_session_with_own_sensors_waits_for_their_loops_or_is_told_to_come_later() -> None:
+    answers = iter([True, False, True])
+    pool = WorkerPool(Settings(), Metrics(), SimpleNamespace())
+    asyncio.run(pool.sensors_compiled(0.0))  # nothing is compiled beside
+    pool.without_sensors = lambda: next(answers)
+    asyncio.run(pool.sensors_compiled(None))
+    with pytest.raises(NotReady, match="being compiled"):
+        asyncio.run(pool.sensors_compiled(0.0))

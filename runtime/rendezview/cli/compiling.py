@@ -39,7 +39,16 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-GROUPS = ("track", "train", "demo", "serve", "reflectors", "stereo")  # of loops.json
+# By command, the groups of loops.json that it calls; those that are needed first come first.
+COMMANDS = {
+    "track": ("track", "hard"),
+    "train": ("train",),
+    "demo": ("train", "track", "hard", "demo"),
+    "serve": ("track", "hard", "filter", "sensors"),
+    "reflectors": ("reflectors",),
+    "stereo": ("stereo",),
+}
+GROUPS = tuple(dict.fromkeys(group for groups in COMMANDS.values() for group in groups))
 _MOST_PROCESSES = 6  # with more, each mostly imports. Source: experiment compiled-loops
 _SAY_EVERY_S = 10.0  # s, where there is no bar. Source: a chosen limit
 # Source: experiment compiled-loops, twice the start of a process
@@ -98,16 +107,18 @@ def compile_ahead(*groups: str) -> None:
     if not missing:
         return
     own, *others = _shares(missing, min(_MOST_PROCESSES, _cores()))
-    seconds = max(_seconds(share) for share in (own, *others))
+    seconds = max(_seconds(share) for share in (own, *others)) + _START_S
+    if hasattr(os, "getloadavg"):  # what else runs gets its part of the cores
+        seconds *= max(1.0, (os.getloadavg()[0] + 1 + len(others)) / _cores())
     say(
         f"Compiling {len(missing)} loops for this machine in {1 + len(others)} processes, "
-        f"only once: about {seconds + _START_S:.0f} s …"
+        f"only once: about {seconds:.0f} s …"
     )
     start = time.perf_counter()
     workers = [_worker(share, "--count") for share in others]
     try:
         with ProgressBar() as bar:
-            counter = _Counter(missing, bar)
+            counter = _Counter(missing, 1 + len(others), bar)
             readers = [threading.Thread(target=counter.follow, args=(w,)) for w in workers]
             for reader in readers:
                 reader.start()
@@ -125,22 +136,24 @@ def compile_ahead(*groups: str) -> None:
 class _Counter:
     """Counts the loops that several processes have compiled, and says so now and then."""
 
-    def __init__(self, loops: Sequence[dict[str, Any]], bar: ProgressBar) -> None:
-        self._total, self._seconds = len(loops), _seconds(loops)
-        self._bar, self._lock = bar, threading.Lock()
-        self._done, self._spent = 0, 0.0
+    def __init__(self, loops: Sequence[dict[str, Any]], processes: int, bar: ProgressBar) -> None:
+        self._total, self._bar, self._lock = len(loops), bar, threading.Lock()
+        # Seconds of the machine of the list: of the start of the processes, and of all.
+        self._done, self._spent = 0, processes * _START_S
+        self._seconds = self._spent + _seconds(loops) + self._total * _EACH_S
         self._start = self._said = time.perf_counter()
 
     def __call__(self, seconds: float) -> None:
         """One more loop is compiled, which takes so long on the machine of the list."""
         with self._lock:
-            self._done, self._spent = self._done + 1, self._spent + seconds
+            self._done, self._spent = self._done + 1, self._spent + seconds + _EACH_S
             self._bar("compile", self._done, self._total)
             now = time.perf_counter()
-            if self._bar.is_shown or now - self._said < _SAY_EVERY_S or not self._spent:
+            if self._bar.is_shown or now - self._said < _SAY_EVERY_S:
                 return
             self._said = now
-            left = (now - self._start) * (self._seconds - self._spent) / self._spent
+            rest = max(self._seconds - self._spent, 0.0)
+            left = (now - self._start) * rest / self._spent
             say(f"  {self._done} of {self._total} loops, about {left:.0f} s more")
 
     def follow(self, worker: subprocess.Popen[bytes]) -> None:
@@ -151,26 +164,42 @@ class _Counter:
                 self(float(line))
 
 
-@contextlib.contextmanager
-def compile_beside(*groups: str) -> Iterator[Callable[[], None]]:
-    """Meanwhile compile some groups in processes of low priority; the value waits for their end."""
-    missing = _missing(groups)
-    shares = _shares(missing, min(_MOST_PROCESSES, _cores())) if missing else []
-    workers = [_worker(share, "--beside") for share in shares]
+class Beside:
+    """Loops that are compiled in processes of low priority."""
 
-    def wait() -> None:
-        if any(worker.poll() is None for worker in workers):
-            say(f"Compiling the last of {len(missing)} more loops for this machine, only once …")
-        for worker in workers:
+    def __init__(self, missing: list[dict[str, Any]]) -> None:
+        self._count = len(missing)
+        shares = _shares(missing, min(_MOST_PROCESSES, _cores())) if missing else []
+        self._workers = [_worker(share, "--beside") for share in shares]
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether some are still being compiled."""
+        return any(worker.poll() is None for worker in self._workers)
+
+    def wait(self) -> None:
+        """Return when all are compiled."""
+        if self.is_busy:
+            say(f"Compiling the last of {self._count} more loops for this machine, only once …")
+        for worker in self._workers:
             worker.wait()
 
-    try:
-        with _saved_in_turn():
-            yield wait
-    finally:
-        for worker in workers:
+    def stop(self) -> None:
+        """End the processes; what they have compiled is kept."""
+        for worker in self._workers:
             worker.kill()
             worker.wait()
+
+
+@contextlib.contextmanager
+def compile_beside(*groups: str) -> Iterator[Beside]:
+    """Meanwhile compile the loops of some groups that the cache lacks, beside the work."""
+    beside = Beside(_missing(groups))
+    try:
+        with _saved_in_turn():
+            yield beside
+    finally:
+        beside.stop()
 
 
 def _missing(groups: Sequence[str]) -> list[dict[str, Any]]:
@@ -191,6 +220,8 @@ def _worker(share: list[dict[str, Any]], *options: str) -> subprocess.Popen[byte
 
 
 _START_S = 2.0  # s; of a process, before it compiles. Source: experiment compiled-loops
+# s; of a loop beside what is listed: parts that loops share. Source: the same
+_EACH_S = 0.3
 
 
 def tell_of_compiling() -> None:

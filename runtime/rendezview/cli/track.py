@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from rendezview.cli.compiling import compile_ahead, tell_of_compiling
+from rendezview.cli.compiling import compile_ahead, compile_beside, tell_of_compiling
 from rendezview.cli.guide import (
     AemFile,
     ChaserFile,
@@ -156,7 +156,9 @@ def track(
     independent = independent or instances > 1
     integrity = _integrity(integrity_risk, alarm_attitude_deg, alarm_position_m)
     levels = Levels()
-    compile_ahead("track")
+    # Frames of a file wait for loops that only hard ones need; those of a camera do not.
+    later = ("hard",) if taken is None else ()
+    compile_ahead("track", *(() if later else ("hard",)))
     tell_of_compiling()
     guide = _guide(loaded, plan, shape, chaser, oem, aem, refine)
     film = video_of(video, sequence, loaded) if video else None
@@ -198,7 +200,8 @@ def track(
             row = result_row(sequence.scene_id, frame, observation)
             yield Line(noted, observation.status, row, sum(observation.stage_ms.values()))
 
-    with film or nullcontext(), view or nullcontext(), ProgressBar() as bar:
+    beside = compile_beside(*later)
+    with beside, film or nullcontext(), view or nullcontext(), ProgressBar() as bar:
         progress = bar.stage("frames", len(sequence)) if taken is None else None
         summary = run(
             lines(), log=log, results=output, to_stdout=taken is not None, progress=progress

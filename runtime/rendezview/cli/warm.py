@@ -6,14 +6,14 @@ from typing import Annotated
 
 import typer
 
-from rendezview.cli.compiling import GROUPS, compile_ahead
+from rendezview.cli.compiling import COMMANDS, compile_ahead
 from rendezview.cli.progress import say
 from rendezview.errors import RendezviewError
 
 
 def warm(
     commands: Annotated[
-        list[str] | None, typer.Argument(help=f"{', '.join(GROUPS)}; all if none is named.")
+        list[str] | None, typer.Argument(help=f"{', '.join(COMMANDS)}; all if none is named.")
     ] = None,
 ) -> None:
     """Compile for this machine now what commands would compile when they first run.
@@ -21,8 +21,9 @@ def warm(
     \b
     Example: rendezview warm track serve
     """
-    for name in commands or ():
-        if name not in GROUPS:
-            raise RendezviewError(f"{name}: nothing is compiled for it; name {', '.join(GROUPS)}")
-    compile_ahead(*(commands or GROUPS))
+    named = commands or list(COMMANDS)
+    for name in named:
+        if name not in COMMANDS:
+            raise RendezviewError(f"{name}: nothing is compiled for it; name {', '.join(COMMANDS)}")
+    compile_ahead(*(group for name in named for group in COMMANDS[name]))
     say("Warm: the next start compiles nothing.")

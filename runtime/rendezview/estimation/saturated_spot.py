@@ -82,7 +82,8 @@ def fit_rim(
     at[0], at[1], at[2] = plane[0], plane[1], radius
     at[5], at[6] = math.log(_BLUR_PX), math.log(_PEAK_GREY)
     prior = at.copy()
-    ratio = _fit(image, dark, plane, noise, window, _ALL_SIDES, prior, at, covariance)
+    apart = int(np.int64(_ALL_SIDES))  # as a literal, numba would compile a copy for it
+    ratio = _fit(image, dark, plane, noise, window, apart, prior, at, covariance)
     if ratio < _STRANGE:
         sides = _ran_over(image, dark, plane, noise, ratio, window, at, covariance)
         again, sure = at.copy(), covariance.copy()

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from rendezview.estimation.linear_algebra import square_root
+from rendezview.estimation.linear_algebra import copy_matrix_into, square_root
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 
@@ -134,7 +134,7 @@ def compared(
             whites[m, r] /= lower[r, r]
             nis += whites[m, r] ** 2
             volume += 2.0 * math.log(lower[r, r])
-        lowers[m] = lower
+        copy_matrix_into(lower, lowers[m])
         height = -0.5 * (volume + k * math.log(2.0 * math.pi))
         logs[m] = height - 0.5 * nis
         peak += weights[m] * height

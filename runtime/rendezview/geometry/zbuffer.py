@@ -96,11 +96,14 @@ def draw_perspective(
             following = (k + 1) % 3
             za, zb = corner[k, 2], corner[following, 2]
             if za >= near:
-                polygon[count, :] = corner[k, :]
+                for axis in range(3):  # not the row at once: numba compiles that for two seconds
+                    polygon[count, axis] = corner[k, axis]
                 count += 1
             if (za >= near) != (zb >= near):
                 share = (near - za) / (zb - za)
-                polygon[count, :] = corner[k, :] + share * (corner[following, :] - corner[k, :])
+                for axis in range(2):
+                    ahead = corner[following, axis] - corner[k, axis]
+                    polygon[count, axis] = corner[k, axis] + share * ahead
                 polygon[count, 2] = near
                 count += 1
         for k in range(count):

@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
+from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 
@@ -84,5 +85,5 @@ def rotations(
             if times[k] != now:
                 _advance(moments, rotation, rate, times[k] - now, vector, turned)
                 now = times[k]
-            out[k] = rotation
-            rates[k] = rate
+            copy_matrix_into(rotation, out[k])
+            copy_into(rate, rates[k])

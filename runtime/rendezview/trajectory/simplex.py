@@ -80,15 +80,9 @@ def cost(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def downhill_simplex(
-    code: int,
-    start: Array,
-    steps: Array,
-    data: Data,
-    weights: Array,
-    cut: float,
-    most: int,
+    code: int, start: Array, steps: Array, data: Data, weights: Array, cut: float, most: int,
     near: float,
-) -> tuple[Array, float, int]:
+) -> tuple[Array, float, int]:  # fmt: skip
     """Nelder and Mead's simplex, with Gao and Han's (2012) coefficients for P dimensions.
 
     Args:
@@ -102,6 +96,7 @@ def downhill_simplex(
     size = len(start)
     place, out = np.empty((len(weights), 3)), np.empty((len(weights), RESIDUALS))
     corners, costs = np.empty((size + 1, size)), np.empty(size + 1)
+    spare, sunk = np.empty((size + 1, size)), np.empty(size + 1)
     for k in range(size + 1):
         copy_into(start, corners[k])
     for k in range(size):
@@ -109,45 +104,67 @@ def downhill_simplex(
     _fill_costs(code, corners, data, weights, cut, place, out, costs, 0)
     asked = size + 1
     expand, contract, shrink = 1.0 + 2.0 / size, 0.75 - 0.5 / size, 1.0 - 1.0 / size
-    trial, second = np.empty(size), np.empty(size)
+    trial, second, away = np.empty(size), np.empty(size), np.empty(size)
     while asked < most:
-        order = descending(-costs)
-        corners, costs = corners[order], costs[order]
+        _sort(corners, costs, spare, sunk)
+        corners, spare, costs, sunk = spare, corners, sunk, costs
         if costs[size] - costs[0] <= near:
             break
         middle = _mean(corners[:size])
-        away = middle - corners[size]
-        trial[:] = middle + away
+        _ahead(middle, -1.0, corners[size], away)
+        _ahead(middle, 1.0, away, trial)
         at_trial = cost(code, trial, data, weights, cut, place, out)
         asked += 1
-        if at_trial < costs[0]:
-            second[:] = middle + expand * away
-        elif at_trial < costs[size - 1]:
-            corners[size], costs[size] = trial, at_trial
+        if costs[0] <= at_trial < costs[size - 1]:
+            copy_into(trial, corners[size])
+            costs[size] = at_trial
             continue
-        else:
-            second[:] = middle + (contract if at_trial < costs[size] else -contract) * away
+        inwards = contract if at_trial < costs[size] else -contract
+        _ahead(middle, expand if at_trial < costs[0] else inwards, away, second)
         at_second = cost(code, second, data, weights, cut, place, out)
         asked += 1
         if at_second < min(at_trial, costs[size]):
-            corners[size], costs[size] = second, at_second
+            copy_into(second, corners[size])
+            costs[size] = at_second
         elif at_trial < costs[0]:
-            corners[size], costs[size] = trial, at_trial
+            copy_into(trial, corners[size])
+            costs[size] = at_trial
         else:
-            corners[1:] = corners[0] + shrink * (corners[1:] - corners[0])
+            for k in range(1, size + 1):
+                _ahead(corners[k], -1.0, corners[0], away)
+                _ahead(corners[0], shrink, away, corners[k])
             _fill_costs(code, corners, data, weights, cut, place, out, costs, 1)
             asked += size
-    best = np.argmin(costs)
-    return corners[best], costs[best], asked
+    _sort(corners, costs, spare, sunk)
+    return spare[0], sunk[0], asked
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _mean(corners: Array) -> Array:
     """(P,) the mean of points (N, P)."""
     middle = np.zeros(corners.shape[1])
     for k in range(len(corners)):
-        middle += corners[k] / len(corners)
+        for i in range(len(middle)):
+            middle[i] += corners[k, i] / len(corners)
     return middle
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sort(corners: Array, costs: Array, spare: Array, sunk: Array) -> None:
+    """Fill ``spare`` (N, P) and ``sunk`` (N,) with corners and costs, the least cost first."""
+    for k in range(len(costs)):
+        sunk[k] = -costs[k]
+    order = descending(sunk)
+    for k in range(len(costs)):
+        sunk[k] = costs[order[k]]
+        copy_into(corners[order[k]], spare[k])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _ahead(middle: Array, share: float, away: Array, out: Array) -> None:
+    """Fill ``out`` (P,), some shares of a way (P,) from a point (P,)."""
+    for i in range(len(middle)):
+        out[i] = middle[i] + share * away[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -169,7 +186,9 @@ def jacobian(code: int, p: Array, scales: Array, data: Data, place: Array, out: 
         step = 1e-4 * scales[j]
         moved[j] = p[j] + step
         residuals(code, moved, data, place, out)
-        slopes[:, :, j] = out
+        for k in range(len(out)):
+            for i in range(RESIDUALS):
+                slopes[k, i, j] = out[k, i]
         moved[j] = p[j] - step
         residuals(code, moved, data, place, out)
         for k in range(len(out)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from rendezview.estimation.linear_algebra import quantile
+from rendezview.estimation.linear_algebra import cholesky, copy_into, quantile, substitute
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.shapes import SPIRAL, basis, frame_of
@@ -102,11 +102,11 @@ def _scan_hops(
                 t = times[k]
                 rows[k, 0], rows[k, 1] = 1.0, t
                 rows[k, 2] = (1.0 - closing * t) * abs(np.sin(np.pi * (t - phase) / period))
-            own[:] = weights
+            copy_into(weights, own)
             cost = np.inf
             answer = np.empty((3, 3))
             for _ in range(rounds + 1):
-                answer[:] = _linear(rows, places, own)
+                _linear(rows, places, own, answer)
                 cost = 0.0
                 for k in range(len(times)):
                     distances[k] = 0.0
@@ -122,20 +122,25 @@ def _scan_hops(
                         own[k] = weights[k] / (1.0 + distances[k] / (_CUT_MEDIANS * cost)) ** 2
             if cost < least:
                 least = cost
-                best[0:3], best[3:6], best[6:9] = answer[0], answer[1], answer[2]
+                for i in range(3):
+                    copy_into(answer[i], best[3 * i :])
                 best[9], best[10] = period, phase
     return best
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _linear(rows: Array, places: Array, weights: Array) -> Array:
-    """(3, 3) weighted least squares of places (N, 3) in basis functions (N, 3)."""
+def _linear(rows: Array, places: Array, weights: Array, out: Array) -> None:
+    """Fill (3, 3), weighted least squares of places (N, 3) in basis functions (N, 3)."""
     matrix, right = np.zeros((3, 3)), np.zeros((3, 3))
     for k in range(len(rows)):
         for i in range(3):
             for j in range(3):
                 matrix[i, j] += weights[k] * rows[k, i] * rows[k, j]
-                right[i, j] += weights[k] * rows[k, i] * places[k, j]
+                right[j, i] += weights[k] * rows[k, i] * places[k, j]
     for i in range(3):
         matrix[i, i] *= 1.0 + 1e-9
-    return np.asarray(np.linalg.solve(matrix, right))
+    fits = cholesky(matrix, matrix)
+    for j in range(3):
+        substitute(matrix, right[j], right[j])
+        for i in range(3):
+            out[i, j] = right[j, i] if fits else np.nan

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from rendezview.cli.compiling import compile_ahead
+from rendezview.cli.compiling import compile_ahead, compile_beside
 from rendezview.errors import RendezviewError, optional
 
 if TYPE_CHECKING:
@@ -153,9 +153,10 @@ def serve(
         _be_gateway(loaded, bool(model or source), tell)
         return
     service = Service(loaded, model, source, speed)
-    compile_ahead("serve")
+    compile_ahead("track", "hard", "filter")
     set_up_logging(loaded.log_level)
-    with contextlib.ExitStack() as flights:
+    with contextlib.ExitStack() as flights, compile_beside("sensors") as beside:
+        service.workers.without_sensors = lambda: beside.is_busy
 
         def ready(address: str) -> None:
             tell(address)

@@ -245,6 +245,9 @@ class Service:
         try:
             await self.workers.warmed(stored)
             request = await asyncio.to_thread(self.defaults.filled, request, name, stored)
+            if request.sensors is not None:  # one that is known already waits as long as it takes
+                known = source is not None or resumed is not None
+                await self.workers.sensors_compiled(None if known else _START_WAIT_S)
             of = None if source is None else source.name
             about = self.settings, self.metrics, of, self.histories
             session = Session(name, stored, request, *about)

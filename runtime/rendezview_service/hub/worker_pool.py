@@ -24,6 +24,7 @@ COMPILING = "loops are being compiled, which takes minutes, once: /readyz report
 _MOST_PREPARED = 4  # recognizers, 90 MB each, that the spare worker has ready. Source: chosen
 _SPARE_PAUSE_S = 1.0  # s, in which moved sessions have the processor alone. Source: chosen
 _RESTART_PAUSE_S = 1.0  # s, between attempts to replace a worker. Source: chosen
+_LOOK_S = 0.2  # s; between questions whether loops are compiled. Source: chosen
 _WARM_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
 _STOP_S = 3.0  # s, for a process to end, then it is killed. Source: chosen
 
@@ -57,6 +58,8 @@ class WorkerPool:
         self._replacing: set[asyncio.Task[None]] = set()
         self._stopping = False
         self.progress = "the worker processes start"
+        # Whether the loops of sessions' own sensors are still being compiled.
+        self.without_sensors: Callable[[], bool] = lambda: False
 
     async def start(self, count: int, model: StoredModel | None) -> None:
         """Start ``count`` workers and warm them up with a model.
@@ -133,7 +136,7 @@ class WorkerPool:
     async def read(self, model: StoredModel) -> None:
         """Have all workers read a model, before a session uses it."""
         await self.warmed(model)
-        await self._ask_all(warm_request(model))
+        await self._ask_all(self._warm_request(model))
 
     async def _ask_all(self, request: Header) -> None:
         for worker in self._workers:
@@ -158,6 +161,22 @@ class WorkerPool:
         except TimeoutError:
             raise NotReady(COMPILING) from None
 
+    async def sensors_compiled(self, within_s: float | None) -> None:
+        """Wait until the loops of sessions' own sensors are compiled; None: for any time.
+
+        Raises:
+            NotReady: it takes longer.
+        """
+        try:
+            async with asyncio.timeout(within_s):
+                while self.without_sensors():
+                    await asyncio.sleep(_LOOK_S)
+        except TimeoutError:
+            raise NotReady(COMPILING) from None
+
+    def _warm_request(self, model: StoredModel) -> Header:
+        return warm_request(model, sensors=not self.without_sensors())
+
     def _new(self) -> WorkerHandle:
         worker = WorkerHandle(self._settings.frame_bytes, self._settings.frame_timeout_s)
         worker.on_gone = self._gone
@@ -177,7 +196,7 @@ class WorkerPool:
 
     async def _warm(self, worker: WorkerHandle, model: StoredModel) -> None:
         """Have a worker compile its loops; if it did, restart it to read them from the cache."""
-        request = warm_request(model)
+        request = self._warm_request(model)
         answer = await worker.ask(request)
         if answer["kind"] == "fault":
             raise RendezviewError(answer["error"])

@@ -152,7 +152,7 @@ def _target(known: FusionRequest) -> Target:
 
 
 def warm_up(camera: Camera, rng: np.random.Generator) -> None:
-    """Compile the loops of both sensors, or read them from their cache: see `tracking.warm_up`."""
+    """Compile the loops of both sensors, or read them from their cache: see `warming.warm_up`."""
     rings = RingSensor(camera, 0.5, circles=((0.0, 0.4), (-0.1, 0.7)))
     lights = [ReflectorSensor(camera, patterns_of(_target(_LIGHTS))) for _ in range(2)]
     radius_px = camera.fx / 4.0  # of a ring of 0.5 m at 2 m

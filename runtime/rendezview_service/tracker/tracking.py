@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba.core.event import Event, Listener, install_listener
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -20,7 +18,6 @@ from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tra
 from rendezview.sensors.appearance.edges.contour_at import contour_pixels
 from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
 from rendezview.sensors.appearance.region import Region
-from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 from rendezview_service.messages.message_parts import MOST_TIME_S, PoseMessage
 from rendezview_service.messages.messages import (
@@ -33,11 +30,8 @@ from rendezview_service.messages.messages import (
 )
 from rendezview_service.tracker.approach import ApproachMonitor
 from rendezview_service.tracker.frame_sensors import FrameSensors
-from rendezview_service.tracker.frame_sensors import warm_up as warm_up_sensors
 from rendezview_service.tracker.session_filter import SessionFilter
-from rendezview_service.tracker.session_filter import warm_up as warm_up_filter
 from rendezview_service.tracker.session_path import SessionPath, trajectory_of
-from rendezview_service.tracker.session_path import warm_up as warm_up_path
 
 # A `State` as a dict. It is not validated, because it is made here for every frame.
 StateDict = dict[str, Any]
@@ -279,57 +273,6 @@ def _motion(fused: StateDict) -> tuple[StateDict, npt.NDArray[np.float64] | None
         motion["covariance"] = covariance[:6, :6].tolist()
         motion["angular_sigma_rad_s"], motion["linear_sigma_m_s"] = sigma[6:9], sigma[9:]
     return motion, covariance
-
-
-class _Counted(Listener):
-    """Counts the loops that are compiled."""
-
-    def __init__(self, tell: Callable[[int], None]) -> None:
-        self.count = 0
-        self._tell = tell
-
-    def on_start(self, event: Event) -> None:
-        """A loop is being compiled."""
-
-    def on_end(self, event: Event) -> None:
-        """A loop is compiled."""
-        self.count += 1
-        self._tell(self.count)
-
-
-def warm_up(model: ViewModel, tell: Callable[[int], None] = lambda count: None) -> int:
-    """Compile all loops, or read them from their cache, before the first frame.
-
-    A blob before a noisy sky, dark (without a prior) and bright (with one), runs all loops, always
-    in the same order. The order matters: it decides which compiled copy of a shared loop a process
-    uses, and copies that were compiled separately may round differently. For the same reason,
-    restart a process that had to compile before you record its poses.
-
-    Args:
-        tell: receives the number of loops compiled so far, after each.
-
-    Returns:
-        number of loops that were compiled rather than read from the cache.
-    """
-    camera = Camera.from_fov(320, 240, np.deg2rad(40.0))
-    rng = np.random.default_rng(0)
-    ahead = np.array([0.0, 0.0, 3.0 * model.sphere_radius_m])
-    prior = Pose(np.eye(3), ahead - model.centre_m)
-    recognizer = Recognizer(model, camera)
-    counted = _Counted(tell)
-    with install_listener("numba:compile", counted):
-        for sky_grey in (0, 100):
-            noise = rng.integers(sky_grey, sky_grey + 12, size=(240, 320), dtype=np.uint8)
-            image = noise.copy()
-            image[70:170, 110:220] = rng.integers(170, 250, size=(100, 110), dtype=np.uint8)
-            recognizer.recognize(image, None if sky_grey == 0 else prior)
-            if recognizer.search is not None:
-                recognizer.search.at(image, Sky.of(image), prior, np.pi)
-        contour_at(model, camera, prior)
-        warm_up_filter()
-        warm_up_sensors(camera, rng)
-        warm_up_path(rng)
-    return counted.count
 
 
 def shown_pose(state: StateDict) -> tuple[PoseMessage | None, bool]:

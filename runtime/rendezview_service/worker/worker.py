@@ -121,6 +121,8 @@ class WorkerProcess:
                 self._send({"kind": "opened", "session": request["session"], **self._open(request)})
             elif request["kind"] == "warm":
                 self._models.model(Path(request["model_path"]))
+                if request["sensors"]:
+                    self._models.warm_sensors()
                 self._send({"kind": "opened", "session": "", "compiled": self._models.compiled})
             elif request["kind"] == "prepare":
                 self._models.prepare([Sight.of(one) for one in request["sights"]])
@@ -157,6 +159,8 @@ class WorkerProcess:
 
     def _opened(self, request: Header, asked: SessionRequest, sight: Sight) -> _WorkerSession:
         model = self._models.model(sight.model)
+        if asked.sensors is not None:
+            self._models.warm_sensors()
         tracker = SessionTracker(
             request["session"],
             model,

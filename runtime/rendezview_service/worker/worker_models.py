@@ -11,7 +11,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview_service.messages.messages import CameraMessage
 from rendezview_service.messages.wire import Header
-from rendezview_service.tracker.tracking import camera_of, warm_up
+from rendezview_service.tracker.tracking import camera_of
+from rendezview_service.tracker.warming import warm_up, warm_up_sensors
 
 _SPARE_MODELS = 2  # that stay in memory without a session. Source: chosen
 
@@ -49,6 +50,7 @@ class WorkerModels:
         self._models: dict[Path, ViewModel] = {}
         self._recognizers: dict[Sight, Recognizer] = {}
         self._prepared: list[Sight] = []
+        self._reads_sensors = False  # their loops are compiled
 
     def model(self, path: Path) -> ViewModel:
         """A model, read once, with its loops compiled; the file is named by its content."""
@@ -60,6 +62,12 @@ class WorkerModels:
             self.compiled += warm_up(self._models[path], self._tell)
             _give_back()
         return self._models[path]
+
+    def warm_sensors(self) -> None:
+        """Compile the loops of the sensors of a session, or read them, once."""
+        if not self._reads_sensors:
+            self._reads_sensors = True
+            self.compiled += warm_up_sensors(self._tell)
 
     def recognizer(self, sight: Sight) -> Recognizer:
         """The recognizer of a model and a camera."""

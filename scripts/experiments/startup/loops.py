@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import subprocess
@@ -18,7 +19,7 @@ import rendezview as rv
 from experiments.frame import ROOT, mesh_of
 from experiments.stereo.accuracy import leds_of, spots_of
 from rendezview.calibration.laboratory import calibrate_laboratory
-from rendezview.cli.compiling import recorded
+from rendezview.cli.compiling import COMMANDS, recorded
 from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.appearance.following import follow, result_row
 from rendezview.sensors.beacons import MotionOptions, SixNumbers, TrackerOptions, pose_of
@@ -32,7 +33,7 @@ from rendezview_ground.simulate.ranger import Ranger, write_echoes
 from rendezview_ground.simulate.reflector_scene import simulate_reflectors, without_mesh
 from rendezview_ground.simulate.scene import SceneOptions
 from rendezview_ground.simulate.trajectories import TrajectoryOptions, trajectory
-from rendezview_service.tracker.tracking import warm_up
+from rendezview_service.tracker.warming import warm_up, warm_up_sensors
 
 # Few nodes, but views enough that lists of shown faces are made. Source: by construction
 _SMALL = rv.TrainingOptions(order=1, perturbed_views=6000, held_out_views=100, contour_radii=(1.0,))
@@ -40,6 +41,17 @@ LIST = ROOT / "runtime/rendezview/cli/loops.json"
 
 
 def track(model: Path, scene: Path) -> list[dict[str, Any]]:
+    """The loops of a first pose, and of the frame after it."""
+    loaded, sequence = rv.ViewModel.load(model), rv.open_sequence(scene)
+
+    def work() -> None:
+        for frame, observation in itertools.islice(follow(loaded, sequence), 2):
+            result_row(sequence.scene_id, frame, observation)
+
+    return recorded(work)
+
+
+def hard(model: Path, scene: Path) -> list[dict[str, Any]]:
     """The loops of ``rendezview track``, without a prior and with one."""
     loaded, sequence = rv.ViewModel.load(model), rv.open_sequence(scene)
 
@@ -133,8 +145,10 @@ def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
 
 
 GROUPS: dict[str, Callable[[Path, Path], list[dict[str, Any]]]] = {
-    "track": track, "train": train, "demo": demo, "reflectors": reflectors, "stereo": stereo,
-    "serve": lambda model, _: recorded(partial(warm_up, rv.ViewModel.load(model))),
+    "train": train, "track": track, "hard": hard, "demo": demo, "reflectors": reflectors,
+    "stereo": stereo,
+    "filter": lambda model, _: recorded(partial(warm_up, rv.ViewModel.load(model))),
+    "sensors": lambda *_: recorded(warm_up_sensors),
 }  # fmt: skip
 
 
@@ -144,13 +158,16 @@ def run(
     """Write the list of the loops that commands compile, with the seconds that each takes.
 
     MODEL is tracked through SCENE in a process with an empty cache, and so is a small training.
-    Easy frames and hard ones, models with a forest and without, need different loops: --add.
+    Two frames of it, which should be easy, give what a first pose needs. Easy frames and hard
+    ones, models with a forest and without, need different loops: --add.
     """
     found = json.loads(LIST.read_text()) if LIST.exists() else {}
     for name in GROUPS:
         known = found.get(name, []) if add else []
-        new = [e for e in _called(name, model, scene) if _key(e) not in map(_key, known)]
-        found[name] = known + new
+        before = [set(of[: of.index(name)]) for of in COMMANDS.values() if name in of]
+        earlier = set.intersection(*before)  # for every command that calls this group
+        listed = {_key(e) for group in earlier for e in found[group]} | set(map(_key, known))
+        found[name] = known + [e for e in _called(name, model, scene) if _key(e) not in listed]
         seconds = sum(entry["seconds"] for entry in found[name])
         print(f"{name}: {len(found[name])} loops, {seconds:.0f} s")
     groups = [

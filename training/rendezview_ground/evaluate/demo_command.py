@@ -89,9 +89,9 @@ def demo(
     mesh = load_mesh(target.mesh_path, target.unit)
     make_folder(output)
     model_path = output / f"{target.name}.rvm"
-    compile_ahead("train", "track")
+    compile_ahead("train")
     tell_of_compiling()
-    with compile_beside("demo") as compiled, ProgressBar() as progress:
+    with compile_beside("track", "hard", "demo") as compiled, ProgressBar() as progress:
         console.print(f"1. Training {target.name} on {len(mesh.faces)} triangles …")
         trained = train(
             mesh,
@@ -130,7 +130,7 @@ def demo(
         sequence = open_sequence(output / "scene")
         observations: list[AppearanceObservation] = []
         tracked = _track(model, sequence, output, observations, progress)
-        compiled()
+        compiled.wait()
         console.print("4. Finding the ring, and fusing camera, ring and laser ranger …")
         contact = fuse_to_contact(
             sequence.frames[last:],

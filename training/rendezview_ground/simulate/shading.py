@@ -150,14 +150,16 @@ def _render_pinhole(
             vertices, faces, sun, (nearness, owner), (fx, fy, cx, cy), sun_cosine,
             options.shadow_texels_max,
         )  # fmt: skip
+    buffers = (picture.radiance, picture.coverage, picture.depth_m)
+    window = np.s_[top:bottom, left:right]
+    drawn = [np.ascontiguousarray(buffer[window]) for buffer in buffers]
     shade_samples(
         nearness, owner, n, fx, fy, cx, cy, normals, albedo * sun_cosine, sun_cosine,
         albedo * glow, options.specular, options.shininess, sun,
-        shadow.nearness, shadow.owner, shadow.axes, shadow.origin_m, shadow.texel_m,
-        picture.radiance[top:bottom, left:right],
-        picture.coverage[top:bottom, left:right],
-        picture.depth_m[top:bottom, left:right],
+        shadow.nearness, shadow.owner, shadow.axes, shadow.origin_m, shadow.texel_m, *drawn,
     )  # fmt: skip
+    for buffer, part in zip(buffers, drawn, strict=True):
+        buffer[window] = part
     return picture
 
 

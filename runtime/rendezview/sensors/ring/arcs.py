@@ -78,7 +78,7 @@ def find_arcs(points: Array, starts: Ints, closed: Bools) -> Array:
     count = 0
     corner = np.empty(total + 1, dtype=np.int64)
     for c in range(starts.shape[0] - 1):
-        first, last = starts[c], starts[c + 1] - 1
+        first, last = int(np.int64(starts[c])), int(np.int64(starts[c + 1])) - 1  # not int32
         if last - first < 10:
             continue
         middle = (first + last) // 2

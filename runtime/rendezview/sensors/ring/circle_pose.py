@@ -150,9 +150,11 @@ def circles_of_picture(
     cone[0, 2], cone[1, 2] = -(m00 * x + m01 * y), -(m01 * x + m11 * y)
     cone[2, 2] = m00 * x * x + 2.0 * m01 * x * y + m11 * y * y - 1.0
     cone[1, 0], cone[2, 0], cone[2, 1] = cone[0, 1], cone[0, 2], cone[1, 2]
-    cone /= m00 + m11
-    if not np.all(np.isfinite(cone)):
-        return 0
+    for i in range(3):
+        for j in range(3):
+            cone[i, j] /= m00 + m11
+            if not math.isfinite(cone[i, j]):
+                return 0
     values, vectors = np.linalg.eigh(cone)
     low, middle, high = values[0], values[1], values[2]
     if not (low < 0.0 < middle):
@@ -161,21 +163,20 @@ def circles_of_picture(
     last = np.sqrt((middle - low) / (high - low))
     distance = middle * radius / np.sqrt(-low * high)
     for k in range(2):
-        sign = 1.0 - 2.0 * k
-        normal = sign * first * vectors[:, 2] + last * vectors[:, 0]
+        sign, centre, normal = 1.0 - 2.0 * k, centres[k], axes[k]
+        for i in range(3):
+            normal[i] = sign * first * vectors[i, 2] + last * vectors[i, 0]
+            centre[i] = 0.0
         # The centre is the pole of the plane's vanishing line: cone⁻¹ n.
-        centre = np.zeros(3)
         for e in range(3):
             dot = normal[0] * vectors[0, e] + normal[1] * vectors[1, e] + normal[2] * vectors[2, e]
             for i in range(3):
                 centre[i] += vectors[i, e] * dot / values[e]
-        if centre[2] < 0.0:
-            centre = -centre
+        ahead = -1.0 if centre[2] < 0.0 else 1.0
         along = normal[0] * centre[0] + normal[1] * centre[1] + normal[2] * centre[2]
-        if along > 0.0:
-            normal = -normal
-        centres[k] = centre * (distance / abs(along))
-        axes[k] = normal
+        for i in range(3):
+            centre[i] *= ahead * distance / abs(along)
+            normal[i] *= -1.0 if ahead * along > 0.0 else 1.0
     return 1 if first < 1e-9 else 2
 
 

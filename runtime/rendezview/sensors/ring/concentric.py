@@ -13,7 +13,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.least_squares import damped_step
-from rendezview.estimation.linear_algebra import invert
+from rendezview.estimation.linear_algebra import copy_into, invert
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.circle_pose import (
@@ -89,16 +89,30 @@ def _predict(
     count: int, out: Array,
 ) -> bool:  # fmt: skip
     """Shapes (count, 5) of all edges; parameters are steps of the pose, then ratio and height."""
-    c = centre + parameters[:3] * radius
-    n = axis + basis[:, 0] * parameters[3] + basis[:, 1] * parameters[4]
-    n /= np.sqrt(n @ n)
+    c, n, at = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        c[i] = centre[i] + parameters[i] * radius
+    _turned(axis, basis, parameters, n)
     for k in range(count):
         ratio, height = 1.0, 0.0
         if k > 0:
             ratio, height = parameters[3 + 2 * k], parameters[4 + 2 * k]
-        if not picture_of_circle(camera, c + n * (height * radius), n, radius * ratio, out[k]):
+        for i in range(3):
+            at[i] = c[i] + n[i] * (height * radius)
+        if not picture_of_circle(camera, at, n, radius * ratio, out[k]):
             return False
     return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _turned(axis: Array, basis: Array, parameters: Array, out: Array) -> None:
+    """Fill ``out`` (3,), the axis after the steps that parameters 3 and 4 are."""
+    square = 0.0
+    for i in range(3):
+        out[i] = axis[i] + basis[i, 0] * parameters[3] + basis[i, 1] * parameters[4]
+        square += out[i] * out[i]
+    for i in range(3):
+        out[i] /= np.sqrt(square)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -123,11 +137,12 @@ def _fit(
             damping *= 20.0
             if damping > 1e8 or chi2 > 1e299:
                 return -1.0
-            p = 0.5 * (p + previous)
+            for i in range(size):
+                p[i] = 0.5 * (p[i] + previous[i])
             continue
         converged = chi2 - now < _LEAST_GAIN
         chi2 = now
-        previous = p.copy()
+        copy_into(p, previous)
         damping = max(damping * 0.1, 1e-12)
         if not _equations(
             camera, shapes, here, information, radius, plane_share, centre, axis, basis, p,
@@ -138,7 +153,8 @@ def _fit(
             break
         if not damped_step(normal, right, damping, lower, step):
             return -1.0
-        p = p + step
+        for i in range(size):
+            p[i] += step[i]
     inverse = np.empty((size, size))
     if not invert(normal, lower, inverse):
         return -1.0
@@ -146,9 +162,9 @@ def _fit(
         for j in range(5):
             scale = (radius if i < 3 else 1.0) * (radius if j < 3 else 1.0)
             covariance[i, j] = inverse[i, j] * scale
-    centre += previous[:3] * radius
-    rotated = axis + basis[:, 0] * previous[3] + basis[:, 1] * previous[4]
-    axis[:] = rotated / np.sqrt(rotated @ rotated)
+    for i in range(3):
+        centre[i] += previous[i] * radius
+    _turned(axis, basis, previous, axis)
     return chi2
 
 
@@ -159,8 +175,10 @@ def _misfit(
     """χ² of the shapes and of the edges' heights over the plane."""
     total = 0.0
     for k in range(shapes.shape[0]):
-        r = shapes[k] - predicted[k]
-        total += r @ information[k] @ r
+        for i in range(5):
+            for j in range(5):
+                off = shapes[k, i] - predicted[k, i]
+                total += off * information[k, i, j] * (shapes[k, j] - predicted[k, j])
         if k > 0:
             total += (p[4 + 2 * k] / plane_share) ** 2
     return total
@@ -175,22 +193,28 @@ def _equations(
     """Normal equations at the parameters ``p``; False where a slope cannot be formed."""
     count, size = shapes.shape[0], p.shape[0]
     there, slopes = np.empty((count, 5)), np.empty((size, count, 5))
+    moved, weighted = p.copy(), np.empty(5)
     for i in range(size):
-        moved = p.copy()
-        moved[i] += _SLOPE_STEP
+        moved[i] = p[i] + _SLOPE_STEP
         if not _predict(camera, centre, axis, basis, radius, moved, count, there):
             return False
-        slopes[i] = (there - here) / _SLOPE_STEP
+        moved[i] = p[i]
+        for k in range(count):
+            for e in range(5):
+                slopes[i, k, e] = (there[k, e] - here[k, e]) / _SLOPE_STEP
     normal[:] = 0.0
     normal[3, 3] = normal[4, 4] = 1.0  # a turn of the axis by one radian is the prior's σ
     right[:] = 0.0
     for k in range(count):
-        r = information[k] @ (shapes[k] - here[k])
         for i in range(size):
-            right[i] += slopes[i, k] @ r
-            weighted = information[k] @ slopes[i, k]
+            for e in range(5):
+                weighted[e] = 0.0
+                for o in range(5):
+                    weighted[e] += information[k, e, o] * slopes[i, k, o]
+                right[i] += weighted[e] * (shapes[k, e] - here[k, e])
             for j in range(size):
-                normal[i, j] += slopes[j, k] @ weighted
+                for e in range(5):
+                    normal[i, j] += slopes[j, k, e] * weighted[e]
         if k > 0:
             normal[4 + 2 * k, 4 + 2 * k] += 1.0 / plane_share**2
             right[4 + 2 * k] -= p[4 + 2 * k] / plane_share**2

@@ -119,7 +119,7 @@ def _crests(
     found = np.empty((room, 5))
     place = np.empty((room, 2), dtype=np.int32)
     square = np.float32(low * low)
-    total = 0
+    total = int(np.int64(0))  # as a literal, numba would compile a copy for it
     for below in range(2, height - 2):
         _powers(dx[below], dy[below], power[below])
         row = below - 1

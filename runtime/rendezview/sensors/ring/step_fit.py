@@ -48,7 +48,7 @@ def fit_steps(
     samples = np.zeros((2 * _MOST_SAMPLES, COLUMNS))
     others = np.empty((total, 5))
     both, both_covariances, both_facts = np.empty((2, 5)), np.empty((2, 5, 5)), np.empty((2, 4))
-    count, pair = 0, 0
+    count, pair = int(np.int64(0)), 0  # as a literal, numba would compile a copy for it
     for k in range(total):
         shape = current[k].copy()
         beside = _neighbours(current, k, others)

@@ -40,14 +40,14 @@ def verify(
     count = 0
     samples = np.zeros((_SUPPORT_SAMPLES, COLUMNS))
     normal = np.empty((5, 5))
-    n = _SUPPORT_SAMPLES
+    n = len(samples)
     for k in range(rough.shape[0]):
         shape = shape_of_axes(rough[k])
         good = True
         twin = False
         for step in range(4):
             band = 4.0 if step == 0 else (3.0 if step == 1 else 2.0)
-            n = _SUPPORT_SAMPLES // 2
+            n = len(samples) // 2
             found = sample_gradients(dx, dy, low, lens, shape, n, band, samples)
             if found * 2.0 * np.pi / n < 0.7 * least_arc:
                 good = False
@@ -70,7 +70,7 @@ def verify(
                 break
         if not good or twin:
             continue
-        n = _SUPPORT_SAMPLES
+        n = len(samples)
         sample_gradients(dx, dy, low, lens, shape, n, 1.5, samples)
         one_sense(samples, n)
         found, longest = _runs(samples, n)
@@ -94,8 +94,8 @@ def _exclusive(
     dx: Gradient, dy: Gradient, low: float, lens: Array, shapes: Array, least_arc: float
 ) -> Array:
     """Shapes (M, 5), best first, less those that live on the edges of better ones."""
-    n = _SUPPORT_SAMPLES
-    samples = np.zeros((n, COLUMNS))
+    samples = np.zeros((_SUPPORT_SAMPLES, COLUMNS))
+    n = len(samples)
     kept = np.empty_like(shapes)
     count = 0
     for k in range(shapes.shape[0]):

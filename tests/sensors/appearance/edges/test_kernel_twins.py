@@ -16,7 +16,7 @@ from rendezview.sensors.appearance.edges.grey import (
     strongest_edge,
     unfitted_weight,
 )
-from rendezview.sensors.appearance.edges.lighting import facing_normals, light_strengths
+from rendezview.sensors.appearance.edges.lighting import ROUNDS, facing_normals, light_strengths
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     FOUND,
@@ -275,7 +275,7 @@ def test_the_light_is_that_of_reweighted_least_squares():
     levels = 180.0 * lit + 20.0 * albedo + rng.normal(0.0, 6.0, 200)
     levels[:30] = 0.0
     strengths = np.empty(2)
-    cost = light_strengths(levels, lit, albedo, 15.0, strengths)
+    cost = light_strengths(levels, lit, albedo, 15.0, strengths, ROUNDS)
     x = np.stack([lit, albedo], axis=1)
     weight, fitted = np.maximum(levels, 0.0), np.zeros(2)
     for _ in range(3):

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.lens import lens_vector
-from rendezview.sensors.appearance.edges.lighting import light_strengths
+from rendezview.sensors.appearance.edges.lighting import ROUNDS, light_strengths
 from rendezview.sensors.appearance.judge.shading import (
     SurfaceTables,
     _correlations,
@@ -174,7 +174,7 @@ def test_shading_is_the_correlation_under_the_best_sun_of_three_levels(dark, kno
             possible &= suns @ middle >= near
         for s in np.flatnonzero(possible[:count]):
             lit = body.brightness(of, normals, int(s), suns[s])
-            cost = light_strengths(some, lit, albedo, 0.4 * bright_level + 2.0, strengths)
+            cost = light_strengths(some, lit, albedo, 0.4 * bright_level + 2.0, strengths, ROUNDS)
             if cost < best:
                 best, node, light = cost, int(s), strengths.copy()
     bright = light[0] * body.brightness(which, facing, node, suns[node])

@@ -237,7 +237,8 @@ def _misfit(
     sunlit, albedo = np.empty(len(levels)), np.empty(len(levels))
     for i in range(len(levels)):
         sunlit[i], albedo[i] = facing[which[i]], palette[which[i], 3]
-    return light_strengths(levels, sunlit, albedo, tolerance, strengths)
+    rounds = int(np.int64(ROUNDS))  # as a literal, numba would compile a copy for it
+    return light_strengths(levels, sunlit, albedo, tolerance, strengths, rounds)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
@@ -247,7 +248,7 @@ def light_strengths(
     albedo: Array,
     tolerance: float,
     strengths: Array,
-    rounds: int = ROUNDS,
+    rounds: int,
 ) -> float:
     """Robust misfit of the best strengths (2,) of one Sun and of the light all around.
 

@@ -25,6 +25,7 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.lighting import (
     BEHIND,
     BRIGHT_PERCENTILE,
+    ROUNDS,
     light_strengths,
 )
 from rendezview.sensors.appearance.model.contours import DIRECTION_UNIT, POINT_UNIT
@@ -158,7 +159,7 @@ def shading(
     away = centre / np.sqrt(_dot(centre, centre))
     strengths, chosen = np.empty(2), np.zeros(2)
     tried, best = np.empty(3), np.inf
-    node = int(np.int64(-1))  # as a literal, numba would compile a copy for it
+    node, rounds = int(np.int64(-1)), int(np.int64(ROUNDS))  # literals: numba would compile copies
     known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
     for nodes, near in _SUN_LEVELS:
         middle = sun.copy()
@@ -172,7 +173,7 @@ def shading(
                 continue
             for k in range(count):
                 sunlit[k] = _brightness(surface, s, which[k * every], facing[k * every], tried)
-            cost = light_strengths(some, sunlit, albedo, tolerance, strengths)
+            cost = light_strengths(some, sunlit, albedo, tolerance, strengths, rounds)
             if cost < best:
                 best, node = cost, s
                 copy_into(tried, sun)
