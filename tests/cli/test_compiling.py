@@ -124,22 +124,28 @@ def test_a_share_begins_with_what_is_short_and_holds_all_versions_of_a_loop():
     assert [(e["loop"], e["seconds"]) for e in second] == [("c", 1.0), ("a", 3.0), ("a", 5.0)]
 
 
-def test_processes_that_save_versions_of_one_loop_at_once_lose_none(tmp_path):
-    (tmp_path / "raced.py").write_text(
-        "from numba import njit\n\n@njit(cache=True)\ndef twice(x):\n    return 2 * x\n"
-    )
+@pytest.fixture
+def small_loops(tmp_path) -> dict[str, str]:
+    """An environment where a module ``small`` has two loops, and nothing is compiled."""
+    loop = "@njit(cache=True)\ndef {}(x):\n    return {} * x\n\n"
+    text = "from numba import njit\n\n" + loop.format("twice", 2) + loop.format("thrice", 3)
+    (tmp_path / "small.py").write_text(text)
+    places = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    return os.environ | {"PYTHONPATH": places, "NUMBA_CACHE_DIR": str(tmp_path / "c")}
+
+
+def test_processes_that_save_versions_of_one_loop_at_once_lose_none(tmp_path, small_loops):
     kinds = ["int32", "int64", "float32", "float64", "uint8", "uint16"]
-    environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "c")}
     workers = [
         subprocess.Popen(
             [sys.executable, "-m", "rendezview.cli.compiling",
-             json.dumps([{"loop": "raced:twice", "arguments": [kind]} for kind in some])],
-            env=environment,
+             json.dumps([{"loop": "small:twice", "arguments": [kind]} for kind in some])],
+            env=small_loops,
         )
         for some in (kinds[::2], kinds[1::2])
     ]  # fmt: skip
     assert [worker.wait(MOST_S) for worker in workers] == [0, 0]
-    (index,) = (tmp_path / "c").rglob("raced.twice*.nbi")
+    (index,) = (tmp_path / "c").rglob("small.twice*.nbi")
     with index.open("rb") as file:
         pickle.load(file)
         _, versions = pickle.loads(file.read())
@@ -230,15 +236,15 @@ def test_a_loop_that_is_compiled_unexpectedly_is_announced_once():
     assert [entry["arguments"] for entry in entries] == [["int64"]]
 
 
-def test_loops_are_compiled_beside_the_work_and_waited_for(tmp_path):
-    """Of an empty cache, in a process of its own: loops of other modules wait in the cache."""
+def test_loops_are_compiled_beside_the_work_and_waited_for(small_loops):
+    """In a process of its own, which compiles none of them."""
     program = """
 from rendezview.cli import compiling
 spoken = []
 compiling.say = spoken.append
-few = [e for e in compiling.load_loops("demo") if e["seconds"] > 0.0][-3:]  # the shortest
+names = ("small:twice", "small:thrice")
+few = [{"loop": name, "arguments": ["int64"], "seconds": 4.0} for name in names]
 compiling.load_loops = lambda group: few
-compiling._LEAST_S = 0.0
 loops = [compiling._named(entry["loop"]) for entry in few]
 assert not any(compiling._is_cached(loop) for loop in loops)
 with compiling.compile_beside("demo") as ready:
@@ -251,8 +257,7 @@ with compiling.compile_beside("demo") as ready:
     ready()
 assert len(spoken) == 1, spoken
 """
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", program], env=environment, check=True, timeout=MOST_S)
+    subprocess.run([sys.executable, "-c", program], env=small_loops, check=True, timeout=MOST_S)
 
 
 def test_what_is_compiled_beside_ends_with_the_work(monkeypatch):

@@ -112,6 +112,19 @@ def test_help_has_an_example_in_one_line_that_names_real_options(run, command: s
         assert option in ran.out.split("Options:")[1]
 
 
+def test_a_command_of_another_package_joins_the_help_and_runs(run, monkeypatch, tmp_path):
+    (tmp_path / "greeting.py").write_text(
+        "def greet(name: str) -> None:\n    print('hello', name)\n"
+    )
+    package = tmp_path / "greeting-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: greeting\nVersion: 1.0\n")
+    (package / "entry_points.txt").write_text("[rendezview.commands]\ngreet = greeting:greet\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert run("greet", "you").out == "hello you\n"
+    assert "greet       A command of greeting." in run("--help").out
+
+
 def test_the_help_has_every_command_on_a_line_that_is_not_cut(run):
     commands = run("-h").out.split("Commands:")[1]
     assert set(main._SUMMARIES) <= set(commands.split())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -10,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.waiting import MOST_S
+import pytest
 
+from rendezview.cli.main import main
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_json_lines
 from rendezview_service.client import pose_of_state
@@ -30,12 +30,13 @@ class Outcome:
 
 
 def command(folder: Path, *words: object) -> None:
-    start = [sys.executable, "-m", "rendezview"]
-    done = subprocess.run(
-        [*start, *map(str, words)], cwd=folder, capture_output=True, text=True, timeout=MOST_S
-    )
-    if done.returncode:
-        raise SystemExit(f"{words[0]}: {done.stderr}")
+    """Run a command in this process, in a folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr(sys, "argv", ["rendezview", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert not ended.value.code, words
 
 
 def by_commands(folder: Path, model: Path) -> Outcome:

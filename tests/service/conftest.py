@@ -7,6 +7,7 @@ import os
 import re
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ from scipy.spatial.transform import Rotation
 from tests.made_once import made_once
 from tests.service import approach, page_feed
 from tests.service.browser import Stepwise
+from tests.service.ros_node import node
 from tests.service.served import Served
-from tests.waiting import MOST_S
+from tests.waiting import MOST_S, free_port
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -72,13 +74,45 @@ def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 @pytest.fixture(scope="session")
-def service(start_service: Serve, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+def models_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of the shared service: models that are sent, and those of its trainings."""
+    return tmp_path_factory.mktemp("models")
+
+
+@pytest.fixture(scope="session")
+def service(
+    start_service: Serve, models_folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Served]:
     """The one that most tests share: it records into ``folder`` of its own."""
     logs = tmp_path_factory.mktemp("logs")
-    served = start_service("--record", str(logs), RENDEZVIEW_SERVE_SESSIONS="6")
+    served = start_service(
+        *("--record", str(logs), "--models", str(models_folder)), RENDEZVIEW_SERVE_SESSIONS="6"
+    )
     served.folder = logs
     yield served
     served.stop()
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A service with all live streams: its ports, and what a ROS node has received."""
+
+    served: Served
+    foxglove: int
+    rerun: int
+    received: list[Any]
+
+
+@pytest.fixture(scope="session")
+def watched(start_service: Serve) -> Iterator[Watched]:
+    for package in ("foxglove", "rerun", "zenoh"):
+        pytest.importorskip(package)
+    ports, endpoint = (free_port(), free_port()), f"tcp/127.0.0.1:{free_port()}"
+    with node(endpoint) as received:
+        flags = ("--foxglove", str(ports[0]), "--rerun", str(ports[1]), "--ros", endpoint)
+        served = start_service(*flags)
+        yield Watched(served, *ports, received)
+        served.stop()
 
 
 @pytest.fixture

@@ -92,7 +92,7 @@ _STEP_S = 5.0  # between frames of the tour of a `Sender`: a slow turn
 class Feed:
     """Frames of a tour to and fro, at some a second, until it is told otherwise."""
 
-    def __init__(self, session: SessionClient, images: list[np.ndarray], rate_hz: float = 20.0):
+    def __init__(self, session: SessionClient, images: list[np.ndarray], rate_hz: float = 10.0):
         self.images = images
         self.step_s = 0.1  # of the frames' own time
         self._done = threading.Event()

@@ -16,7 +16,7 @@ import httpx
 import numpy as np
 import pytest
 import yaml
-from tests.waiting import MOST_S
+from tests.waiting import MOST_S, wait_until
 
 from rendezview.cli.main import main
 from rendezview.errors import RendezviewError
@@ -101,13 +101,13 @@ def test_without_a_folder_for_compiled_loops_it_names_the_variable(monkeypatch) 
         check._cache()
 
 
-def test_a_service_that_runs_is_asked(look, start_service) -> None:
-    served = start_service(given=False)
-    port = served.url.rstrip("/").rpartition(":")[2]
+def test_a_service_that_runs_is_asked(look, service, client) -> None:
+    port = service.url.rstrip("/").rpartition(":")[2]
+    wait_until(lambda: client.request("GET", "/healthz")["status"] == "ok")
     code, found, _ = look("--port", port)
     assert code == 0
-    assert found[f"port 127.0.0.1:{port}"] == "a service answers, with 0 sessions"
-    served.stop()
+    count = len(client.sessions())
+    assert found[f"port 127.0.0.1:{port}"] == f"a service answers, with {count} sessions"
 
 
 def test_alert_rules_ask_for_metrics_that_exist(service, client, camera, tour) -> None:

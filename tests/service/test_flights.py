@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import struct
 import threading
 import time
@@ -14,8 +15,7 @@ import numpy as np
 import pytest
 from tests.ground.fly.test_rendered import PLAN
 from tests.service.page_feed import text_has, until
-from tests.service.test_ros_viewer import node
-from tests.waiting import MOST_S, free_port, wait_until
+from tests.waiting import MOST_S, wait_until
 from websockets.sync.client import connect
 
 from rendezview.errors import RendezviewError
@@ -155,39 +155,40 @@ def test_the_state_of_the_service_is_near_the_truth_and_a_refused_reading_is_los
         assert estimator.update(truth.time_s, []).estimate.pose is None  # nothing came back
 
 
-def test_foxglove_and_ros_see_the_fused_states_and_the_orders_of_a_flight(start_service, setup):
-    pytest.importorskip("zenoh")
-    pytest.importorskip("foxglove")
-    port, endpoint = free_port(), f"tcp/127.0.0.1:{free_port()}"
+def test_foxglove_and_ros_see_the_fused_states_and_the_orders_of_a_flight(watched, setup):
     sensors, dynamics = LiveSensors(setup, 0), OrbitDynamics(setup.plan, setup.port, 0)
     guidance, fused, seen, channels = Guidance(setup.plan, setup.port), {}, {}, {}
-    with node(endpoint) as received:
-        served = start_service("--foxglove", str(port), "--ros", endpoint)
-        with (
-            served.client() as client,
-            connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"]) as viewer,
-            ServiceEstimator(client, sensors, guidance, speed=0.0) as estimator,
-        ):
-            truth, known = dynamics.start(), None
-            for k in range(60):
-                known = estimator.update(truth.time_s, sensors.read(truth, known))
-                if known.estimate.pose is not None:
-                    fused[round(1e3 * truth.time_s)] = known.estimate.pose.translation_m
-                truth = dynamics.step(truth, guidance.command(known))
-                name = estimator.session.name
-                if k == 30:
-                    _order(client, name, do="hold")
-                _listen(viewer, seen, channels)
-                if "hold ordered" in str(seen.get(f"/{name}/flight")):
-                    break
-        served.stop()
+    at = f"ws://127.0.0.1:{watched.foxglove}"
+    with (
+        watched.served.client() as client,
+        connect(at, subprotocols=["foxglove.sdk.v1"]) as viewer,
+        ServiceEstimator(client, sensors, guidance, speed=0.0) as estimator,
+    ):
+        truth, known = dynamics.start(), None
+        for k in range(60):
+            known = estimator.update(truth.time_s, sensors.read(truth, known))
+            name = estimator.session.name
+            if known.estimate.pose is not None:
+                fused[round(1e3 * truth.time_s)] = known.estimate.pose.translation_m
+            truth = dynamics.step(truth, guidance.command(known))
+            if k == 30:
+                _order(client, name, do="hold")
+            _listen(viewer, seen, channels)
+            if "hold ordered" in str(seen.get(f"/{name}/flight")):
+                break
     assert {f"/{name}/state", f"/{name}/target/fused", f"/{name}/flight"} <= set(seen)
-    told = [line for line in received if line["topic"].endswith("/flight")]
-    assert all(line["known"] for line in received)
-    assert [json.loads(line["text"])["reason"] for line in told][-1] == "hold ordered"
-    places = [line for line in received if line["topic"].endswith("target/fused")]
+
+    def received(topic: str) -> list[dict]:
+        key = re.sub(r"^(?=\d)|\W", "_", name) + f"/{topic}"
+        return [line for line in watched.received if line["topic"] == key]
+
+    def reasons() -> list[str]:
+        return [json.loads(line["text"])["reason"] for line in received("flight")]
+
+    wait_until(lambda: reasons()[-1:] == ["hold ordered"], reasons)
+    assert all(line["known"] for line in received("flight") + received("target/fused"))
     both = [(line["xyz"], fused.get(round(1e3 * line["sec"] + 1e-6 * line["nanosec"])))
-            for line in places]  # fmt: skip
+            for line in received("target/fused")]  # fmt: skip
     steered = [(seen_m, used_m) for seen_m, used_m in both if used_m is not None]
     assert len(steered) > 3
     for seen_m, used_m in steered:

@@ -118,15 +118,3 @@ def test_options_of_an_older_filter_are_ignored_with_a_warning(service, client, 
     client.session(info["id"]).close()
     with client.open(camera) as session:
         assert session.info()["warnings"] == []
-
-
-def test_a_bad_model_file_is_listed_with_its_error(start_service, model_path, tmp_path):
-    (tmp_path / "half.rvm").write_bytes(model_path.read_bytes()[:1000])
-    (tmp_path / "whole.rvm").write_bytes(model_path.read_bytes())
-    served = start_service("--models", str(tmp_path), given=False)
-    with served.client() as client:
-        half, whole = client.request("GET", "/v1/models")["models"]
-        assert (half["name"], half["sha256"]) == ("half", None)
-        assert "half.rvm" in half["error"]
-        assert whole["error"] is None
-    served.stop()

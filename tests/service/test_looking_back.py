@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import io
-import threading
 
 import httpx
 import numpy as np
@@ -14,7 +12,7 @@ from mcap.writer import Writer
 from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
-from rendezview_service.client import ServiceError, ServiceTimeout
+from rendezview_service.client import ServiceError
 from rendezview_service.hub.history import Histories, Past
 from rendezview_service.logs.replay import model_of, read_log, repeat
 from rendezview_service.messages.messages import EventList, History, State
@@ -122,34 +120,6 @@ def test_a_log_with_motion_and_approach_is_repeated_bit_for_bit(taped, service) 
     log = read_log(path)
     compared = [so_far for _, so_far in repeat(log, model_of(log, None))]
     assert (compared[-1].frames, compared[-1].first_difference) == (13, None)
-
-
-def test_a_client_connects_again_when_the_service_starts_again(
-    start_service, camera, tour, tmp_path
-) -> None:
-    served = start_service()
-    port = served.url.rstrip("/").rpartition(":")[2]
-    with served.client() as client:
-        stream = client.open(camera, name="again").stream()
-        stream.send(tour[0][2], 0.0)
-        assert stream.receive(MOST_S)["frame"] == 0
-        with pytest.raises(ServiceTimeout):
-            stream.receive(0.05)
-        served.kill()
-        again = functools.partial(start_service, "--port", port, given=False)
-        fresh = threading.Thread(target=again)
-        fresh.start()
-        # Refused at first, then the new service says that it has no such session.
-        with pytest.raises(RendezviewError):
-            _send_all(stream, tour[1:4])
-        fresh.join(MOST_S)
-        assert client.sessions() == []
-
-
-def _send_all(stream, frames) -> None:
-    for time_s, _, image in frames:
-        stream.send(image, time_s)
-        stream.receive(MOST_S)
 
 
 def test_errors_of_the_client_are_its_own() -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
+import itertools
 import os
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
-from tests.service.page_feed import Feed, until, word_is
+from tests.service.page_feed import Feed, text_has, until, word_is
 from tests.waiting import wait_until
 
 from rendezview.geometry.camera import Camera
@@ -23,13 +22,6 @@ from rendezview_service.client import Client, SessionClient
 pytest.importorskip("playwright", reason="the page's tests want playwright")
 
 _DESK, _PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
-
-
-@pytest.fixture
-def stack(feed: object) -> Iterator[contextlib.ExitStack]:
-    """For what has to end before the sessions of ``feed`` do."""
-    with contextlib.ExitStack() as stack:
-        yield stack
 
 
 @pytest.fixture
@@ -192,51 +184,48 @@ def test_a_token_is_asked_for_and_used(start_service, camera, open_page, shoot, 
 
 
 def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
-    service, feed, open_page, tour, stack
+    service, client, camera, open_page, tour
 ) -> None:
-    session, _ = feed("fused")
+    session = client.open(camera, name="fused", prior=tour[0][1])
+    image = tour[0][2]
+    session.track(image, 0.0)
     page = open_page(f"{service.url}#fused")
-    word_is(page, "FOUND")
+    until(page, "rendezview.updates > 0")
     assert page.is_hidden("#fused")
-    truth = tour[0][1]
-    pose = truth.as_dict()
-    told = {
-        "pose": pose,
+    record = {
+        "pose": tour[0][1].as_dict(),
         "covariance": (1e-4 * np.eye(6)).tolist(),
         "spots": [{"x_px": 40.0, "y_px": 330.0}],
-        "ellipses": [{"centre_px": [60.0, 60.0], "semi_axes_px": [30.0, 15.0], "angle_rad": 0.5}],
     }
-    pink = """([u, v]) => {
+    # On the circle about the spot.
+    pink = """(() => {
       const canvas = document.getElementById('frame'), scale = canvas.width / 400;
-      const at = [(u + 0.5) * scale, (v + 0.5) * scale].map(Math.floor);
+      const at = [(34.0 + 0.5) * scale, (330.0 + 0.5) * scale].map(Math.floor);
       const pen = canvas.getContext('2d');
       const data = pen.getImageData(at[0] - 1, at[1] - 1, 3, 3).data;
       return [...Array(9).keys()].some((k) => data[4 * k] > data[4 * k + 1] + 60);
-    }"""
-    # On the long axis of the ellipse, and on the circle about the spot.
-    tip = [60.0 + 30.0 * np.cos(0.5), 60.0 + 30.0 * np.sin(0.5)]
-    side = [40.0 - 6.0, 330.0]
-    record = {key: value for key, value in told.items() if key != "ellipses"}
-    done = threading.Event()
+    })()"""
+    times_s = itertools.count(1.0, 0.1)
 
-    def measure() -> None:  # marks are shown and kept for some seconds only
-        with service.client() as other:
-            mirrors = other.session("fused")
-            while not done.wait(0.1):
-                mirrors.measure("mirrors", record | {"time_s": mirrors.state()["time_s"]})
+    def kept() -> bool:
+        """The page has the last frame, and the picture that is kept of it has marks.
 
-    measuring = threading.Thread(target=measure)
-    measuring.start()
-    stack.callback(measuring.join)
-    stack.callback(done.set)
-    until(page, f"({pink})([{side[0]}, {side[1]}])")
-    until(page, "!document.getElementById('fused').hidden")
+        Four pictures a second are kept; one that is older than the marks has none.
+        """
+        time_s = next(times_s)
+        session.measure("mirrors", record | {"time_s": time_s})
+        frame = session.track(image, time_s + 0.05)["frame"]
+        until(page, f"rendezview.frame === {frame}")
+        marks = client.request("GET", f"/v1/sessions/fused/marks/{frame}")
+        return bool(marks) and page.evaluate(pink)
+
+    wait_until(kept)
     state = session.state()
     assert state["fused"]["pose"] is not None
-    until(page, "document.getElementById('fused').innerText.includes('m/s')")
-    sensors = page.inner_text("#sensors")
-    assert "mirrors" in sensors
-    assert "received · accepted · NIS" in sensors
+    until(page, "!document.getElementById('fused').hidden")
+    text_has(page, "#fused", "m/s")
+    text_has(page, "#sensors", "mirrors")
+    text_has(page, "#sensors", "received · accepted · NIS")
     picture = os.environ.get("RENDEZVIEW_TEST_PICTURES")
     if picture:
         page.screenshot(path=f"{picture}/fused.png")
@@ -244,13 +233,15 @@ def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
     page.keyboard.press(" ")
     until(page, "!document.getElementById('scrub').disabled")
     until(page, "document.getElementById('frame-note').textContent.includes('frame')")
-    until(page, f"({pink})([{side[0]}, {side[1]}])")
+    until(page, pink)
     if picture:
         page.screenshot(path=f"{picture}/fused_back.png")
     page.keyboard.press("End")
     page.keyboard.press("p")
     until(page, "!document.getElementById('layer-spots').checked")
-    # Ellipses: drawn where the ring's record has them.
+    # Ellipses: drawn where the ring's record has them; on the long axis.
+    told = [{"centre_px": [60.0, 60.0], "semi_axes_px": [30.0, 15.0], "angle_rad": 0.5}]
+    tip = [60.0 + 30.0 * np.cos(0.5), 60.0 + 30.0 * np.sin(0.5)]
     script = """async ([told, tip]) => {
       const { LiveView } = await import('/live.js');
       const canvas = document.createElement('canvas');
@@ -263,7 +254,8 @@ def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
         Math.floor(tip[0] + 0.5), Math.floor(tip[1] + 0.5), 1, 1).data;
       return data[0] > data[1] + 60;
     }"""
-    assert page.evaluate(script, [told["ellipses"], tip])
+    assert page.evaluate(script, [told, tip])
+    session.close()
 
 
 def test_a_phone_sees_all_of_it_without_moving_sideways(service, feed, open_page) -> None:
@@ -326,8 +318,9 @@ def test_without_webgl_all_else_is_there(service, feed, open_page) -> None:
     word_is(page, "FOUND")
 
 
-def test_what_is_ambiguous_is_not_called_lost(service, open_page) -> None:
-    page = open_page(service.url)
+def test_the_verdict_on_a_state(service, open_page) -> None:
+    """Ambiguous is not lost, and found is green only where nothing contradicts it."""
+    page = open_page(f"{service.url}healthz")  # for the page's modules alone
     script = """async (state) => (await import('/status.js')).verdict(state, 0)"""
     state = {"pose": None, "phase": "searching", "status": "ambiguous", "reason": "two fit"}
     assert page.evaluate(script, state | {"candidates": [{}, {}]}) == [
@@ -337,11 +330,6 @@ def test_what_is_ambiguous_is_not_called_lost(service, open_page) -> None:
     ]
     lost = state | {"status": "lost", "candidates": [{}]}
     assert page.evaluate(script, lost)[1] == "LOST"
-
-
-def test_found_is_green_only_where_nothing_contradicts_it(service, open_page) -> None:
-    page = open_page(service.url)
-    script = """async (state) => (await import('/status.js')).verdict(state, 0)"""
     state = {"pose": {}, "status": "ok", "reason": None, "confidence": 0.9876}
     fused = {"status": "tracking", "reason": None, "protection": {"alarm": False}}
     assert page.evaluate(script, state) == ["found", "FOUND", "confidence 0.988"]
@@ -368,7 +356,7 @@ def test_the_ellipsoid_is_that_of_drawn_poses(service, open_page) -> None:
     quat = np.roll(rotation.as_quat(), 1).tolist()
     pose = {"quat_wxyz": quat, "translation_m": translation.tolist()}
     state = {"pose": pose, "covariance": covariance.tolist()}
-    page = open_page(service.url)
+    page = open_page(f"{service.url}healthz")
     script = """async (state) => {
       const space = await import('/space.js'), pose = await import('/pose.js');
       return {...space.spread(state), at: pose.cameraPosition(state.pose)};

@@ -97,28 +97,22 @@ def test_a_source_that_has_ended_says_so_after_a_reload(
     served.stop()
 
 
-def test_a_service_that_pauses_is_not_called_connected(
-    start_service, sender, open_page, shoot, tmp_path
-) -> None:
-    served = start_service()
-    one = sender("paused", served.url)
-    page = open_page(f"{served.url}#paused")
+def test_a_service_that_pauses_is_not_called_connected(service, sender, open_page, shoot) -> None:
+    one = sender("paused")
+    page = open_page(f"{service.url}#paused")
     one.send(3)
     text_has(page, "#link", "● connected")
-    os.kill(served.process.pid, signal.SIGSTOP)
+    os.kill(service.process.pid, signal.SIGSTOP)
     try:
         text_has(page, "#link", "no connection")
         word_is(page, "NO CONNECTION")
         text_has(page, "#reason", "the service does not answer for")
         shoot(page, "paused-service")
     finally:
-        os.kill(served.process.pid, signal.SIGCONT)
+        os.kill(service.process.pid, signal.SIGCONT)
     text_has(page, "#link", "● connected")
     text_has(page, "#events", "connection: none for")
     word_is(page, "FOUND")
-    one.stop()
-    page.close()
-    served.stop()
 
 
 def test_a_connection_that_died_without_a_word_is_made_again(service, sender, open_page) -> None:

@@ -27,19 +27,18 @@ _ORANGE = """([x, y]) => {
 
 
 def test_the_ring_is_drawn_over_the_picture_beside_path_and_fused_state(
-    flown, tmp_path, start_service, open_page, shoot
+    flown, tmp_path, service, client, open_page, shoot
 ) -> None:
     # The model knows the ring, but has no views of it from near.
     replace(ViewModel.load(flown / "client.rvm"), near=()).save(tmp_path / "client.rvm")
-    served = start_service(str(tmp_path / "client.rvm"), given=False)
+    client.send_model("ringed", tmp_path / "client.rvm")
     frames = open_sequence(flown / "scene").frames
     echoes = read_json_lines(flown / "laser.jsonl")
-    with served.client() as client:
-        session = client.open(
-            frames[0].camera, name="near", prior=frames[0].camera_from_target,
-            sensors={"trajectory": {"shape": "vbar", "plan": _PLAN}},
-        )  # fmt: skip
-        page = open_page(f"{served.url}#near")
+    with client.open(
+        frames[0].camera, name="near", model="ringed", prior=frames[0].camera_from_target,
+        sensors={"trajectory": {"shape": "vbar", "plan": _PLAN}},
+    ) as session:  # fmt: skip
+        page = open_page(f"{service.url}#near")
         text_has(page, "#link", "connected")
         shot = False
         for frame, echo in zip(frames, echoes, strict=True):
@@ -64,9 +63,7 @@ def test_the_ring_is_drawn_over_the_picture_beside_path_and_fused_state(
         page.uncheck("#layer-ellipses")
         until(page, f"!({_ORANGE})({_on_ellipse(page, state, frame.camera.width)})")
         page.check("#layer-ellipses")
-        page.close()  # it would poll a service that is gone
-        session.close()
-    served.stop()
+    client.request("DELETE", "/v1/models/ringed")
 
 
 def _with_word(page, session, frame, state, word) -> dict:

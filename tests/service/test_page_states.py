@@ -280,9 +280,9 @@ def test_a_picture_is_zoomed_and_so_are_the_plots(service, sender, open_page, sh
 
 
 def test_curves_join_frames_at_the_pace_at_which_they_come(service, open_page) -> None:
-    page = open_page(service.url)
+    page = open_page(f"{service.url}healthz")
     holes = """async (times) => {
-      const { Plots } = await import("./plots.js");
+      const { Plots } = await import("/plots.js");
       const parent = document.body.appendChild(document.createElement("div"));
       const plots = new Plots(parent, false, () => {});
       plots.show(times.map((at, frame) => ({ frame, received_unix_s: at })), times.at(-1), 600);

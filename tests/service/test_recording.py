@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,10 @@ from mcap.records import Chunk, MessageIndex
 from mcap_protobuf.decoder import DecoderFactory
 from tests.waiting import MOST_S
 
+from rendezview.cli.main import main
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import open_sequence
+from rendezview_service.client import ServiceTimeout
 from rendezview_service.logs.log_file import records
 from rendezview_service.logs.log_repair import mend
 from rendezview_service.logs.recording import RECORDED, LogWriter, RecordingOptions
@@ -177,9 +180,12 @@ def test_the_log_of_a_running_session_is_a_whole_file(client, camera, tour, tmp_
     session.close()
 
 
-def test_after_a_kill_everything_acknowledged_is_there(start_service, camera, tour, tmp_path):
-    place = tmp_path / "run.mcap"
-    served = start_service("--record", str(place))
+def test_after_a_kill_everything_acknowledged_is_there_and_the_client_connects_again(
+    start_service, camera, tour, tmp_path, monkeypatch, capsys
+):
+    place, copy = tmp_path / "run.mcap", tmp_path / "aside" / "copy.mcap"
+    served, restarted = start_service("--record", str(place)), []
+    flags = ("--port", served.url.rstrip("/").rpartition(":")[2], "--record", str(place))
     with served.client() as client:
         session = client.open(camera, prior=tour[0][1])
         states, told = [], []
@@ -187,12 +193,25 @@ def test_after_a_kill_everything_acknowledged_is_there(start_service, camera, to
             states.append(session.track(image, time_s))
             line = {"time_s": time_s, "pose": truth, "covariance": 1e-4 * np.eye(6)}
             told.append(session.measure("mirrors", line))
-    served.kill()
+        stream = client.open(camera, name="again").stream()
+        stream.send(tour[0][2], 0.0)
+        assert stream.receive(MOST_S)["frame"] == 0
+        with pytest.raises(ServiceTimeout):
+            stream.receive(0.05)
+        served.kill()
+        copy.parent.mkdir()
+        copy.write_bytes(place.read_bytes())
+        starting = threading.Thread(
+            target=lambda: restarted.append(start_service(*flags, given=False))
+        )
+        starting.start()
+        # Refused at first, then the new service says that it has no such session.
+        with pytest.raises(RendezviewError):
+            _send_all(stream, tour[1:4])
+        starting.join(MOST_S)
+        assert client.sessions() == []
     assert all(answer["recorded"] for answer in states + told)
-    copy = tmp_path / "aside" / "copy.mcap"
-    copy.parent.mkdir()
-    copy.write_bytes(place.read_bytes())
-    again = start_service("--record", str(place), given=False)
+    (again,) = restarted
     again.await_line("log mended")  # once it listens
     again.stop()
     assert _messages(place)["/rendezview/state"] == states
@@ -200,8 +219,18 @@ def test_after_a_kill_everything_acknowledged_is_there(start_service, camera, to
     assert [line["verdict"] for line in lines] == [one["verdicts"][0] for one in told]
     again = _replay(place)
     assert "8 frames, 8 poses, 8 lines of other sensors: all repeated bit for bit" in again
-    assert "completed" in _replay(copy, "--mend")
+    monkeypatch.setattr(sys, "argv", ["rendezview", "replay", str(copy), "--mend"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code in (0, None)
+    assert "completed" in capsys.readouterr().err
     assert mend(copy) is None
+
+
+def _send_all(stream, frames) -> None:
+    for time_s, _, image in frames:
+        stream.send(image, time_s)
+        stream.receive(MOST_S)
 
 
 def test_rerun_opens_a_log_as_it_is(recorded, camera):

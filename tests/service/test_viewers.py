@@ -9,8 +9,6 @@ import socket
 import struct
 import subprocess
 import tempfile
-from collections.abc import Iterator
-from typing import Any
 
 import pytest
 from tests.left_behind import none_left_behind
@@ -24,23 +22,11 @@ from rendezview_service.settings import Settings
 _FUSED = {"fusion": True}  # the filter runs from the first frame on
 
 
-@pytest.fixture(scope="module")
-def served(start_service) -> Iterator[tuple[Any, int, int]]:
-    """A service with both live streams, and their ports."""
-    pytest.importorskip("foxglove")
-    pytest.importorskip("rerun")
-    ports = free_port(), free_port()
-    service = start_service("--foxglove", str(ports[0]), "--rerun", str(ports[1]))
-    yield service, *ports
-    service.stop()
-
-
-def test_foxglove_receives_poses_pictures_and_states(served, camera, tour) -> None:
-    served, port, _ = served
+def test_foxglove_receives_poses_pictures_and_states(watched, camera, tour) -> None:
     with (
-        served.client() as client,
+        watched.served.client() as client,
         client.open(camera, name="live", prior=tour[0][1], sensors=_FUSED) as session,
-        connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"]) as viewer,
+        connect(f"ws://127.0.0.1:{watched.foxglove}", subprotocols=["foxglove.sdk.v1"]) as viewer,
     ):
         channels: dict[str, int] = {}
         subscribed: dict[int, str] = {}
@@ -77,8 +63,8 @@ def test_foxglove_receives_poses_pictures_and_states(served, camera, tour) -> No
     assert b"\xff\xd8\xff" in seen["/live/camera/image"]
 
 
-def test_rerun_receives_a_stream(served, camera, tour) -> None:
-    served, _, port = served
+def test_rerun_receives_a_stream(watched, camera, tour) -> None:
+    served, port = watched.served, watched.rerun
     with (
         served.client() as client,
         client.open(camera, name="live", prior=tour[0][1], sensors=_FUSED) as session,

@@ -116,7 +116,8 @@ def make_app(called: str | None, *, everything: bool = False) -> typer.Typer:
         if isinstance(command, typer.Typer):  # a command with commands of its own
             app.add_typer(command, name=name)
         else:
-            summary = _SUMMARIES.get(name) if command is _nothing else None
+            other = f"A command of {points[name].module}."  # of another package
+            summary = _SUMMARIES.get(name, other) if command is _nothing else None
             kind = TyperCommand if everything else _Command
             app.command(name, cls=kind, help=summary)(command)
     return app

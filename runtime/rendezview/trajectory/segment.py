@@ -191,7 +191,9 @@ def fit_segment(
     start_s, end_s = float(cloud.times_s[0]), float(cloud.times_s[-1])
     middle_s = 0.5 * (start_s + end_s)
     times = cloud.times_s - middle_s
-    ridden = np.zeros((len(cloud), 3)) if carrier is None else carrier(cloud.times_s)
+    ridden = np.zeros((len(cloud), 3))
+    if carrier is not None:
+        ridden[:] = carrier(cloud.times_s)  # in rows, whatever its order: loops are compiled for it
     constants = np.array([mean_motion_rad_s, 0.0])
     places_m = cloud.places_m - ridden
     length_m = float(np.median(np.linalg.norm(cloud.places_m, axis=1)))

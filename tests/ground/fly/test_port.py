@@ -12,8 +12,11 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
+from rendezview.io.target import Target
 from rendezview_ground.fly.options import EnvelopeOptions, FlyPlan, PortOptions, load_fly_plan
 from rendezview_ground.fly.port import Contact, Port, Relative
+from rendezview_ground.learn.options import TrainingOptions, view_geometry
+from rendezview_ground.learn.views.near_spheres import near_spheres
 
 GOOD = Contact(0.02, 0.01, 0.01, 0.075, 0.005, 0.001, 0.001)
 EDGES = {
@@ -69,3 +72,15 @@ def test_an_unknown_key_of_the_plan_is_an_error(tmp_path):
     path.write_text("[guidance]\nslop = 0.01\n")
     with pytest.raises(RendezviewError, match="slop"):
         load_fly_plan(path)
+
+
+def test_a_port_without_a_ring_gets_two_spheres_of_near_views(bumpy_mesh):
+    plan = FlyPlan(port=PortOptions(centre_m=(1.5, 0.0, 0.0), axis=(2.0, 0.0, 0.0)))
+    port = Port.of(Target("bumpy", "", None, "m"), plan)
+    options = TrainingOptions(order=2)
+    whole = view_geometry(bumpy_mesh, options, None)
+    large, small = near_spheres(whole, options, port.circle(bumpy_mesh), None)
+    for sphere in (large, small):
+        np.testing.assert_allclose(sphere.geometry.centre_m, port.centre_m)
+        assert (sphere.directions @ port.axis).min() > 0.0
+    assert small.shells_m[-1] > large.shells_m[0]  # no gap between them

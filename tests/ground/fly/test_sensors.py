@@ -77,27 +77,42 @@ def test_the_reflectors_error_is_the_measured_share_of_their_covariance(setup):
     assert np.mean(squared) == pytest.approx(6.0 * times**2, rel=0.15)
 
 
+def middle(radius_m, place, normal):
+    """Of a circle's ellipse, in the plane at 1: of its points, by least squares."""
+    side = np.cross(normal, [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    angle = np.linspace(0.0, 2.0 * np.pi, 90)[:, None]
+    points = place + radius_m * (np.cos(angle) * side + np.sin(angle) * np.cross(normal, side))
+    x, y = (points[:, :2] / points[:, 2:]).T
+    a, b, c, d, e = np.linalg.lstsq(
+        np.column_stack([x * x, x * y, y * y, x, y]), np.ones(len(x)), rcond=None
+    )[0]
+    return np.linalg.solve([[2.0 * a, b], [b, 2.0 * c]], [-d, -e])
+
+
 def test_a_ring_that_is_taken_for_tilted_is_taken_for_elsewhere_so_that_its_middle_stays():
     radius_m, centre, axis = 0.6, np.array([0.05, -0.03, 1.5]), np.array([0.0, 0.0, -1.0])
-
-    def middle(place, normal):
-        """Of the ellipse, in the plane at 1: of the points of the circle, by least squares."""
-        side = np.cross(normal, [0.0, 1.0, 0.0])
-        side /= np.linalg.norm(side)
-        angle = np.linspace(0.0, 2.0 * np.pi, 90)[:, None]
-        points = place + radius_m * (np.cos(angle) * side + np.sin(angle) * np.cross(normal, side))
-        x, y = (points[:, :2] / points[:, 2:]).T
-        a, b, c, d, e = np.linalg.lstsq(
-            np.column_stack([x * x, x * y, y * y, x, y]), np.ones(len(x)), rcond=None
-        )[0]
-        return np.linalg.solve([[2.0 * a, b], [b, 2.0 * c]], [-d, -e])
 
     tilted = axis + np.array([0.04, 0.03, 0.0])
     tilted /= np.linalg.norm(tilted)
     moved = centre + tilt_moves(centre, radius_m) @ (tilted - axis)
-    there, stayed = middle(centre, axis), middle(centre, tilted)
-    off = np.linalg.norm(middle(moved, tilted) - there)
+    there, stayed = middle(radius_m, centre, axis), middle(radius_m, centre, tilted)
+    off = np.linalg.norm(middle(radius_m, moved, tilted) - there)
     assert off < 0.1 * np.linalg.norm(stayed - there)
+
+
+def test_both_circles_of_a_modelled_ring_have_one_ellipse(setup):
+    radius_m = setup.port.ring.radius_m
+    _, found = readings(setup, 2.0, 40)
+    rings = [m for m in found if isinstance(m, RingMeasurement)]
+    assert len(rings) > 20
+    off, apart = [], []
+    for ring in rings:
+        (place, other), (normal, mirrored) = ring.centres_m, ring.axes
+        seen = middle(radius_m, place, normal)
+        off.append(np.linalg.norm(middle(radius_m, other, mirrored) - seen))
+        apart.append(np.linalg.norm(middle(radius_m, place, mirrored) - seen))
+    assert np.median(off) < 0.1 * np.median(apart)
 
 
 @pytest.mark.parametrize("kind", ["camera", "ring", "laser", "reflectors", "glare"])

@@ -80,15 +80,15 @@ def test_the_old_name_of_an_option_means_the_new_one(folder):
     assert by_old[0].options.as_record()["lit_views"] is False  # as in models made before
 
 
-@pytest.mark.parametrize("at_once", [1, 2])
-def test_models_are_those_of_train_and_what_is_there_is_left(folder, at_once):
+def test_models_are_those_of_train_and_what_is_there_is_left(folder):
+    """Two at once; what is made again, one after the other."""
     entries = read_catalogue(folder / "all.toml")
     reported: list[tuple[str, int, int]] = []
     outcome = train_catalogue(
         entries,
         folder / "models",
         Cores(1),
-        at_once=at_once,
+        at_once=2,
         progress=lambda *step: reported.append(step),
     )
     assert outcome.trained == ("one-near-soft", "one-far-soft")

@@ -117,9 +117,9 @@ def test_a_killed_job_goes_on_where_it_stopped_and_gives_the_same_bytes(
     assert [p.name for p in path.parent.iterdir()] == ["bumpy.rvm"]
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_ctrl_c_stops_and_leaves_no_half_model(tmp_path, bumpy_mesh, jobs):
-    path, code = stopped(tmp_path / "run", bumpy_mesh, signal.SIGINT, "views", jobs)
+def test_ctrl_c_stops_two_jobs_and_leaves_no_half_model(tmp_path, bumpy_mesh):
+    """Of one job: tests/cli/test_interruption.py."""
+    path, code = stopped(tmp_path / "run", bumpy_mesh, signal.SIGINT, "views", jobs=2)
     assert code in (-signal.SIGINT, 130, 1)
     assert [p.name for p in path.parent.iterdir()] == ["bumpy.rvm.partial"]
 

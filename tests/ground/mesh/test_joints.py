@@ -6,15 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from numba import typeof
 from tests.ground.mesh.mesh_samples import winged_target
 from tests.quick_training import REFINING
 
+from rendezview.cli.compiling import load_loops, type_to_json
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.edges.grey import point_of_slope, points_of_slopes
+from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.tracker import Tracker
 from rendezview.sensors.observation import Status
 from rendezview_ground.learn.target_job import train_target
@@ -154,6 +157,12 @@ def test_a_model_has_a_sheet_for_each_angle_and_survives_its_file(model: ViewMod
     assert all(s.contours is not None and s.contours.part is not None for s in configurations)
     assert len({s.target_radius_m for s in configurations}) == 1
     assert all(s.centre_m == pytest.approx(model.centre_m) for s in configurations)
+
+
+def test_its_tables_are_those_that_loops_are_compiled_for(model: ViewModel, camera: Camera) -> None:
+    """Though its points are turned in place."""
+    (listed,) = [e for e in load_loops("track") if e["loop"].endswith(".alignment:align_each")]
+    assert type_to_json(typeof(Refiner(model, camera).views)) in listed["arguments"]
 
 
 @pytest.mark.parametrize("angle_deg", [2.0, 14.0, 26.0])

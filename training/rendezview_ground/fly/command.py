@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -31,8 +32,8 @@ from rendezview_ground.fly.report import (
     write_flight_page,
 )
 from rendezview_ground.learn.command_options import Dask, Jobs
-from rendezview_ground.learn.job import train
 from rendezview_ground.learn.jobs.open_executor import open_executor
+from rendezview_ground.learn.target_job import train_target
 from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_service.client import Client
 
@@ -94,7 +95,7 @@ def fly(
     mesh = load_mesh(found.mesh_path, unit or found.unit)
     kinds = FAULTS if faults == "all" else tuple(filter(None, faults.split(",")))
     drawn = [Fault.drawn(kind, seed) for kind in kinds]  # an unknown one is an error now
-    Setup.of(found, mesh, options)  # and so is a target without a port
+    port = Setup.of(found, mesh, options).port  # and so is a target without a port
     others = None if beside is None else read_json_lines(beside)
     make_folder(output)
     views = None
@@ -104,7 +105,8 @@ def fly(
             path = model or output / f"{found.name}.rvm"
             if not path.exists() and model is None:
                 console.print(f"Training {found.name} …")
-                train(mesh, path, name=found.name, symmetries=found.symmetries, progress=progress)
+                craft, seen = replace(found, docking_ring=port.ring), port.circle(mesh)
+                train_target(craft, mesh, path, unit, port=seen, progress=progress)
             views = ViewModel.load(path)
         setup = Setup.of(found, mesh, options, views)
         if runs == 1 or live is not None:

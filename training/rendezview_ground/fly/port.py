@@ -12,8 +12,11 @@ from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import DockingRing, Target
 from rendezview_ground.fly.options import EnvelopeOptions, FlyPlan
+from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate.trajectories import looking_at
 
+# Of the target's radius, of a port without a ring. Source: chosen, two spheres of near views
+_SEEN_RADII = 0.1
 _AHEAD = np.array([0.0, 0.0, 1.0])  # the boresight, camera frame
 
 
@@ -53,6 +56,11 @@ class Port:
         facing = looking_at(centre + axis, centre, up).rotation
         chaser = plan.chaser
         return cls(centre, axis, facing, chaser.port_ahead_m, chaser.mass_behind_m, ring)
+
+    def circle(self, mesh: Mesh) -> DockingRing:
+        """What a close camera sees of the port: its ring, or a circle around its centre."""
+        wide_m = _SEEN_RADII * mesh.bounding_sphere[1]
+        return self.ring or DockingRing(self.centre_m, self.axis, wide_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

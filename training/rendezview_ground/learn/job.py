@@ -62,6 +62,7 @@ def train(
     symmetries: Sequence[Symmetry] = (),
     shape_error: float = 0.0,
     docking_ring: DockingRing | None = None,
+    port: DockingRing | None = None,
     reflectors: tuple[Reflector, ...] = (),
     bounding_sphere: tuple[Array, float] | None = None,
     jobs: int = -1,
@@ -81,8 +82,9 @@ def train(
         options: see ``TrainingOptions``.
         symmetries: of the target, declared or found by ``find_symmetries``.
         shape_error: σ of the strain between the mesh and the real spacecraft.
-        docking_ring, reflectors: of the target, kept in the model for other sensors; views of the
-            part around the ring serve a close camera.
+        docking_ring, reflectors: of the target, kept in the model for other sensors.
+        port: a circle around what a close camera looks at, which views of that part serve;
+            ``None``: the docking ring.
         camera: the flight camera; it sets the sphere radius and the sharpness of the perturbed
             views. ``None``: a 40° field of view, 480 pixels.
         bounding_sphere: centre (3,) and radius (m) around the target at all angles of its joints;
@@ -104,7 +106,9 @@ def train(
     inputs = provenance(mesh, options, camera)
     renderer = make_renderer(options.renderer, drawn)
     surfaces = renderer if isinstance(renderer, PyrenderRenderer) else None
-    shards = Shards(path.with_name(path.name + ".partial"), inputs | {"code": _code_sha256()})
+    port = port or docking_ring
+    key = inputs | {"code": _code_sha256(), "port": None if port is None else port.record()}
+    shards = Shards(path.with_name(path.name + ".partial"), key)
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the jobs are the parallelism
     try:
@@ -117,7 +121,7 @@ def train(
             trained.model,
             docking_ring=docking_ring,
             reflectors=reflectors,
-            near=stages.near(mesh, docking_ring, camera),
+            near=stages.near(mesh, port, camera),
         )
         trained = dataclasses.replace(trained, model=model, drawn_triangles=len(drawn.faces))
     finally:

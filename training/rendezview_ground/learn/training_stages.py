@@ -117,18 +117,18 @@ class TrainingStages:
         return self._contours("contours", self.geometry, directions, shells_m, renderer)
 
     def near(
-        self, whole: Mesh, ring: DockingRing | None, camera: Camera | None
+        self, whole: Mesh, port: DockingRing | None, camera: Camera | None
     ) -> tuple[NearSphere, ...]:
-        """Contour points of the part around the docking ring; none without one, or with joints.
+        """Contour points of the part around a port; none without one, or with joints.
 
         Args:
             whole: the mesh with all its triangles: a near camera sees the small ones.
         """
         if 0 in (self.options.contour_points, self.options.near_cone_rad):
             return ()
-        if ring is None or self.mesh.face_part is not None:
+        if port is None or self.mesh.face_part is not None:
             return ()
-        spheres = near_spheres(self.geometry, self.options, ring, camera)
+        spheres = near_spheres(self.geometry, self.options, port, camera)
         beside = self.beside if whole is self.mesh else faces_beside(whole)
         stages = dataclasses.replace(self, mesh=whole, beside=beside)
         return tuple(

@@ -46,6 +46,7 @@ from rendezview.sensors.appearance.model.view_tables import (
     ViewTables,
     pose_slope_into,
     project_edge,
+    read_only,
 )
 from rendezview.sensors.appearance.search.starts import second_moments
 
@@ -112,13 +113,14 @@ def tables(rng: np.random.Generator, count: int) -> ViewTables:
     padded[0, 0, :count] = np.rint(point)
     tangent = np.zeros((1, 1, count + 2, 3), np.int8)
     tangent[0, 0, :count] = rng.integers(-127, 128, (count, 3))
-    return ViewTables(
+    arrays = (
         np.array([[0.0, 0.0, -1.0]]), np.array([9.0]), padded, tangent, kind,
         np.full((1, 1, count + 2, 2), 255, np.uint8),
         np.zeros((1, 1, count + 2, SURFACES), np.uint8),
         np.zeros((1, 1, count + 2, SURFACES - 1, 2), np.int8),
-        np.zeros((256, 4), np.float32), RADIUS_M, 0.85, 0.0,
+        np.zeros((256, 4), np.float32),
     )  # fmt: skip
+    return ViewTables(*map(read_only, arrays), RADIUS_M, 0.85, 0.0)
 
 
 @pytest.mark.parametrize("bent", [False, True])

@@ -31,7 +31,7 @@ from rendezview.sensors.appearance.edges.predicted import (
     WEIGHT,
 )
 from rendezview.sensors.appearance.model.contours import NO_POINT, OUTLINE
-from rendezview.sensors.appearance.model.view_tables import ViewTables
+from rendezview.sensors.appearance.model.view_tables import ViewTables, read_only
 from rendezview.sensors.appearance.sky import Sky
 
 BLUR_PX = 0.85
@@ -97,11 +97,11 @@ class Scene:
 def scene(request, refining_model, bumpy_mesh, camera, draw) -> Scene:
     seed: int = request.param
     contours, rng = refining_model.contours, np.random.default_rng(seed)
-    views = ViewTables(
-        np.ascontiguousarray(refining_model.lattice.nodes), contours.shells_m, contours.point,
-        contours.tangent, contours.kind, contours.run, contours.strip, contours.start,
-        contours.palette, refining_model.target_radius_m, BLUR_PX, 0.0,
+    arrays = (
+        refining_model.lattice.nodes, contours.shells_m, contours.point, contours.tangent,
+        contours.kind, contours.run, contours.strip, contours.start, contours.palette,
     )  # fmt: skip
+    views = ViewTables(*map(read_only, arrays), refining_model.target_radius_m, BLUR_PX, 0.0)
     rotation = np.ascontiguousarray(Rotation.random(random_state=rng).as_matrix())
     centre = np.array([0.1, -0.2, 8.0])
     pose = Pose(rotation, centre - rotation @ refining_model.centre_m)
@@ -273,7 +273,7 @@ def test_a_step_is_the_damped_solution_and_refuses_to_leave(scene):
     edges = np.zeros((40, COLUMNS))
     edges[:, :6], edges[:, RESIDUAL] = rng.normal(size=(40, 6)), 0.01 * rng.normal(size=40)
     edges[:, STATE], edges[:, WEIGHT] = FOUND, 1.0
-    views = scene.views._replace(radius_m=2.0, shells_m=np.array([4.0]))
+    views = scene.views._replace(radius_m=2.0, shells_m=read_only(np.array([4.0])))
     lens, damping, place = scene.lens, 0.003, np.array([0.1, 0.2, 9.0])
     matrix, right = np.empty((6, 6)), np.empty(6)
     _, weights = normal_equations(edges, 0.1, matrix, right)

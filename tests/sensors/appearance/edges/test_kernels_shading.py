@@ -17,7 +17,7 @@ from rendezview.sensors.appearance.judge.shading import (
     shading,
     visible_points,
 )
-from rendezview.sensors.appearance.model.view_tables import through_lens
+from rendezview.sensors.appearance.model.view_tables import read_only, through_lens
 from rendezview.sensors.appearance.outline.similarity import _squared_distances, spread_out
 
 PINHOLE = Camera(400, 300, 520.0, 530.0, 199.0, 151.0)
@@ -65,7 +65,12 @@ class Body:
         bits = np.packbits(self.seen, axis=1, bitorder="little")
         albedo = rng.uniform(0.2, 0.9, count)
         self.tables = SurfaceTables(
-            np.ascontiguousarray(point.T), normal, albedo, bits, nodes, RADIUS_M
+            np.ascontiguousarray(point.T),
+            normal,
+            albedo,
+            read_only(bits),
+            read_only(nodes),
+            RADIUS_M,
         )
         self.rotation = np.ascontiguousarray(Rotation.random(random_state=rng).as_matrix())
         self.centre = np.array([0.9, -0.4, 6.0])  # partly out of the picture

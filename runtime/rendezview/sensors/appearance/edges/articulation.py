@@ -45,8 +45,19 @@ class JointStep(NamedTuple):
 class Articulation:
     """Turns the contour points of a configuration, in tables of its own, and refines its angles."""
 
-    def __init__(self, model: ViewModel, views: ViewTables) -> None:
-        """Tables (changed in place) of a configuration of a target with joints.
+    def __init__(
+        self,
+        model: ViewModel,
+        views: ViewTables,
+        point: npt.NDArray[np.int16],
+        tangent: npt.NDArray[np.int8],
+    ) -> None:
+        """Tables of a configuration of a target with joints.
+
+        Args:
+            model: with joints.
+            views: the tables.
+            point: the memory of theirs, as is ``tangent``: changed in place.
 
         Raises:
             ValueError: the model's contour points have no parts.
@@ -56,6 +67,7 @@ class Articulation:
             raise ValueError("the contour points of a target with joints need their parts")
         self.joints = model.joints
         self._model, self._views = model, views
+        self._turned = point, tangent
         self._part, self._point, self._tangent = contours.part, contours.point, contours.tangent
         numbered = hinges_of(model.joints)
         self._joint = np.array([k for k, _ in numbered])
@@ -80,7 +92,7 @@ class Articulation:
         unit_m = views.radius_m * POINT_UNIT
         _turn_points(
             chosen, self._part, self._point, self._tangent, turns, shifts / unit_m,
-            views.point, views.tangent,
+            *self._turned,
         )  # fmt: skip
         self._turned_to[chosen] = angles_rad
 

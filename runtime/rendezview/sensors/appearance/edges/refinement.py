@@ -36,6 +36,7 @@ from rendezview.sensors.appearance.edges.articulation import (
 from rendezview.sensors.appearance.edges.lit_inliers import lit_inliers
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
+from rendezview.sensors.appearance.edges.shared_edges import without_shared
 from rendezview.sensors.appearance.edges.stages import (
     COARSE,
     COARSE_STAGES,
@@ -51,7 +52,7 @@ from rendezview.sensors.appearance.model.contours import Contours
 from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.near_views import NearSphere
 from rendezview.sensors.appearance.model.view_model import ViewModel
-from rendezview.sensors.appearance.model.view_tables import ViewTables
+from rendezview.sensors.appearance.model.view_tables import ViewTables, read_only
 from rendezview.sensors.appearance.sky import Sky
 
 # px; one σ of an edge's place in the best of cases. Source: fixed with the fit of error_model.json
@@ -113,21 +114,23 @@ class Refiner:
         contours: Contours = model.contours if sphere is None else sphere.contours
         directions = model.lattice.nodes if sphere is None else sphere.directions
         own = np.copy if model.joints else np.asarray  # the points of parts are turned in place
+        point, tangent = own(contours.point), own(contours.tangent)
         self.views = ViewTables(
-            np.ascontiguousarray(directions),
-            np.ascontiguousarray(contours.shells_m),
-            own(contours.point),
-            own(contours.tangent),
-            contours.kind,
-            contours.run,
-            contours.strip,
-            contours.start,
-            contours.palette,
+            read_only(directions),
+            read_only(contours.shells_m),
+            read_only(point),
+            read_only(tangent),
+            read_only(contours.kind),
+            read_only(contours.run),
+            read_only(contours.strip),
+            read_only(contours.start),
+            read_only(contours.palette),
             self._radius_m,
             self.options.blur_px,
             model.shape_error,
         )
-        self.articulation = Articulation(model, self.views) if model.joints else None
+        turns = Articulation(model, self.views, point, tangent) if model.joints else None
+        self.articulation = turns
         self._lens = (lens_vector(camera), camera.is_distorted)
         inexact = model.shape_error > 0.0
         self._stages, self._cut_px = (INEXACT, INEXACT_CUT_PX) if inexact else (FINE, CUT_PX)
@@ -305,12 +308,13 @@ class Refiner:
         edges: Array,
     ) -> Hypothesis:
         """The pose with its covariance and inlier ratios; ``edges`` are those last measured."""
-        arm = rotation @ self.centre_m
-        covariance, spread_px = covariance_of(
-            edges, self._cut_px, _LEAST_SIGMA_PX, self._nothing_known, arm
-        )
+        arm, none = rotation @ self.centre_m, self._nothing_known
+        known = without_shared(edges, self._cut_px, self._radius_m, float(centre[2]))
+        covariance, spread_px = covariance_of(known, self._cut_px, _LEAST_SIGMA_PX, none, arm)
         residual = spread_px
-        moves = StrainMoves.of(edges, self._cut_px, self._nothing_known, rotation, centre)
+        if known is not edges:
+            _, residual = covariance_of(edges, self._cut_px, _LEAST_SIGMA_PX, none, arm)
+        moves = StrainMoves.of(known, self._cut_px, none, rotation, centre)
         strain = self._strain
         if self.model.shape_error == 0.0:
             scale_px = self.camera.fx * self._radius_m / centre[2]
@@ -321,7 +325,7 @@ class Refiner:
         strained = moves.covariance(arm, strain) + self._shared_offset(centre)
         if self.model.shape_error > 0.0:
             # As for an exact model: the classifier was fitted to that.
-            _, residual = covariance_of(edges, CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm)
+            _, residual = covariance_of(edges, CUT_PX, _LEAST_SIGMA_PX, none, arm)
         outline, inner, visible = inlier_ratios(
             image, self._lens, frame, self.views, rotation, centre, CLOSE_PX, 1, edges
         )

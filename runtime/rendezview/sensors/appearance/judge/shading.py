@@ -30,7 +30,7 @@ from rendezview.sensors.appearance.edges.lighting import (
 from rendezview.sensors.appearance.model.contours import DIRECTION_UNIT, POINT_UNIT
 from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT, Surface
 from rendezview.sensors.appearance.model.view_model import ViewModel
-from rendezview.sensors.appearance.model.view_tables import Lens
+from rendezview.sensors.appearance.model.view_tables import Lens, read_only
 from rendezview.sensors.appearance.sky import Sky
 
 _WINDOWS = 18  # across the target. Source: by hand, seeds of docs/notes/refinement.md
@@ -73,8 +73,8 @@ class SurfaceTables(NamedTuple):
             np.ascontiguousarray(surface.point.T.astype(np.float64) * (POINT_UNIT * radius_m)),
             surface.normal.astype(np.float64) * DIRECTION_UNIT,
             surface.albedo.astype(np.float64) * ALBEDO_UNIT,
-            np.ascontiguousarray(surface.seen),
-            np.ascontiguousarray(surface.sphere.nodes),
+            read_only(surface.seen),
+            read_only(surface.sphere.nodes),
             radius_m,
         )
 

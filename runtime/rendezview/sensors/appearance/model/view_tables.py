@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ from numba import njit
 from rendezview.geometry.lens import distorted
 from rendezview.geometry.pose import Array
 
+Kind = TypeVar("Kind", bound=np.generic)
 Two = tuple[float, float]
 Six = tuple[float, float, float, float, float, float]
 Lens = tuple[Array, bool]  # ``lens_vector``, and whether the camera distorts
@@ -24,7 +25,7 @@ LEAST_LENGTH = 1e-9
 
 
 class ViewTables(NamedTuple):
-    """The sparse views of one model; see ``Contours``."""
+    """The sparse views of one model, ``read_only``; see ``Contours``."""
 
     directions: Array
     shells_m: Array
@@ -38,6 +39,13 @@ class ViewTables(NamedTuple):
     radius_m: float
     blur_px: float
     shape_error: float
+
+
+def read_only(table: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
+    """A table as all loops have it: one that may be written would be compiled for again."""
+    shown = np.ascontiguousarray(table).view()
+    shown.flags.writeable = False
+    return shown
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
