@@ -30,6 +30,7 @@ from rendezview.sensors.beacons.detect.spots import (
     BINARY_X,
     COLUMNS,
     PEAK,
+    RIVALS,
     SIGMA,
     SIZE,
     WEIGHTED_X,
@@ -275,12 +276,27 @@ def test_the_expected_size_is_where_a_gaussian_window_settles():
         assert expected_size(0.75, radius) == pytest.approx(sigma, rel=0.03)
 
 
+def test_windows_keep_the_next_best_spot_beside_the_best():
+    image = np.maximum(spot_picture(30.3, 25.7, 2.0, noise=2.0), spot_picture(44.0, 20.0, 2.0))
+    expected = np.array([[33.0, 25.0, 2.0]])
+    for half, rivals, near in ((16.0, 1.0, 44.0), (6.0, 0.0, np.nan)):
+        table, rival, outcome = np.empty((1, COLUMNS)), np.empty((1, COLUMNS)), np.zeros(1, int)
+        read_windows(
+            image, NO_DARK, expected, np.array([half]), np.array([30.0]), 2.0, (0.3, 0.4), table,
+            rival, outcome,
+        )  # fmt: skip
+        np.testing.assert_allclose(table[0, [X, Y]], [30.3, 25.7], atol=0.1)
+        assert table[0, RIVALS] == rivals
+        np.testing.assert_allclose(rival[0, X], near, atol=0.1)
+
+
 def test_windows_find_the_spot_and_the_noise():
     image = spot_picture(30.3, 25.7, 2.0, noise=2.0)
     expected = np.array([[31.0, 25.0, 2.0], [np.nan, 0.0, 2.0], [60.0, 50.0, 2.0]])
     half, level = np.full(3, 8.0), np.full(3, 30.0)
     table, outcome = np.full((3, COLUMNS), np.nan), np.zeros(3, np.int64)
-    read_windows(image, NO_DARK, expected, half, level, 2.0, (0.3, 0.4), table, outcome)
+    rival = table.copy()
+    read_windows(image, NO_DARK, expected, half, level, 2.0, (0.3, 0.4), table, rival, outcome)
     assert outcome.tolist() == [VISIBLE, 0, 1]
     np.testing.assert_allclose(table[0, [X, Y]], [30.3, 25.7], atol=0.1)
     assert window_noise(image, NO_DARK, expected, half) == pytest.approx(2.0, rel=0.3)

@@ -112,6 +112,37 @@ def test_a_glint_that_creeps_away_from_a_covered_reflector_is_no_pose(three, pap
         assert not (k >= 12 and grey < 150.0 and reading.pose is not None)
 
 
+def test_a_glint_that_was_one_with_a_covered_reflector_is_not_found_in_its_place(
+    three, paper_camera
+):
+    """While both shine their spot is no reflector's; the one that is left may be either."""
+    rng, sensor = np.random.default_rng(7), ReflectorSensor(paper_camera, [three])
+    pose = pose_of(SixNumbers(3.5, 0.03, -0.02, 0.2, 0.15, -0.1), three)
+    place, statuses = PINHOLE.project(pose.apply(three.positions_m))[1], []
+    for k in range(16):
+        covered = (1,) if k >= 6 else ()
+        at = place + (k - 4.0) * np.array([0.6, -0.4]) + (1.0, 1.0)
+        false = np.array([[*at, 1.55, 180.0]])
+        statuses.append(sensor.update(0.2 * k, frames_of(three, pose, rng, covered, false)).status)
+    assert statuses[5] is not Status.OK
+    assert Status.UNCONFIRMED in statuses[6:]  # it passes for the target
+    assert Status.OK not in statuses[6:]
+
+
+def test_a_known_target_is_not_found_with_other_dots(three, paper_camera):
+    """Of a covered reflector and a glint, dots of another size would make a pose."""
+    rng, larger = np.random.default_rng(8), replace(three, diameters_m=1.35 * three.diameters_m)
+    pose = pose_of(SixNumbers(2.0, 0.03, -0.02, 0.2, 0.15, -0.1), three)
+    for known in (False, True):
+        sensor = ReflectorSensor(paper_camera, [three])
+        for k in range(2 if known else 0):
+            reading = sensor.update(0.2 * k, frames_of(three, pose, rng))
+            assert k == 0 or reading.status is Status.OK
+        for k in range(2, 10):
+            reading = sensor.update(0.2 * k, frames_of(larger, pose, rng))
+        assert ("larger" in (reading.note or "")) != known
+
+
 def pattern_of(places, diameters):
     count = len(places)
     return ReflectorPattern(

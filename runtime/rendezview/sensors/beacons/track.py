@@ -12,9 +12,11 @@ from rendezview.errors import RendezviewError
 from rendezview.estimation.rates import RateOptions
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.detect.cover import middle
-from rendezview.sensors.beacons.detect.spots import AMPLITUDE, RIVALS, SIGMA, X
+from rendezview.sensors.beacons.detect.spots import AMPLITUDE, RIVALS, SIGMA, SpotTable, X
+from rendezview.sensors.beacons.match.acquisition_options import Acquisition
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.pose.refinement import Refined
+from rendezview.sensors.observation import Status
 
 _LIKE = 9.0  # χ² of a spot's light that tells its reflector's. Source: by construction, 3 σ
 _VAGUE = 3.0  # × the σ of the others. Source: experiment reflector-hidden --scene glint
@@ -56,9 +58,6 @@ class TrackingOptions:
     # Source: by construction, 5° and 3 % over the root of jump_limit; at half of it an
     # approach that slows down is lost
     jump_floor: tuple[float, float] = (0.0195, 0.0067)
-    # Readings after the target was found again, in which every spot of the picture counts.
-    # Source: experiment reflector-hidden --scene glint
-    fresh: int = 10
     # Readings in which a pose with a doubtful spot must keep to the motion before: one whose σ is
     # so many times that of the others, or beside which another was in so many readings before.
     # Source: experiment reflector-hidden --scene glint
@@ -110,7 +109,6 @@ class Track:
     unseen: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     aged: npt.NDArray[np.int64] = field(init=False)  # (N,) readings since its brightness was sure
     alone: npt.NDArray[np.int64] = field(init=False)  # (N,) readings since another was beside it
-    doubtful: int = 0  # readings in a row with a doubtful spot
 
     def __post_init__(self) -> None:
         self.alone = np.full(len(self.places), _NEVER)
@@ -128,8 +126,7 @@ class Track:
     @classmethod
     def after(
         cls, last: Track | None, time_s: float, table: Array, refined: Refined, noise: float,
-        ambiguous: bool, branch: Branch, coast: int, doubt: Doubt = Doubt.NONE,
-        light: Array | None = None,
+        ambiguous: bool, branch: Branch, coast: int, light: Array | None = None,
     ) -> Track:  # fmt: skip
         """The memory after a reading; ``table`` (N, 23): its spots, NaN where not visible."""
         count = len(table)
@@ -142,8 +139,7 @@ class Track:
         visible = np.isfinite(table[:, X])
         sure = visible
         if light is not None:
-            sigma = table[:, SIGMA].copy()
-            sure = visible & (light < _LIKE) & ~(sigma > _VAGUE * middle(sigma))
+            sure = visible & (light < _LIKE) & ~vague(table[:, SIGMA].copy())
         bright, unseen = np.where(sure, table[:, AMPLITUDE], dim), np.where(visible, 0, since + 1)
         after = cls(
             time_s, refined.camera_from_target, table[:, :2].copy(), before, before_s, bright,
@@ -151,20 +147,19 @@ class Track:
         )  # fmt: skip
         if last is not None:
             after.aged = np.where(sure, 0, last.aged + 1)
-            after.doubtful = last.doubtful + 1 if doubt else 0
             after.alone = np.where(table[:, RIVALS] > 0.0, 0, last.alone + 1)
         return after
 
     def doubts(self, table: Array, seen: npt.NDArray[np.int64], options: TrackingOptions) -> Doubt:
         """The largest doubt about a visible spot."""
-        if not 3 <= len(seen) <= FEW or self.doubtful >= options.doubt:
+        if not 3 <= len(seen) <= FEW:
             return Doubt.NONE
         sigma, rivals = table[seen, SIGMA], table[seen, RIVALS]
         beside, recent = rivals > 0.0, self.alone[seen] < options.doubt
-        vague = sigma > _VAGUE * middle(sigma)
-        if (recent & (vague | ~beside)).any():
+        wide = vague(sigma)
+        if (recent & (wide | ~beside)).any():
             return Doubt.OTHER
-        return Doubt.SOME if (vague | beside).any() else Doubt.NONE
+        return Doubt.SOME if (wide | beside).any() else Doubt.NONE
 
     def follow(self, time_s: float, seen: npt.NDArray[np.int64], table: Array) -> None:
         """Keep the places of visible reflectors, too few for a pose: they move the windows."""
@@ -174,6 +169,38 @@ class Track:
         self.places, self.time_s = places, time_s
         self.unseen = np.where(np.isfinite(places[:, 0]), 0, self.unseen + 1)
         self.aged += 1
+
+
+@dataclass(slots=True)
+class Lights:
+    """How many lights there were when three or more spots showed no target.
+
+    Of few spots that pass for it later, while there are fewer, one may be another light: the
+    reflector may be the one that has vanished.
+    """
+
+    readings: int  # for which it is remembered
+    count: int = 0
+    since: int = _NEVER  # readings
+
+    def take(self, found: Acquisition | None, spots: SpotTable) -> None:
+        """Remember a search without a pose; where no three spots fit, two lights may be one."""
+        if found is None or found.refined is not None or len(spots) < 3:
+            return
+        lights = len(spots) + (found.status is not Status.AMBIGUOUS)
+        self.count = max(lights, self.count if self.since < self.readings else 0)
+        self.since = 0
+
+    def vanished(self, found: Acquisition, spots: SpotTable) -> bool:
+        """Whether there are fewer lights than shortly before; an uncertain spot may be two."""
+        sigma = spots.sigma_px[found.spot_indices].ravel()
+        few = len(sigma) <= FEW and self.since < self.readings
+        return few and len(spots) + int(vague(sigma).sum()) < self.count
+
+
+def vague(sigma_px: Array) -> npt.NDArray[np.bool_]:
+    """(K,) which of the spots of a reading are less certain than the others, by their σ (K,)."""
+    return np.asarray(sigma_px > _VAGUE * middle(sigma_px))
 
 
 def checked_acceleration(acceleration: npt.ArrayLike) -> Array:

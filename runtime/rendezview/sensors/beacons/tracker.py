@@ -18,7 +18,6 @@ from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptio
 from rendezview.sensors.beacons.detect.spots import MOST_CERTAIN, SpotTable
 from rendezview.sensors.beacons.match.acquisition import Acquirer, merged
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
-from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.observation import ReflectorObservation, missed, refused, undecided
 from rendezview.sensors.beacons.pose.refinement import Refined
 from rendezview.sensors.beacons.pose.shares import CAUSES
@@ -27,6 +26,7 @@ from rendezview.sensors.beacons.tolerance import DotSizes, fit_dots
 from rendezview.sensors.beacons.track import (
     Branch,
     Doubt,
+    Lights,
     Track,
     TrackingOptions,
     checked_acceleration,
@@ -72,7 +72,7 @@ class ReflectorSensor:
         self._rates = RateEstimator(self.tracking.rates)
         self._track: Track | None = None
         self._unconfirmed: tuple[float, Pose, Array] | None = None
-        self._fresh = 0  # readings since it was found again, in which the whole picture counts
+        self._lights = Lights(self.tracking.doubt)
         self._note: str | None = None  # of the acquisition
         self._noted_m = np.inf  # range of that
         self._last_s = -np.inf
@@ -98,7 +98,7 @@ class ReflectorSensor:
         """Begin anew: the next reading knows nothing of those before."""
         with self._lock:
             self._track, self._unconfirmed, self._note, self._last_s = None, None, None, -np.inf
-            self._fresh = 0
+            self._lights = Lights(self.tracking.doubt)
             self._rates = RateEstimator(self.tracking.rates)
             self._dots.clear()
             if self.patterns is not self._given[0]:
@@ -127,6 +127,7 @@ class ReflectorSensor:
                     f"readings must come in order of time: {time_s} after {self._last_s}"
                 )
             self._last_s = time_s
+            self._lights.since += 1
             if self.is_tracking:
                 return self._follow(time_s, frames, push)
             return self._acquire(time_s, frames)
@@ -156,9 +157,10 @@ class ReflectorSensor:
             if again.refined is not None:
                 spots, found = faint, again
         mirrored = self.acquirer.mirrored(spots, found) if prior is None else None
-        if mirrored is None and found.status is Status.NOT_FOUND and prior is None:
+        if mirrored is None and found.status is Status.NOT_FOUND and self._track is None:
             found = self._with_other_dots(spots) or found
         found = mirrored or found
+        self._lights.take(found, spots)
         end = time.perf_counter()
         stage_ms = {"spots": 1e3 * (middle - begin), "triplets": 1e3 * (end - middle)}
         if found.refined is None:
@@ -172,7 +174,7 @@ class ReflectorSensor:
         pose = found.refined.camera_from_target
         self._note, self._noted_m = found.note, self.constellation.range_m(pose)
         names = found.names(self.constellation, len(spots))
-        if self.tracking.confirm and prior is None and not self._agrees(found):
+        if self.tracking.confirm and prior is None and not self._agrees(found, spots):
             self._unconfirmed = (time_s, pose, found.table(spots, len(self.constellation)))
             return ReflectorObservation(
                 Status.UNCONFIRMED, "found for the first time: the next reading must agree",
@@ -180,7 +182,6 @@ class ReflectorSensor:
                 stage_ms=stage_ms,
             )  # fmt: skip
         ambiguous = found.roll_ambiguous
-        self._fresh = self.tracking.fresh if self._track is not None else 0
         if prior is not None and self._track is not None:  # it stays as well known as it was
             ambiguous = self._track.roll_ambiguous and not self._resolves(found.reflectors)
         return self._adopt(time_s, found, spots, ambiguous, stage_ms)
@@ -222,10 +223,11 @@ class ReflectorSensor:
             time_s, refined, spots, names, found.group, stage_ms, ambiguous, tracked=False
         )
 
-    def _agrees(self, found: Acquisition) -> bool:
-        """Whether a second find is near the first."""
+    def _agrees(self, found: Acquisition, spots: SpotTable) -> bool:
+        """Whether a second find is near the first, and no light has vanished."""
         first = self._unconfirmed
-        return first is not None and found.is_near(first[1], self._centre)
+        near = first is not None and found.is_near(first[1], self._centre)
+        return near and not self._lights.vanished(found, spots)
 
     def _follow(self, time_s: float, frames: LitDark, push: Array | None) -> ReflectorObservation:
         track = self._track
@@ -252,7 +254,11 @@ class ReflectorSensor:
         doubt = track.doubts(table, seen, self.tracking)
         if refined is not None:
             jumps, light = self._rates.jumps, fit.light[seen]
-            if jumps(time_s, refined, light, track, self.tracking, doubt):
+            # Another light in a window may be as likely.
+            if jumps(time_s, refined, light, track, self.tracking, doubt) or any(
+                not jumps(time_s, other, shine, track, self.tracking, max(doubt, Doubt.SOME))
+                for other, shine in fit.with_rivals(track, seen)
+            ):
                 refined, seen, branch = None, seen[:0], Branch.SURE
         contradiction = self._contradiction(time_s, frames, track, refined, seen, stage_ms, doubt)
         if contradiction is not None:
@@ -271,7 +277,7 @@ class ReflectorSensor:
         table = table.copy()
         table[outcome != VISIBLE] = np.nan
         ambiguous = track.roll_ambiguous and not self._resolves(seen)
-        self._remember(time_s, table, refined, noise, ambiguous, branch, doubt, fit.light)
+        self._remember(time_s, table, refined, noise, ambiguous, branch, fit.light)
         if branch is Branch.OPEN:
             self._rates.clear()
             return undecided(
@@ -290,16 +296,13 @@ class ReflectorSensor:
 
         It is searched while a reflector that should be visible is not, or while the roll is open
         and another group could tell it. A second reading that agrees takes the track over. A group
-        that is left out and fits as well is compared again as the target comes nearer. So are all
-        spots for some readings after the target was found again.
+        that is left out and fits as well is compared again as the target comes nearer.
         Where the windows show no pose, one near the last is taken at once: the camera jerked.
         """
         several = track.roll_ambiguous and len(self.patterns) > 1
         range_m = self.constellation.range_m(track.pose)
         doubted = self._note is not None and range_m < _NEARER * self._noted_m
-        self._fresh = max(self._fresh - 1, 0)
-        fresh = self._fresh > 0 and len(seen) <= FEW
-        if not (several or doubted or fresh or refined is None or self._fit.misses(seen)):
+        if not (several or doubted or refined is None or self._fit.misses(seen)):
             self._unconfirmed = None
             return None
         begin = time.perf_counter()
@@ -307,6 +310,7 @@ class ReflectorSensor:
         more = doubted or len(spots) > max(len(seen), 2)
         found = self.acquirer.acquire(spots) if more else None
         jerked = self.acquirer.acquire(spots, track.pose) if found and refined is None else None
+        self._lights.take(found, spots)
         stage_ms["search"] = 1e3 * (time.perf_counter() - begin)
         near = jerked is not None and jerked.is_near(track.pose, self._centre)
         if jerked and near and self._continues(time_s, jerked, spots, doubt):
@@ -315,11 +319,6 @@ class ReflectorSensor:
         if found is not None and found.left_out:
             self._track = None
             return refused(found, time_s, spots, stage_ms)
-        if found is not None and found.status is Status.AMBIGUOUS and fresh and refined:
-            return undecided(
-                "other spots pass for the target, too, since it was found again",
-                time_s, spots, (None,) * len(spots), stage_ms, tracked=True,
-            )  # fmt: skip
         if found is None or found.refined is None or found.reflectors is None:
             return None
         if doubted:
@@ -328,12 +327,11 @@ class ReflectorSensor:
         if refined is not None:
             alike = self.acquirer.alike(found, refined.camera_from_target)
             confirms = alike and several and self._resolves(found.reflectors)
-            fewer = len(found.reflectors) <= len(seen) and not fresh
-            if fewer or (alike and not confirms):
+            if len(found.reflectors) <= len(seen) or (alike and not confirms):
                 return None
         if refined is None and not self._continues(time_s, found, spots):
             return None
-        if self._agrees(found):
+        if self._agrees(found, spots):
             self._track = None
             return self._adopt(time_s, found, spots, found.roll_ambiguous, stage_ms)
         self._unconfirmed = (time_s, pose, found.table(spots, len(self.constellation)))
@@ -361,15 +359,14 @@ class ReflectorSensor:
 
     def _remember(
         self, time_s: float, table: Array, refined: Refined, noise: float, ambiguous: bool,
-        branch: Branch, doubt: Doubt = Doubt.NONE, light: Array | None = None,
+        branch: Branch, light: Array | None = None,
     ) -> None:  # fmt: skip
         last = self._track
         if last is None or last.misses > self.tracking.coast:
             self._rates.clear()
         self._track = Track.after(
-            last, time_s, table, refined, noise, ambiguous, branch, self.tracking.coast, doubt,
-            light,
-        )  # fmt: skip
+            last, time_s, table, refined, noise, ambiguous, branch, self.tracking.coast, light
+        )
 
     def _reading(
         self, time_s: float, refined: Refined, spots: SpotTable, names: tuple[str | None, ...],

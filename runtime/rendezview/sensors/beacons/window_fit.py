@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,7 @@ from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptio
 from rendezview.sensors.beacons.detect.discs import camera_doubts, camera_numbers
 from rendezview.sensors.beacons.detect.lens_scale import LensScale
 from rendezview.sensors.beacons.detect.rolling_shutter import at_middle_row
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SpotTable, recentre
+from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SpotTable, X, recentre
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.match.judgement import least_facing
@@ -63,6 +64,7 @@ class WindowFit:
         self._background = background  # of the last whole picture
         n = len(constellation)  # of the last reading's windows:
         self.expected, self.table = np.empty((n, 3)), np.empty((n, COLUMNS))
+        self.rival = np.empty((n, COLUMNS))
         self.outcome = np.zeros(n, np.int64)
         self.half, self._level = np.empty(n), np.empty(n)
         self.light = np.zeros(n)  # χ² of sizes and brightnesses
@@ -81,7 +83,7 @@ class WindowFit:
         noise = track.noise if noise < 0.0 else noise
         read_windows(
             frames.lit, dark, self.expected, self.half, self._level, noise, limits, self.table,
-            self.outcome,
+            self.rival, self.outcome,
         )  # fmt: skip
         seen = self.outcome == VISIBLE
         rows = self.table[seen]
@@ -135,6 +137,16 @@ class WindowFit:
         if iterations < 0:
             return None
         return Refined(Pose.unchecked(rotation, translation), shares, residuals)
+
+    def with_rivals(self, track: Track, seen: Ints) -> Iterator[tuple[Refined, Array]]:
+        """Poses of few spots with the next best of one window, and (K,) χ² of their light."""
+        for k in seen if len(seen) <= FEW else ():
+            if math.isfinite(self.rival[k, X]):
+                table = self.table.copy()
+                table[k] = self.rival[k]
+                refined = self.solve(track.pose, table, seen)
+                if refined is not None:
+                    yield refined, self.compare(table[seen], seen, track.pose, track)[1]
 
     def without_strangers(
         self, start: Pose, refined: Refined, table: Array, seen: Ints

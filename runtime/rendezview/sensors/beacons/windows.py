@@ -18,6 +18,7 @@ from rendezview.sensors.beacons.detect.spots import (
     RIGHT,
     RIVALS,
     SHAPE,
+    SIGMA,
     SIZE,
     TOP,
     X,
@@ -36,13 +37,17 @@ _Options = tuple[float, float, float, float, float, float]  # see `place_windows
 # peak, and an even disc has two thirds of that peak.
 _CONTRAST = 1.8  # Source: by construction
 
+# × a spot's size: a σ that another light over it makes. Source: by construction, half of what
+# `window_centroid` gives
+_OVERLAPPED = 0.5
+
 _NO_WINDOW, _NOTHING, _STRANGER, VISIBLE = range(4)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def read_windows(
     lit: Grey, dark: Grey, expected: Array, half: Array, level: Array, noise: float,
-    limits: tuple[float, float], table: Array, outcome: Ints,
+    limits: tuple[float, float], table: Array, rival: Array, outcome: Ints,
 ) -> None:  # fmt: skip
     """Look for one spot in each window.
 
@@ -54,13 +59,14 @@ def read_windows(
         noise: of one pixel of the difference, grey.
         limits: largest |ln| of size over expected size, least shape (small over large axis).
         table: (N, 23) rows of the spot table, filled where a spot is found.
+        rival: (N, 23) the second-best spot of each window, NaN where there is none.
         outcome: (N,) 0 window outside the picture, 1 nothing in it, 2 spots that are not a
             reflector, 3 visible.
     """
     height, width = lit.shape
     columns, rows = np.empty(width), np.empty(height)
     for i in range(expected.shape[0]):
-        outcome[i] = _NO_WINDOW
+        outcome[i], rival[i, X] = _NO_WINDOW, np.nan
         x, y, size = expected[i, 0], expected[i, 1], expected[i, 2]
         if not (math.isfinite(x) and math.isfinite(y)):
             continue
@@ -72,7 +78,7 @@ def read_windows(
             continue
         outcome[i] = _search_window(
             lit, dark, expected[i], half[i], level[i], noise, limits, (x0, x1, y0, y1),
-            columns, rows, table[i],
+            columns, rows, table[i], rival[i],
         )  # fmt: skip
 
 
@@ -80,11 +86,10 @@ def read_windows(
 def _search_window(
     lit: Grey, dark: Grey, expected: Array, half: float, level: float, noise: float,
     limits: tuple[float, float], box: tuple[int, int, int, int], columns: Array, rows: Array,
-    best_row: Array,
+    best_row: Array, next_row: Array,
 ) -> int:  # fmt: skip
-    """Outcome of one window; the row of the spot nearest in place and size into ``best_row``."""
-    size_limit, least_shape = limits
-    x0, x1, y0, y1 = box
+    """Outcome of one window; the rows of the two spots nearest in place and size."""
+    (size_limit, least_shape), (x0, x1, y0, y1) = limits, box
     w, h = x1 - x0 + 1, y1 - y0 + 1
     # Copies: a view of a picture would be another type, for which all is compiled again.
     part, part_dark = np.empty((h, w), np.uint8), dark
@@ -92,9 +97,10 @@ def _search_window(
         part_dark = np.empty((h, w), np.uint8)
     flat, stack, row = np.empty(w * h, np.uint8), np.empty(w * h, np.int32), np.empty(COLUMNS)
     rim, least, most = _copy_window(lit, dark, (x0, y0), part, part_dark)
-    outcome, best, alike = _NOTHING, np.inf, 0
+    outcome, best = _NOTHING, np.inf
     # A single picture: what is behind the spot may be darker than the window's rim.
     for attempt in range(2 if most - least > _CONTRAST * level else 1):
+        second, alike, next_row[X] = np.inf, 0, np.nan
         floor = 0.5 * (least + most) if attempt else rim + level
         _mark(part, part_dark, floor, flat)
         for start in range(w * h):
@@ -103,8 +109,7 @@ def _search_window(
             gather(flat, w, h, start, part, part_dark, floor, stack, row)
             if row[AREA] < max(3.0, expected[2] ** 2):  # noise, or a spot's tip: whole it has 7 σ²
                 continue
-            if outcome == _NOTHING:
-                outcome = _STRANGER
+            outcome = max(outcome, _STRANGER)
             inside = row[LEFT] > 0 and row[TOP] > 0 and row[RIGHT] < w - 1 and row[BOTTOM] < h - 1
             if not inside or row[SHAPE] < least_shape:
                 continue
@@ -116,15 +121,24 @@ def _search_window(
                 row[SIZE] = rim_size
             ratio = math.log(row[SIZE] / expected[2])
             off = math.hypot(row[X] - expected[0], row[Y] - expected[1]) / half
-            if abs(ratio) > size_limit or (attempt and row[AMPLITUDE] < level):
+            # Where another light lies over a spot, its size tells nothing.
+            unlike = abs(ratio) > size_limit
+            other = unlike and row[SIGMA] < _OVERLAPPED * row[SIZE]
+            if other or (attempt and row[AMPLITUDE] < level):
                 continue
             alike += 1
             if off > 1.0:
                 continue
             score = off * off + (ratio / size_limit) ** 2
-            if score < best:
+            if score < best and not unlike:
+                if best < second:
+                    second = best
+                    copy_into(best_row, next_row)
                 best, outcome = score, VISIBLE
                 copy_into(row, best_row)
+            elif score < second:
+                second = score
+                copy_into(row, next_row)
         if outcome == VISIBLE:
             best_row[RIVALS] = alike - 1
             break
