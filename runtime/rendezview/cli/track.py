@@ -10,7 +10,12 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from rendezview.cli.compiling import compile_ahead, compile_beside, tell_of_compiling
+from rendezview.cli.compiling import (
+    COMMANDS,
+    compile_ahead,
+    compile_beside,
+    tell_of_compiling,
+)
 from rendezview.cli.guide import (
     AemFile,
     ChaserFile,
@@ -157,8 +162,8 @@ def track(
     integrity = _integrity(integrity_risk, alarm_attitude_deg, alarm_position_m)
     levels = Levels()
     # Frames of a file wait for loops that only hard ones need; those of a camera do not.
-    later = ("hard",) if taken is None else ()
-    compile_ahead("track", *(() if later else ("hard",)))
+    ahead, later = (("track",), ("hard",)) if taken is None else (COMMANDS["track"], ())
+    compile_ahead(*ahead)
     tell_of_compiling()
     guide = _guide(loaded, plan, shape, chaser, oem, aem, refine)
     film = video_of(video, sequence, loaded) if video else None

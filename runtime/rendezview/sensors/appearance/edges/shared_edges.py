@@ -27,7 +27,7 @@ from rendezview.sensors.appearance.edges.predicted import (
 # 2.5 differ by less than 5 % in the errors by σ of 113 end-on frames of a hexagonal craft
 _SHARED_PX = 2.5
 # Of the target's radius, between their depths: less tells nothing of the attitude. Source: the
-# same frames; at 0.1 errors of 2 σ and more are three times as many
+# same frames; squared errors by σ² of those without a fitted light: 1.4 at 0.1, 0.6 at 0.05
 _BEHIND_RADII = 0.05
 _ALONG = 0.9  # cosine between their normals. Source: by construction, 26°
 

@@ -1,7 +1,7 @@
 """Views of a part of the target, for a camera closer than the whole sphere of views.
 
 Smaller spheres of views (Cleghorn and Sternberg, 1991: "a smaller sphere, which encloses a part of
-the target"), around the docking ring's centre, with directions about the ring's axis only.
+the target"), around a port's centre, with directions about its axis only.
 """
 
 from __future__ import annotations
