@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
+from tests.service import fuzz_pictures
 from tests.service.fuzz import campaign
 
 
@@ -14,3 +15,7 @@ def test_malformed_requests_neither_fail_nor_cost_much(start_service):
     kinds = Counter(name.split()[0].rstrip(":0123456789") for name in fuzz.outcomes.elements())
     assert {"raw", "stream"} <= set(kinds)  # each way was taken
     assert served.process.poll() is None
+
+
+def test_damaged_pictures_neither_fail_nor_cost_much():
+    assert fuzz_pictures.campaign(seed=42, count=1500) == []
