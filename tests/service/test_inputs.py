@@ -9,7 +9,9 @@ import httpx
 import pytest
 from tests.waiting import MOST_S
 
+from rendezview.io.results import json_line
 from rendezview_service.client import Client, ServiceError
+from rendezview_service.logs.replay import model_of, read_log, repeat
 from rendezview_service.messages.frames import read_frame
 
 
@@ -37,7 +39,7 @@ def test_where_to_look_holds_until_there_is_a_pose(client, camera, tour):
         assert session.track(frame)["pose"] is not None
 
 
-def test_a_frame_says_where_its_target_is(client, camera, tour):
+def test_a_frame_says_where_its_target_is(client, camera, tour, tmp_path):
     _, pose, frame = tour[0]
     x, y = camera.project(pose.translation_m)
     away = [0.0, 0.0, max(x / 6.0, 8.0), max(y / 6.0, 8.0)]
@@ -55,6 +57,30 @@ def test_a_frame_says_where_its_target_is(client, camera, tour):
         stream.send(frame, 5.0, [1.0])
         with pytest.raises(ServiceError, match="roi"):
             stream.receive(MOST_S)
+        stream._send(json_line({"roi": away}))  # of the next frame
+        for time_s, found in ((6.0, False), (7.0, True)):
+            stream.send(frame, time_s)
+            assert (stream.receive(MOST_S)["pose"] is not None) is found
+        assert session.info()["frames"] == 7  # none of those that were refused
+        (tmp_path / "run.mcap").write_bytes(session.log())
+    log = read_log(tmp_path / "run.mcap")
+    *_, (_, so_far) = repeat(log, model_of(log, None))
+    assert (so_far.frames, so_far.first_difference) == (7, None)
+
+
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [(b'{"time_s": 1e11}\n', "time_s"), (b'{"time_s": 1', "JSON"),
+     (b'{"time_s": 1, "x": 2}\n', "x"), (b'{"time_s": NaN}\n', "NaN"),
+     (b'{"time_s": null, "roi": [1e99, 2]}\n', "outside")],
+)  # fmt: skip
+def test_a_frame_whose_line_is_wrong_is_refused(client, camera, tour, head, said):
+    with client.open(camera) as session, session.stream() as stream:
+        stream._send(head + tour[0][2].tobytes())
+        with pytest.raises(ServiceError, match=said) as refused:
+            stream.receive(MOST_S)
+        assert refused.value.status == 422
+        assert session.info()["frames"] == 0
 
 
 def test_a_raw_frame_stays_when_the_next_one_comes_into_the_same_memory(camera):

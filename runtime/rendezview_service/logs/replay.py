@@ -258,10 +258,9 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Comparison]]
             run = None
             continue
         run.expected += 1
-        image = read_frame(entry.image, run.tracker.camera)
-        state, _ = run.tracker.track(
-            image, entry.time_s, entry.state["received_unix_s"], entry.state.get("drops", 0)
-        )
+        image, logged = read_frame(entry.image, run.tracker.camera), entry.state
+        about = logged["received_unix_s"], logged.get("drops", 0), logged.get("roi")
+        state, _ = run.tracker.track(image, entry.time_s, *about)
         state["frame"] += run.first_frame
         again = json.loads(to_json(state, inf_nan_mode="null"))
         so_far.frames += 1

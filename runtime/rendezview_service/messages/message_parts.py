@@ -41,6 +41,13 @@ class Message(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
+class FrameHead(Message):
+    """The line of JSON before the picture of a frame in a stream."""
+
+    time_s: Annotated[FiniteFloat, Field(ge=-MOST_TIME_S, le=MOST_TIME_S)] | None
+    roi: RegionNumbers | None = None
+
+
 class PoseMessage(Message):
     """camera_from_target: ``p_camera = R p_target + t``."""
 

@@ -164,7 +164,7 @@ class SessionTracker:
             )
         if roi is not None:
             Region.of(roi, self.camera)
-        start = time.perf_counter()
+        told, start = roi, time.perf_counter()
         if self.tracker.lost and (known := self.filter.expected(time_s)) is not None:
             self.tracker.expect(*known)
         if roi is None and self.tracker.prior is None:
@@ -176,6 +176,8 @@ class SessionTracker:
             self._last_pose_s = time_s
         state = self._state(observation, time_s, received_unix_s, track_ms)
         state["drops"] = drops
+        if told is not None:
+            state["roi"] = told
         clock = time.perf_counter()
 
         def lap(stage: str) -> None:

@@ -37,7 +37,7 @@ def run(
         campaign = tests_module("service.kills").campaign
         sys.exit(not campaign(partial(serve, model), scene, count, seed))
     if kind == "fuzz":
-        served = serve(model, spare_worker="false")
+        served = serve(model, spare_worker="false", sender_hold_s=0.0)  # nobody else's session
         found = tests_module("service.fuzz").campaign(served, seed, count, minutes=minutes)
         served.stop()
         sys.exit(bool(found.failures))
