@@ -17,9 +17,19 @@ from rendezview_service.messages.frames import read_frame
 
 @pytest.mark.parametrize(
     "request_",
-    [{"sun_camera": [1e308] * 3}, {"sun_camera": [1e-320, 0.0, 0.0]}, {"sun_camera": [0.0] * 3}],
+    [
+        {"sun_camera": [1e308] * 3},
+        {"sun_camera": [1e-320, 0.0, 0.0]},
+        {"sun_camera": [0.0] * 3},
+        {
+            "fusion": {
+                "mounts": {"side": {"quat_wxyz": [1e-320, 0, 0, 0], "translation_m": [0, 0, 0]}}
+            }
+        },
+        {"fusion": {"mounts": {"side": {"quat_wxyz": [1e308] * 4, "translation_m": [0, 0, 0]}}}},
+    ],
 )
-def test_a_direction_that_has_none_is_refused_at_the_opening(client, camera, request_):
+def test_a_direction_or_a_turn_that_is_none_is_refused_at_the_opening(client, camera, request_):
     with pytest.raises(ServiceError, match="direction") as refused:
         client.open(camera, **request_)
     assert refused.value.status == 422

@@ -151,10 +151,14 @@ def _take(
         waiting = session.input([picture], time_s, answer, sender=sender)
         waiting.roi = region
         session.replace(waiting)
-    except HTTPException as error:
-        answer(Answer(error.status_code, b"", str(error.detail)))
-    except (RendezviewError, Refused) as error:
-        answer(Answer(error.status if isinstance(error, Refused) else 422, b"", str(error)))
+    except (HTTPException, RendezviewError, Refused) as error:
+        answer(_refusal(error))
+
+
+def _refusal(error: HTTPException | RendezviewError | Refused) -> Answer:
+    if isinstance(error, HTTPException):
+        return Answer(error.status_code, b"", str(error.detail))
+    return Answer(error.status if isinstance(error, Refused) else 422, b"", str(error))
 
 
 def _take_text(
@@ -162,10 +166,10 @@ def _take_text(
 ) -> list[float] | None:
     """A text message ``{"sensor": name, "record": {…}}``, or ``{"roi": […]}``, which is given."""
     most = min(settings.measurement_bytes, settings.frame_bytes)
-    if len(text) > most:
-        answer(Answer(413, b"", f"the message is too long: send at most {most} bytes"))
-        return None
+    too_long = HTTPException(413, f"the message is too long: send at most {most} bytes")
     try:
+        if len(text) > most:
+            raise too_long
         message = parse_json(text, "the message")
         if isinstance(message, dict) and set(message) == {"roi"}:
             return frame_region(message["roi"])
@@ -177,12 +181,10 @@ def _take_text(
         sensor = sensor_name(message["sensor"])
         content = json.dumps(message["record"]).encode()
         if len(content) > most:
-            raise HTTPException(413, f"the message is too long: send at most {most} bytes")
+            raise too_long
         session.measure(session.input([content], None, answer, sensor=sensor))
-    except HTTPException as error:
-        answer(Answer(error.status_code, b"", str(error.detail)))
-    except (RendezviewError, Refused) as error:
-        answer(Answer(error.status if isinstance(error, Refused) else 422, b"", str(error)))
+    except (HTTPException, RendezviewError, Refused) as error:
+        answer(_refusal(error))
     return None
 
 
@@ -252,9 +254,8 @@ async def _accepted(socket: WebSocket, name: str, right: Right) -> Session | Non
     except (HTTPException, NotReady) as error:
         # Accept first: a browser gives its page no reason for a refused handshake.
         await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
-        soon = isinstance(error, NotReady)
-        reason = str(error if soon else error.detail)  # type: ignore[union-attr]
-        await socket.close(_SOON if soon else _REFUSED, reason[:100])
+        code = _SOON if isinstance(error, NotReady) else _REFUSED
+        await socket.close(code, _refusal(error).error[:100])
         return None
     await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
     return session

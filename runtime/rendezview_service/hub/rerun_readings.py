@@ -23,7 +23,6 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview_service.messages.message_parts import PoseMessage
-from rendezview_service.tracker.tracking import pose_of
 
 _GREEN, _BLUE, _PURPLE = (80, 220, 120), (90, 160, 255), (200, 120, 255)
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 65)  # rad, along an ellipse. Source: chosen
@@ -119,7 +118,7 @@ class ReadingsRecorder:
 
 def _pose(pose_message: Any) -> Pose:
     try:
-        return pose_of(PoseMessage.model_validate(pose_message))
+        return PoseMessage.model_validate(pose_message).pose
     except ValidationError as error:
         raise RendezviewError(f"fused: pose: {error.errors()[0]['msg']}") from None
 

@@ -60,18 +60,6 @@ def camera_message(camera: Camera, *, checked: bool = False) -> CameraMessage:
     return CameraMessage.model_validate(keys | {"checked": checked})
 
 
-def pose_of(message: PoseMessage) -> Pose:
-    """The pose of a message.
-
-    Raises:
-        RendezviewError: the quaternion is zero.
-    """
-    try:
-        return Pose.from_quat_wxyz(message.quat_wxyz, message.translation_m)
-    except ValueError as error:
-        raise RendezviewError(f"pose: {error}") from None
-
-
 def integrity_of(message: IntegrityRequest | None) -> IntegrityOptions | None:
     """The integrity of a message."""
     return None if message is None else IntegrityOptions(**message.model_dump(exclude_none=True))
@@ -103,7 +91,7 @@ class SessionTracker:
             handover: the last `Fused` state of that filter; None: it had no pose.
 
         Raises:
-            RendezviewError: the camera, the prior or the direction to the Sun is wrong.
+            RendezviewError: the camera, the region, a sensor or the path is wrong.
         """
         if request.camera is None:
             raise RendezviewError("the session has no camera: give one")
@@ -111,12 +99,10 @@ class SessionTracker:
         self.model = model
         self.camera = camera_of(request.camera)
         self.sun_camera = request.sun_camera
-        if self.sun_camera is not None and not any(self.sun_camera):
-            raise RendezviewError("sun_camera: a direction must not be zero")
         self._roi = request.roi
         if self._roi is not None:
             Region.of(self._roi, self.camera)  # a wrong one is said at once
-        prior = None if request.prior is None else pose_of(request.prior)
+        prior = None if request.prior is None else request.prior.pose
         recognizer = recognizer or Recognizer(model, self.camera, trees=request.trees)
         self.tracker = Tracker(recognizer, prior, integrity=integrity_of(request.integrity))
         self._nodes = model.geodesic.nodes.tolist()
@@ -333,4 +319,4 @@ def contour_shown(
     pose, predicted = shown_pose(state)
     if pose is None or camera is None:
         return None
-    return contour_at(model, camera, pose_of(pose), angles_rad, predicted=predicted)
+    return contour_at(model, camera, pose.pose, angles_rad, predicted=predicted)
