@@ -27,13 +27,11 @@ from mcap.records import (
 )
 
 from rendezview_service.logs import log_schemas
-from rendezview_service.logs.log_file import WRITER
-from rendezview_service.logs.log_folder import SESSION_METADATA
+from rendezview_service.logs.log_file import MODEL_ATTACHMENT, SESSION_METADATA, WRITER
 from rendezview_service.logs.log_index import MAGIC, Scan, ending, taken
 from rendezview_service.logs.log_lock import NO_LOCKS, lock
 from rendezview_service.logs.log_queue import MOST_AT_ONCE, Entry
 
-MODEL_ATTACHMENT = "model.rvm"
 _NO_FOLDER_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES)
 
 

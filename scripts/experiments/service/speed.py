@@ -126,8 +126,8 @@ def run(
     SCENE is a folder that rendezview simulate wrote, 640 × 480, of the model's target, moving
     little from frame to frame (--dt 0.0333 --jitter 0 --turn 10). The service runs on a free port
     of this machine; bare calls and the service take turns, so that other load disturbs both. With
-    --soak-min, the memory of the service over so many minutes at a steady rate instead: how far
-    the medians of the first and the second half differ.
+    --soak-min, the memory of the service over so many minutes at a steady rate instead, and how
+    far its medians differ.
     """
     if soak_min:
         soak.command(model, scene, soak_min, rate_hz, soak_log)
