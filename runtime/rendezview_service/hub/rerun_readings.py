@@ -60,14 +60,21 @@ class ReadingsRecorder:
         self._rr, self._log, self._at, self._size_m = rr, log, at, size_m
         self._drawn: set[str] = set()
 
-    def show(self, state: dict[str, Any], camera: Camera | None, scale: float = 1.0) -> None:
+    def show(
+        self,
+        state: dict[str, Any],
+        camera: Camera | None,
+        scale: float = 1.0,
+        more: dict[str, Any] | None = None,
+    ) -> None:
         """Draw the readings of a `State`, or of any record with its keys.
 
         Args:
             camera: of the frame; None: nothing is drawn over the picture.
             scale: of the shown picture over the frame.
+            more: other shapes, by entity.
         """
-        shapes = self._in_space(state)
+        shapes = self._in_space(state) | (more or {})
         if camera is not None:
             shapes |= self._in_picture(state, camera, scale)
         for name in self._drawn - shapes.keys():
