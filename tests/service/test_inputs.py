@@ -6,6 +6,7 @@ import json
 from concurrent.futures import ThreadPoolExecutor
 
 import httpx
+import numpy as np
 import pytest
 from tests.waiting import MOST_S
 
@@ -13,6 +14,8 @@ from rendezview.io.results import json_line
 from rendezview_service.client import Client, ServiceError
 from rendezview_service.logs.replay import model_of, read_log, repeat
 from rendezview_service.messages.frames import read_frame
+from rendezview_service.messages.messages import SessionRequest
+from rendezview_service.tracker.tracking import SessionTracker, camera_message
 
 
 @pytest.mark.parametrize(
@@ -47,6 +50,19 @@ def test_where_to_look_holds_until_there_is_a_pose(client, camera, tour):
         assert session.track(frame)["pose"] is None
     with client.open(camera, roi=[x, y]) as session:
         assert session.track(frame)["pose"] is not None
+
+
+def test_where_to_look_first_is_not_where_it_was_lost(refining_model, camera, tour):
+    """After a pose the region is over, however long the target is out of sight."""
+    _, pose, frame = tour[0]
+    x, _ = camera.project(pose.translation_m)
+    box = [x + 60.0 - 80.0, 0.0, 160.0, camera.height]
+    asked = {"camera": camera_message(camera).model_dump(), "roi": box}
+    tracker = SessionTracker("s", refining_model, SessionRequest.model_validate(asked))
+    assert tracker.track(np.roll(frame, 60, axis=1), 0.0, 0.0)[0]["pose"] is not None
+    empty = np.full_like(frame, int(np.median(frame)))
+    assert tracker.track(empty, 100.0, 100.0)[0]["pose"] is None
+    assert tracker.track(np.roll(frame, -60, axis=1), 200.0, 200.0)[0]["pose"] is not None
 
 
 def test_a_frame_says_where_its_target_is(client, camera, tour, tmp_path):

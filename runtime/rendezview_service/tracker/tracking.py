@@ -99,7 +99,7 @@ class SessionTracker:
         self.model = model
         self.camera = camera_of(request.camera)
         self.sun_camera = request.sun_camera
-        self._roi = request.roi
+        self._roi = request.roi  # until there is a pose
         if self._roi is not None:
             Region.of(self._roi, self.camera)  # a wrong one is said at once
         prior = None if request.prior is None else request.prior.pose
@@ -150,20 +150,19 @@ class SessionTracker:
             )
         if roi is not None:
             Region.of(roi, self.camera)
-        told, start = roi, time.perf_counter()
+        start = time.perf_counter()
         if self.tracker.lost and (known := self.filter.expected(time_s)) is not None:
             self.tracker.expect(*known)
-        if roi is None and self.tracker.prior is None:
-            roi = self._roi
-        observation = self.tracker.update(time_s, image, self.sun_camera, roi)
+        region = self._roi if roi is None and self.tracker.prior is None else roi
+        observation = self.tracker.update(time_s, image, self.sun_camera, region)
         track_ms = 1e3 * (time.perf_counter() - start)
         self.last_s = time_s
         if observation.pose is not None:
-            self._last_pose_s = time_s
+            self._last_pose_s, self._roi = time_s, None  # it may be elsewhere when it is lost
         state = self._state(observation, time_s, received_unix_s, track_ms)
         state["drops"] = drops
-        if told is not None:
-            state["roi"] = told
+        if roi is not None:
+            state["roi"] = roi
         clock = time.perf_counter()
 
         def lap(stage: str) -> None:
