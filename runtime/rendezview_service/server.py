@@ -19,6 +19,7 @@ from rendezview.errors import RendezviewError
 from rendezview_service.http.app import make_app
 from rendezview_service.http.connections import BoundedProtocol, BoundedSocket, bounded
 from rendezview_service.http.security import Token, read_tokens
+from rendezview_service.http.streams import MOST_HEAD
 from rendezview_service.hub.service import Service
 from rendezview_service.settings import Settings
 
@@ -126,7 +127,7 @@ def _config(app: _Watched, settings: Settings, protocol: type[BoundedProtocol]) 
         access_log=False,
         log_config=None,
         server_header=False,
-        ws_max_size=settings.frame_bytes + 8,
+        ws_max_size=settings.frame_bytes + MOST_HEAD,
         ws_per_message_deflate=False,  # frames hardly compress
         ws_ping_interval=20.0,
         ws_ping_timeout=20.0,

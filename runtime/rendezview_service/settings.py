@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,7 +9,7 @@ from pydantic import Field, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from rendezview.errors import RendezviewError
-from rendezview.io.files import describe, read_text
+from rendezview.io.files import describe, read_toml
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
@@ -123,10 +122,7 @@ def load_settings(file: Path | None, flags: dict[str, Any]) -> Settings:
     """
     content: dict[str, Any] = {}
     if file is not None:
-        try:
-            content = tomllib.loads(read_text(file, "settings of the service (TOML)"))
-        except tomllib.TOMLDecodeError as error:
-            raise RendezviewError(f"{file}: not valid TOML ({error}): correct the file") from None
+        content = read_toml(file, "settings of the service")
         unknown = sorted(set(content) - set(Settings.model_fields))
         if unknown:
             raise RendezviewError(

@@ -191,6 +191,8 @@ class Fuzz(Cases):
         head = struct.pack("<d", float("nan"))
         if rng.random() < 0.2:
             head = rng.bytes(rng.integers(0, 9))
+        elif rng.random() < 0.1:
+            head = json.dumps({"time_s": self.value(), "roi": self.value()}).encode() + b"\n"
         message = head + self.frame()
         if rng.random() < 0.05:
             message = json.dumps(self.value())

@@ -52,7 +52,11 @@ class Cases:
         rng = self.rng
         if rng.random() < 0.05:
             return self.hostile[rng.integers(len(self.hostile))]
-        content = bytearray(self.good[rng.integers(len(self.good))])
+        return self.damaged(self.good[rng.integers(len(self.good))])
+
+    def damaged(self, good: bytes) -> bytes:
+        """A file or a frame after something happened to it."""
+        rng, content = self.rng, bytearray(good)
         for _ in range(rng.integers(1, 4)):
             how = rng.integers(7)
             if how == 0:

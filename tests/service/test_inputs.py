@@ -6,18 +6,33 @@ import json
 from concurrent.futures import ThreadPoolExecutor
 
 import httpx
+import numpy as np
 import pytest
 from tests.waiting import MOST_S
 
+from rendezview.io.results import json_line
 from rendezview_service.client import Client, ServiceError
+from rendezview_service.logs.replay import model_of, read_log, repeat
 from rendezview_service.messages.frames import read_frame
+from rendezview_service.messages.messages import SessionRequest
+from rendezview_service.tracker.tracking import SessionTracker, camera_message
 
 
 @pytest.mark.parametrize(
     "request_",
-    [{"sun_camera": [1e308] * 3}, {"sun_camera": [1e-320, 0.0, 0.0]}, {"sun_camera": [0.0] * 3}],
+    [
+        {"sun_camera": [1e308] * 3},
+        {"sun_camera": [1e-320, 0.0, 0.0]},
+        {"sun_camera": [0.0] * 3},
+        {
+            "fusion": {
+                "mounts": {"side": {"quat_wxyz": [1e-320, 0, 0, 0], "translation_m": [0, 0, 0]}}
+            }
+        },
+        {"fusion": {"mounts": {"side": {"quat_wxyz": [1e308] * 4, "translation_m": [0, 0, 0]}}}},
+    ],
 )
-def test_a_direction_that_has_none_is_refused_at_the_opening(client, camera, request_):
+def test_a_direction_or_a_turn_that_is_none_is_refused_at_the_opening(client, camera, request_):
     with pytest.raises(ServiceError, match="direction") as refused:
         client.open(camera, **request_)
     assert refused.value.status == 422
@@ -37,7 +52,20 @@ def test_where_to_look_holds_until_there_is_a_pose(client, camera, tour):
         assert session.track(frame)["pose"] is not None
 
 
-def test_a_frame_says_where_its_target_is(client, camera, tour):
+def test_where_to_look_first_is_not_where_it_was_lost(refining_model, camera, tour):
+    """After a pose the region is over, however long the target is out of sight."""
+    _, pose, frame = tour[0]
+    x, _ = camera.project(pose.translation_m)
+    box = [x + 60.0 - 80.0, 0.0, 160.0, camera.height]
+    asked = {"camera": camera_message(camera).model_dump(), "roi": box}
+    tracker = SessionTracker("s", refining_model, SessionRequest.model_validate(asked))
+    assert tracker.track(np.roll(frame, 60, axis=1), 0.0, 0.0)[0]["pose"] is not None
+    empty = np.full_like(frame, int(np.median(frame)))
+    assert tracker.track(empty, 100.0, 100.0)[0]["pose"] is None
+    assert tracker.track(np.roll(frame, -60, axis=1), 200.0, 200.0)[0]["pose"] is not None
+
+
+def test_a_frame_says_where_its_target_is(client, camera, tour, tmp_path):
     _, pose, frame = tour[0]
     x, y = camera.project(pose.translation_m)
     away = [0.0, 0.0, max(x / 6.0, 8.0), max(y / 6.0, 8.0)]
@@ -55,6 +83,30 @@ def test_a_frame_says_where_its_target_is(client, camera, tour):
         stream.send(frame, 5.0, [1.0])
         with pytest.raises(ServiceError, match="roi"):
             stream.receive(MOST_S)
+        stream._send(json_line({"roi": away}))  # of the next frame
+        for time_s, found in ((6.0, False), (7.0, True)):
+            stream.send(frame, time_s)
+            assert (stream.receive(MOST_S)["pose"] is not None) is found
+        assert session.info()["frames"] == 7  # none of those that were refused
+        (tmp_path / "run.mcap").write_bytes(session.log())
+    log = read_log(tmp_path / "run.mcap")
+    *_, (_, so_far) = repeat(log, model_of(log, None))
+    assert (so_far.frames, so_far.first_difference) == (7, None)
+
+
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [(b'{"time_s": 1e11}\n', "time_s"), (b'{"time_s": 1', "JSON"),
+     (b'{"time_s": 1, "x": 2}\n', "x"), (b'{"time_s": NaN}\n', "NaN"),
+     (b'{"time_s": null, "roi": [1e99, 2]}\n', "outside")],
+)  # fmt: skip
+def test_a_frame_whose_line_is_wrong_is_refused(client, camera, tour, head, said):
+    with client.open(camera) as session, session.stream() as stream:
+        stream._send(head + tour[0][2].tobytes())
+        with pytest.raises(ServiceError, match=said) as refused:
+            stream.receive(MOST_S)
+        assert refused.value.status == 422
+        assert session.info()["frames"] == 0
 
 
 def test_a_raw_frame_stays_when_the_next_one_comes_into_the_same_memory(camera):

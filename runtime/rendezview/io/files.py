@@ -11,6 +11,7 @@ import json
 import os
 import secrets
 import stat
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -150,6 +151,18 @@ def read_text(path: StrPath, what: str, *, limit_bytes: int | None = None) -> st
         raise RendezviewError(
             f"{path}: not text in UTF-8 (byte {error.start}); expected {what}: name another file"
         ) from error
+
+
+def read_toml(path: StrPath, what: str) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        RendezviewError: as `read_text`, or not TOML.
+    """
+    try:
+        return tomllib.loads(read_text(path, f"{what} (TOML)"))
+    except tomllib.TOMLDecodeError as error:
+        raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from error
 
 
 def parse_json(text: str, where: str) -> Any:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import os
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +27,7 @@ from pydantic import (
 from rendezview.errors import RendezviewError
 from rendezview.geometry.joint import Hinge
 from rendezview.geometry.symmetry import Symmetry, common_point, discrete_turns
-from rendezview.io.files import StrPath, checked, read_text
+from rendezview.io.files import StrPath, checked, read_toml
 from rendezview.io.joints import HingedParts, JointedParts, joint_of
 from rendezview.io.parts import TrustedPart
 
@@ -285,12 +284,7 @@ _TARGET_FILE = TypeAdapter(_TargetFile)
 
 
 def _read_target(path: Path) -> Target:
-    text = read_text(path, "a target file (TOML)")
-    try:
-        data: dict[str, Any] = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from error
-    file = checked(_TARGET_FILE, data, str(path))
+    file = checked(_TARGET_FILE, read_toml(path, "a target file"), str(path))
     _refuse_twice(path, "reflectors", [reflector.name for reflector in file.reflectors])
     _refuse_twice(path, "leds", [led.name for led in file.leds])
     _refuse_twice(path, "joints", [joint.name for joint in file.joints])

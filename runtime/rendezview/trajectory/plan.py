@@ -7,7 +7,6 @@ is given, those of Hill's frame (x outwards from the Earth, y along the orbital 
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -17,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
-from rendezview.io.files import StrPath, checked, read_text
+from rendezview.io.files import StrPath, checked, read_toml
 from rendezview.trajectory.relative_orbit import transition
 from rendezview.trajectory.shapes import Shape, frame_of
 
@@ -197,12 +196,7 @@ def read_plan(path: StrPath) -> PlanFile:
     Raises:
         RendezviewError: missing, not TOML, an unknown or wrong key.
     """
-    text = read_text(path, "a plan (TOML)")
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from error
-    return checked(_PLAN_FILE, data, str(path))
+    return checked(_PLAN_FILE, read_toml(path, "a plan"), str(path))
 
 
 def plan_of(file: PlanFile, path: str) -> Plan:

@@ -85,9 +85,10 @@ class StreamClient:
             RendezviewError: the stream has ended.
         """
         content, _ = frame_content(frame)
-        if roi is not None:
-            self._send(json_line({"roi": np.asarray(roi, dtype=np.float64).tolist()}))
         head = struct.pack("<d", float("nan") if time_s is None else time_s)
+        if roi is not None:  # in one message, which a new connection cannot tear apart
+            region = np.asarray(roi, dtype=np.float64).tolist()
+            head = f"{json_line({'time_s': time_s, 'roi': region})}\n".encode()
         self._send(b"".join((head, content)))
 
     def _send(self, message: bytes | str) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import ray
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -22,7 +23,7 @@ from rendezview.errors import RendezviewError
 from rendezview_service.cluster.heartbeat import Heartbeats
 from rendezview_service.cluster.orchestrator import NAMESPACE, join
 from rendezview_service.cluster.tunnel import packed
-from rendezview_service.http.answers import KEY_HEADER, fault, fault_of
+from rendezview_service.http.answers import KEY_HEADER, fault, fault_of, needs
 from rendezview_service.http.app import page_files
 from rendezview_service.http.security import Guard, Right, Token
 from rendezview_service.hub.inputs import NotReady, Refused
@@ -113,22 +114,20 @@ class Gateway:
             await asyncio.sleep(_KNOW_S)
 
     async def _answer(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
-        path, method, right = scope["path"], scope["method"], scope["state"]["right"]
+        path, method, caller = scope["path"], scope["method"], HTTPConnection(scope)
         parts = path.strip("/").split("/")
         if path in ("/healthz", "/readyz"):
             return await self._health(path == "/healthz")
         if parts[:2] == ["v1", "sessions"] and len(parts) == 2:
             if method == "POST":
-                if right < Right.TRACK:
-                    return _json({"error": "a token of scope track is needed"}, False, 403)
+                needs(caller, Right.TRACK)
                 return await self._open(scope, body)
             if method == "GET":
                 return await self._list(scope)
         if parts[:2] == ["v1", "sessions"] and len(parts) > 2:
             return await self._of_session(parts[2], packed(scope), body)
         if parts[:2] == ["v1", "models"] and parts[3:] == ["roll"] and method == "POST":
-            if right < Right.ADMIN:
-                return _json({"error": "a token of scope admin is needed"}, False, 403)
+            needs(caller, Right.ADMIN)
             return _json({"moved": await self._orchestrator.roll.remote(parts[2])})
         result: tuple[int, list[Any], bytes] = await self._orchestrator.http.remote(
             packed(scope), body
@@ -334,11 +333,11 @@ async def _body(receive: Receive) -> bytes:
     return b"".join(parts)
 
 
-def _json(value: Any, good: bool = True, bad: int = 503) -> tuple[int, list[Any], bytes]:
+def _json(value: Any, good: bool = True) -> tuple[int, list[Any], bytes]:
     body = json.dumps(value).encode()
     length = str(len(body)).encode()
     headers = [(b"content-type", b"application/json"), (b"content-length", length)]
-    return 200 if good else bad, headers, body
+    return 200 if good else 503, headers, body
 
 
 def make_gateway(settings: Settings, tokens: list[Token]) -> ASGIApp:

@@ -10,9 +10,9 @@ import re
 import secrets
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import FastAPI, Request
+from fastapi import Depends, FastAPI, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.exceptions import RequestValidationError
 from pydantic import TypeAdapter, ValidationError
@@ -40,7 +40,8 @@ from rendezview_service.messages.message_parts import (
 FAULTS: dict[int | str, dict[str, Any]] = {
     code: {"model": Fault} for code in (400, 401, 403, 404, 409, 413, 422, 429, 503)
 }
-JSON = "application/json"
+JSON, BYTES = "application/json", "application/octet-stream"
+BINARY = {"schema": {"type": "string", "format": "binary"}}
 SENDER_HEADER, KEY_HEADER = "X-Sender", "Idempotency-Key"
 _REGION = TypeAdapter(RegionNumbers)
 _LONGEST_KEY = 128  # characters. Source: a chosen limit
@@ -81,6 +82,33 @@ def session_of(connection: HTTPConnection, name: str) -> Session:
             404, f"session {name[:80]!r}: there is none with this id: see /v1/sessions"
         )
     return session
+
+
+def needing(right: Right) -> Any:
+    """A route's dependency: its caller's token gives this right."""
+
+    async def check(request: Request) -> None:
+        needs(request, right)
+
+    return Depends(check)
+
+
+def _session_for(right: Right) -> Any:
+    async def found(request: Request, name: str) -> Session:
+        needs(request, right)
+        return session_of(request, name)
+
+    return Depends(found)
+
+
+# The session in a route's path, for a caller who may read, or send to it.
+Read = Annotated[Session, _session_for(Right.READ)]
+Tracked = Annotated[Session, _session_for(Right.TRACK)]
+
+
+def body_in_docs(content: dict[str, Any]) -> dict[str, Any]:
+    """A route's body for the description of the API, by its media types."""
+    return {"requestBody": {"required": True, "content": content}}
 
 
 async def body_of(request: Request, most: int) -> bytes:
@@ -147,7 +175,7 @@ async def download(name: str, parts: Sequence[LogPart]) -> Response:
         "Content-Disposition": f'attachment; filename="{name}"',
         "Content-Length": str(joined.length),
     }
-    return StreamingResponse(joined.blocks(), 200, headers, media_type="application/octet-stream")
+    return StreamingResponse(joined.blocks(), 200, headers, media_type=BYTES)
 
 
 async def track(

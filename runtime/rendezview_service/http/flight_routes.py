@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter
 from starlette.exceptions import HTTPException
 
-from rendezview_service.http.answers import FAULTS, needs, session_of
-from rendezview_service.http.security import Right
+from rendezview_service.http.answers import FAULTS, Tracked
 from rendezview_service.messages.flight_messages import Flight, Order, Orders
 
 router = APIRouter(prefix="/v1/sessions/{name}", tags=["flights"], responses=FAULTS)
 
 
 @router.put("/flight")
-async def report_flight(request: Request, name: str, flight: Flight) -> Orders:
+async def report_flight(session: Tracked, flight: Flight) -> Orders:
     """A flight says what it does, at least every ten seconds; the orders since its last report."""
-    needs(request, Right.TRACK)
-    return Orders(orders=session_of(request, name).flight.reported(flight))
+    return Orders(orders=session.flight.reported(flight))
 
 
 @router.post("/orders", status_code=204)
-async def order(request: Request, name: str, order: Order) -> None:
+async def order(session: Tracked, order: Order) -> None:
     """An order of the operator to the flight, which takes it at its next step."""
-    needs(request, Right.TRACK)
-    if not session_of(request, name).flight.order(order):
+    if not session.flight.order(order):
         raise HTTPException(
             409, "no flight with this switch is attached: see `flight` of the session"
         )

@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from rendezview.errors import RendezviewError
-from rendezview_service.http.answers import FAULTS, JSON, file_of, key_of, needs, service_of
+from rendezview_service.http.answers import (
+    BINARY,
+    BYTES,
+    FAULTS,
+    JSON,
+    body_in_docs,
+    file_of,
+    key_of,
+    needing,
+    service_of,
+)
 from rendezview_service.http.security import Right
 from rendezview_service.hub.jobs import Job
 from rendezview_service.hub.model_store import StoredModel
@@ -27,47 +37,59 @@ from rendezview_service.messages.model_messages import (
 
 router = APIRouter(prefix="/v1", tags=["models"], responses=FAULTS)
 
-_BODY: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
-    }
-}
+_BODY = body_in_docs({BYTES: BINARY})
+_READ, _ADMIN = needing(Right.READ), needing(Right.ADMIN)
 
 
-@router.get("/models")
+async def _job(request: Request, job_id: str) -> Job:
+    job = service_of(request).jobs.get(job_id)
+    if job is None:
+        raise HTTPException(
+            404, f"training {job_id[:80]!r}: there is none with this id: see /v1/jobs"
+        )
+    return job
+
+
+async def _stored(request: Request, name: str) -> StoredModel:
+    stored = service_of(request).models.get(name)
+    if stored is None:
+        raise HTTPException(
+            404, f"model {name[:80]!r}: there is none with this name: see /v1/models"
+        )
+    return stored
+
+
+Stored = Annotated[StoredModel, Depends(_stored)]
+
+
+@router.get("/models", dependencies=[_READ])
 async def list_models(request: Request) -> ModelList:
     """All models."""
-    needs(request, Right.READ)
     store = service_of(request).models
     found = [stored for name in store.names() if (stored := store.get(name)) is not None]
     return ModelList(models=[await run_in_threadpool(_listed, stored) for stored in found])
 
 
-@router.get("/models/{name}")
-async def get_model(request: Request, name: str) -> ModelInfo:
+@router.get("/models/{name}", dependencies=[_READ])
+async def get_model(stored: Stored) -> ModelInfo:
     """A model."""
-    needs(request, Right.READ)
-    return await run_in_threadpool(_info, _stored(request, name))
+    return await run_in_threadpool(lambda: stored.info)
 
 
-@router.get("/models/{name}/geometry", responses={200: {"model": Geometry}})
-async def get_geometry(request: Request, name: str) -> Response:
+@router.get("/models/{name}/geometry", responses={200: {"model": Geometry}}, dependencies=[_READ])
+async def get_geometry(stored: Stored) -> Response:
     """Data for a 3-D view: contour points and the view sphere."""
-    needs(request, Right.READ)
-    stored = _stored(request, name)
     text = await run_in_threadpool(lambda: stored.geometry_json)
     return Response(text, 200, {"Cache-Control": "private, max-age=600"}, JSON)
 
 
-@router.put("/models/{name}", status_code=201, openapi_extra=_BODY)
+@router.put("/models/{name}", status_code=201, openapi_extra=_BODY, dependencies=[_ADMIN])
 async def put_model(request: Request, name: Name, replace: bool = False) -> ModelInfo:
     """Upload a model file (*.rvm). It is read and checked; nothing in it is executed.
 
     With ``replace`` it takes the place of an uploaded or trained model of this name. Sessions that
     are open keep theirs.
     """
-    needs(request, Right.ADMIN)
     service = service_of(request)
     service.models.path_for(name, replace)  # refuses before the body is read
     present = service.models.get(name)
@@ -75,14 +97,12 @@ async def put_model(request: Request, name: Name, replace: bool = False) -> Mode
         stored = await run_in_threadpool(service.models.add, name, sent, replace)
     if present is not None:
         service.release()
-    return await run_in_threadpool(_info, stored)
+    return await run_in_threadpool(lambda: stored.info)
 
 
-@router.delete("/models/{name}", status_code=204)
-async def delete_model(request: Request, name: str) -> None:
+@router.delete("/models/{name}", status_code=204, dependencies=[_ADMIN])
+async def delete_model(request: Request, stored: Stored) -> None:
     """Delete a model that was uploaded or trained."""
-    needs(request, Right.ADMIN)
-    stored = _stored(request, name)
     service = service_of(request)
     if service.uses(stored):
         raise HTTPException(409, f"model {stored.name}: a session uses it: close the session first")
@@ -90,14 +110,13 @@ async def delete_model(request: Request, name: str) -> None:
     service.release()
 
 
-@router.get("/jobs")
+@router.get("/jobs", dependencies=[_READ])
 async def list_jobs(request: Request) -> JobList:
     """All training jobs, newest first."""
-    needs(request, Right.READ)
     return JobList(jobs=[*service_of(request).jobs.list()])
 
 
-@router.post("/jobs", status_code=201, openapi_extra=_BODY)
+@router.post("/jobs", status_code=201, openapi_extra=_BODY, dependencies=[_ADMIN])
 async def add_job(
     request: Request,
     model: Annotated[Name, Query(description="name of the model to make")],
@@ -117,7 +136,6 @@ async def add_job(
     seed: Annotated[int | None, Query(ge=0, le=2**31)] = None,
 ) -> JobInfo:
     """Upload a mesh and train a model of it, in a separate process."""
-    needs(request, Right.ADMIN)
     service = service_of(request)
     given = {"unit": unit, "order": order, "views": views, "held-out": held_out, "seed": seed}
     options = {name: str(value) for name, value in given.items() if value is not None}
@@ -130,41 +148,20 @@ async def add_job(
             return service.jobs.add(model, file, mesh, options, camera).id
 
         job_id = await service.once.do(key_of(request), (model, file, length), added)
-    return _job(request, job_id)
+    return await _job(request, job_id)
 
 
-@router.get("/jobs/{job_id}")
-async def get_job(request: Request, job_id: str) -> JobInfo:
+@router.get("/jobs/{job_id}", dependencies=[_READ])
+async def get_job(job: Annotated[Job, Depends(_job)]) -> JobInfo:
     """A training job and its progress."""
-    needs(request, Right.READ)
-    return _job(request, job_id)
+    return job
 
 
-@router.delete("/jobs/{job_id}")
-async def cancel_job(request: Request, job_id: str) -> JobInfo:
+@router.delete("/jobs/{job_id}", dependencies=[_ADMIN])
+async def cancel_job(request: Request, job: Annotated[Job, Depends(_job)]) -> JobInfo:
     """Cancel a training job; a finished one does not change."""
-    needs(request, Right.ADMIN)
-    job = _job(request, job_id)
     await service_of(request).jobs.cancel(job)
     return job
-
-
-def _job(request: Request, job_id: str) -> Job:
-    job = service_of(request).jobs.get(job_id)
-    if job is None:
-        raise HTTPException(
-            404, f"training {job_id[:80]!r}: there is none with this id: see /v1/jobs"
-        )
-    return job
-
-
-def _stored(request: Request, name: str) -> StoredModel:
-    stored = service_of(request).models.get(name)
-    if stored is None:
-        raise HTTPException(
-            404, f"model {name[:80]!r}: there is none with this name: see /v1/models"
-        )
-    return stored
 
 
 def _listed(stored: StoredModel) -> ModelInfo:
@@ -173,7 +170,3 @@ def _listed(stored: StoredModel) -> ModelInfo:
         return stored.info
     except (RendezviewError, OSError) as error:
         return ModelInfo(name=stored.name, loaded=False, error=str(error))
-
-
-def _info(stored: StoredModel) -> ModelInfo:
-    return stored.info

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from rendezview.errors import RendezviewError
-from rendezview_service.http.answers import FAULTS, JSON, download, needs, service_of
+from rendezview_service.http.answers import FAULTS, JSON, download, needing, needs, service_of
 from rendezview_service.http.security import Right
 from rendezview_service.hub.session_defaults import approach_of
 from rendezview_service.hub.session_events import events_of
@@ -24,20 +24,32 @@ from rendezview_service.messages.model_messages import Geometry, RecordedList
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"], responses=FAULTS)
 
 
-@router.get("")
+async def _found(request: Request, name: str) -> Recording:
+    needs(request, Right.READ)
+    try:
+        found = await run_in_threadpool(service_of(request).recordings.get, name)
+    except OSError as error:
+        raise RendezviewError(f"{name[:80]}: cannot be read ({error.strerror})") from None
+    if found is None:
+        raise HTTPException(404, f"recording {name[:80]!r}: there is none: see /v1/recordings")
+    return found
+
+
+Logged = Annotated[Recording, Depends(_found)]
+
+
+@router.get("", dependencies=[needing(Right.READ)])
 async def list_recordings(request: Request) -> RecordedList:
     """The logs of the service's folder, the newest first."""
-    needs(request, Right.READ)
     found = await run_in_threadpool(service_of(request).recordings.list)
     return RecordedList(recordings=found)
 
 
 @router.get("/{name}/history", responses={200: {"model": History}})
 async def get_history(
-    request: Request, name: str, limit: Annotated[int, Query(ge=1, le=20_000)] = 2000
+    recording: Logged, limit: Annotated[int, Query(ge=1, le=20_000)] = 2000
 ) -> Response:
     """States of a log, evenly thinned to at most ``limit``, and the events in these."""
-    recording = await _recording(request, name)
 
     def answer() -> bytes:
         history = recording.history(limit)
@@ -48,9 +60,8 @@ async def get_history(
 
 
 @router.get("/{name}/images/{frame}", response_class=Response)
-async def get_image(request: Request, name: str, frame: int) -> Response:
+async def get_image(recording: Logged, frame: int) -> Response:
     """The picture of a frame that ``history`` listed, or of the last one before it."""
-    recording = await _recording(request, name)
     found = await run_in_threadpool(recording.picture, frame)
     if found is None:
         raise HTTPException(404, f"no picture of frame {frame} or earlier is in this log")
@@ -58,41 +69,26 @@ async def get_image(request: Request, name: str, frame: int) -> Response:
 
 
 @router.get("/{name}/contour/{frame}")
-async def get_contour(request: Request, name: str, frame: int) -> Contour | None:
+async def get_contour(recording: Logged, frame: int) -> Contour | None:
     """Contour points at the pose of a frame; null without a pose."""
-    recording = await _recording(request, name)
     return await run_in_threadpool(recording.contour, frame)
 
 
 @router.get("/{name}/geometry", responses={200: {"model": Geometry}})
-async def get_geometry(request: Request, name: str) -> Response:
+async def get_geometry(recording: Logged) -> Response:
     """Data for a 3-D view of the log's model."""
-    recording = await _recording(request, name)
     text = await run_in_threadpool(lambda: recording.geometry_json)
     return Response(text, 200, None, JSON)
 
 
 @router.get("/{name}/approach")
-async def get_approach(request: Request, name: str) -> ApproachRequest:
+async def get_approach(recording: Logged) -> ApproachRequest:
     """Port, corridor, keep-out zone, limits and plan of the log's session."""
-    recording = await _recording(request, name)
     return approach_of(recording.request)
 
 
 @router.get("/{name}/log", response_class=Response)
-async def get_log(request: Request, name: str) -> Response:
+async def get_log(recording: Logged) -> Response:
     """The log with all its parts as one complete MCAP file."""
-    recording = await _recording(request, name)
     parts = [LogPart(path, path.stat().st_size) for path in recording.log.parts]
     return await download(recording.path.name, parts)
-
-
-async def _recording(request: Request, name: str) -> Recording:
-    needs(request, Right.READ)
-    try:
-        found = await run_in_threadpool(service_of(request).recordings.get, name)
-    except OSError as error:
-        raise RendezviewError(f"{name[:80]}: cannot be read ({error.strerror})") from None
-    if found is None:
-        raise HTTPException(404, f"recording {name[:80]!r}: there is none: see /v1/recordings")
-    return found

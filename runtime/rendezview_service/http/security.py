@@ -9,7 +9,6 @@ import logging
 import re
 import socket
 import time
-import tomllib
 from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rendezview.errors import RendezviewError
-from rendezview.io.files import checked, read_text
+from rendezview.io.files import checked, read_toml
 from rendezview_service.http.budgets import Bodies, Body, Budget, Share, Socket
 from rendezview_service.http.connections import ABORT
 from rendezview_service.hub.metrics import Metrics
@@ -91,12 +90,8 @@ def read_tokens(path: Path) -> list[Token]:
     Raises:
         RendezviewError: the file is missing or wrong.
     """
-    try:
-        content = tomllib.loads(read_text(path, "tokens (TOML)"))
-    except tomllib.TOMLDecodeError as error:
-        raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from None
     tokens = []
-    for name, entry in checked(_TOKENS, content, str(path)).items():
+    for name, entry in checked(_TOKENS, read_toml(path, "tokens"), str(path)).items():
         if (entry.token is None) == (entry.sha256 is None):
             raise RendezviewError(f"{path}: {name}: give either token or sha256")
         if entry.token is not None and not _FITS_SOCKET.fullmatch(entry.token):

@@ -13,9 +13,14 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from rendezview_service.http.answers import (
+    BINARY,
+    BYTES,
     FAULTS,
     JSON,
+    Read,
+    Tracked,
     answered,
+    body_in_docs,
     body_of,
     download,
     frame_region,
@@ -33,6 +38,7 @@ from rendezview_service.http.answers import (
 from rendezview_service.http.security import Right
 from rendezview_service.hub.session_defaults import approach_of
 from rendezview_service.hub.session_info import info_of
+from rendezview_service.hub.sessions import Session
 from rendezview_service.logs.log_file import is_own
 from rendezview_service.messages.approach_messages import ApproachRequest
 from rendezview_service.messages.fusion_messages import Marks, Measured
@@ -52,24 +58,8 @@ from rendezview_service.tracker.tracking import camera_of, contour_shown
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"], responses=FAULTS)
 
-_BINARY = {"schema": {"type": "string", "format": "binary"}}
-_FRAME_BODY = {
-    "requestBody": {
-        "required": True,
-        "content": dict.fromkeys(("image/png", "image/jpeg", "application/octet-stream"), _BINARY),
-    }
-}
-_LINES_BODY = {
-    "requestBody": {
-        "required": True,
-        "content": {
-            "application/json": {"schema": {"type": "object"}},
-            "application/x-ndjson": {"schema": {"type": "string"}},
-        },
-    }
-}
-_JPEG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/jpeg": _BINARY}}}
-_MCAP: dict[int | str, dict[str, Any]] = {200: {"content": {"application/octet-stream": _BINARY}}}
+_JPEG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/jpeg": BINARY}}}
+_MCAP: dict[int | str, dict[str, Any]] = {200: {"content": {BYTES: BINARY}}}
 Frame = Annotated[int, Query(ge=0, le=2**53)]
 
 
@@ -95,22 +85,20 @@ async def open_session(request: Request, asked: SessionRequest) -> SessionInfo:
 
 
 @router.get("/{name}")
-async def get_session(request: Request, name: str) -> SessionInfo:
+async def get_session(session: Read) -> SessionInfo:
     """The present state of a session."""
-    needs(request, Right.READ)
-    return info_of(session_of(request, name))
+    return info_of(session)
 
 
 @router.delete("/{name}", status_code=204)
-async def close_session(request: Request, name: str) -> None:
+async def close_session(request: Request, session: Tracked) -> None:
     """End a session and complete its log."""
-    needs(request, Right.TRACK)
-    await service_of(request).close(session_of(request, name), "closed by a request")
+    await service_of(request).close(session, "closed by a request")
 
 
 @router.post(
     "/{name}/frames",
-    openapi_extra=_FRAME_BODY,
+    openapi_extra=body_in_docs(dict.fromkeys(("image/png", "image/jpeg", BYTES), BINARY)),
     responses={200: {"model": State}, 410: FAULTS[404]},
 )
 async def post_frame(
@@ -145,18 +133,21 @@ FRAMES = Route("/v1/sessions/{name}/frames", _post_frame, methods=["POST"])
 
 @router.post(
     "/{name}/measurements",
-    openapi_extra=_LINES_BODY,
+    openapi_extra=body_in_docs(
+        {
+            "application/json": {"schema": {"type": "object"}},
+            "application/x-ndjson": {"schema": {"type": "string"}},
+        }
+    ),
     responses={200: {"model": Measured}, 410: FAULTS[404]},
 )
 async def post_measurements(
     request: Request,
-    name: str,
+    session: Tracked,
     sensor: Annotated[str, Query(pattern=NAME_PATTERN, description="its name; not camera")],
 ) -> Response:
     """Give the session's filter lines of another sensor's log: as `ring`, `reflectors`,
     `stereo track` and `track` write them, or of a ranger (`range_m`, `sigma_m`)."""
-    needs(request, Right.TRACK)
-    session = session_of(request, name)
     sensor_name(sensor)
     settings = service_of(request).settings
     content = await body_of(request, min(settings.measurement_bytes, settings.frame_bytes))
@@ -168,15 +159,13 @@ async def post_measurements(
     responses={200: {"model": State, "description": "or geometry_msgs, field for field"}},
 )
 async def get_state(
-    request: Request,
-    name: str,
+    session: Read,
     as_: Annotated[
         Literal["state", "pose_with_covariance_stamped", "transform_stamped"], Query(alias="as")
     ] = "state",
 ) -> Response:
     """The last state; 404 if there is none (for a ROS type: no pose)."""
-    needs(request, Right.READ)
-    last = session_of(request, name).progress.last
+    last = session.progress.last
     if last is None:
         raise HTTPException(404, "no frame has been tracked yet")
     if as_ == "state":
@@ -190,15 +179,12 @@ async def get_state(
 
 @router.get("/{name}/history", responses={200: {"model": History}})
 async def get_history(
-    request: Request,
-    name: str,
+    session: Read,
     seconds: Annotated[float, Query(gt=0.0, le=1e6)] = 300.0,
     limit: Annotated[int, Query(ge=1, le=100_000)] = 2000,
     since_frame: Frame = 0,
 ) -> Response:
     """States of the last minutes, evenly thinned to at most ``limit``."""
-    needs(request, Right.READ)
-    session = session_of(request, name)
     states = session.past.states(time.monotonic() - seconds, since_frame, limit)
     head = {
         "session": session.id,
@@ -212,68 +198,60 @@ async def get_history(
 
 
 @router.get("/{name}/images/{frame}", responses=_JPEG, response_class=Response)
-async def get_image(request: Request, name: str, frame: int) -> Response:
+async def get_image(session: Read, frame: int) -> Response:
     """The JPEG of a frame, or of the last frame before it that has one."""
-    needs(request, Right.READ)
-    kept = session_of(request, name).past.image(frame)
-    if kept is None:
-        raise HTTPException(404, f"no picture of frame {frame} or earlier is kept")
-    headers = {"X-Frame": str(kept[0]), "Cache-Control": "private, max-age=600"}
-    return Response(kept[1], 200, headers, "image/jpeg")
+    shown, picture, _ = _kept(session, frame)
+    headers = {"X-Frame": str(shown), "Cache-Control": "private, max-age=600"}
+    return Response(picture, 200, headers, "image/jpeg")
 
 
 @router.get("/{name}/marks/{frame}", responses={200: {"model": list[Marks]}})
-async def get_marks(request: Request, name: str, frame: int) -> Response:
+async def get_marks(session: Read, frame: int) -> Response:
     """Ellipses and spots of other sensors in the picture that is kept for a frame."""
-    needs(request, Right.READ)
-    kept = session_of(request, name).past.marks(frame)
+    return Response(_kept(session, frame)[2], 200, None, JSON)
+
+
+def _kept(session: Session, frame: int) -> tuple[int, bytes, bytes]:
+    kept = session.past.image(frame)
     if kept is None:
         raise HTTPException(404, f"no picture of frame {frame} or earlier is kept")
-    return Response(kept, 200, None, JSON)
+    return kept
 
 
 @router.get("/{name}/contour/{frame}")
-async def get_contour(request: Request, name: str, frame: int) -> Contour | None:
+async def get_contour(session: Read, frame: int) -> Contour | None:
     """Contour points at the pose of a frame; null without a pose."""
-    needs(request, Right.READ)
-    session = session_of(request, name)
     kept = session.past.state(frame)
     if kept is None:
         raise HTTPException(404, f"no state of frame {frame} or earlier is kept")
-    stored = session.stored
-    model = await run_in_threadpool(lambda: stored.model)
+    model = await run_in_threadpool(lambda: session.stored.model)
     assert session.request.camera is not None
     return contour_shown(model, camera_of(session.request.camera), json.loads(kept))
 
 
 @router.get("/{name}/events")
-async def get_events(request: Request, name: str, since: Frame = 0) -> EventList:
+async def get_events(session: Read, since: Frame = 0) -> EventList:
     """What happened, from an event's number on."""
-    needs(request, Right.READ)
-    return EventList(events=session_of(request, name).events.since(since))
+    return EventList(events=session.events.since(since))
 
 
 @router.get("/{name}/approach")
-async def get_approach(request: Request, name: str) -> ApproachRequest:
+async def get_approach(session: Read) -> ApproachRequest:
     """Port, corridor, keep-out zone, limits and plan of a session, as its frames are compared."""
-    needs(request, Right.READ)
-    return approach_of(session_of(request, name).request)
+    return approach_of(session.request)
 
 
 @router.get("/{name}/geometry", responses={200: {"model": Geometry}})
-async def get_geometry(request: Request, name: str) -> Response:
+async def get_geometry(session: Read) -> Response:
     """Data for a 3-D view of the session's model."""
-    needs(request, Right.READ)
-    stored = session_of(request, name).stored
-    text = await run_in_threadpool(lambda: stored.geometry_json)
+    text = await run_in_threadpool(lambda: session.stored.geometry_json)
     return Response(text, 200, {"Cache-Control": "private, max-age=600"}, JSON)
 
 
 @router.get("/{name}/log", responses=_MCAP, response_class=Response)
-async def get_log(request: Request, name: str) -> Response:
+async def get_log(session: Read) -> Response:
     """The log so far, all its parts, as one complete MCAP file."""
-    needs(request, Right.READ)
-    parts = session_of(request, name).log.parts
+    parts = session.log.parts
     if not parts:
         raise HTTPException(404, "this session is not recorded")
     return await download(parts[0].path.name, [part for part in parts if is_own(part.path)])

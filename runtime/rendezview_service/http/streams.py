@@ -12,14 +12,16 @@ from collections.abc import Callable
 from typing import Annotated
 
 from fastapi import APIRouter, Query, WebSocket
+from pydantic import TypeAdapter
 from starlette.exceptions import HTTPException
 from starlette.websockets import WebSocketDisconnect
 
 from rendezview.errors import RendezviewError
-from rendezview.io.files import parse_json
+from rendezview.io.files import checked, parse_json
 from rendezview_service.http.answers import (
     SENDER_HEADER,
     frame_region,
+    frame_time,
     needs,
     sender_of,
     sensor_name,
@@ -31,13 +33,15 @@ from rendezview_service.http.security import SUBPROTOCOL, Right
 from rendezview_service.hub.inputs import Answer, NotReady, Refused
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
-from rendezview_service.messages.message_parts import MOST_TIME_S, Fault
+from rendezview_service.messages.message_parts import Fault, FrameHead
 from rendezview_service.messages.messages import WatchEnd
 from rendezview_service.settings import Settings
 
 router = APIRouter(prefix="/v1/sessions")
 
-_TIME = struct.Struct("<d")
+_TIME, _FRAME_HEAD = struct.Struct("<d"), TypeAdapter(FrameHead)
+_HEAD = b'{"time_s"'  # of a frame's line of JSON: as a time, it is 1e247 s
+MOST_HEAD = 1000  # bytes of this line. Source: a chosen limit
 _OUTBOX = 64  # unread answers; with more, no frames are received. Source: a chosen limit
 _REFUSED, _GONE, _SOON = 1008, 1001, 1013
 
@@ -94,8 +98,6 @@ async def stream(socket: WebSocket, name: str) -> None:
                 if content is None:
                     settings = service_of(socket).settings
                     region = _take_text(session, settings, message["text"], answer) or region
-                elif len(content) <= _TIME.size:
-                    answer(Answer(422, b"", "a frame must be 8 bytes of time and a picture"))
                 else:
                     counted = _counted(socket, len(content), answer)
                     _take(session, content, region, counted, sender_name)
@@ -129,22 +131,34 @@ def _counted(socket: WebSocket, count: int, answer: Answering) -> Answering:
 def _take(
     session: Session, content: bytes, region: list[float] | None, answer: Answering, sender: str
 ) -> None:
-    (sent_s,) = _TIME.unpack_from(content)
-    time_s = None if math.isnan(sent_s) else sent_s
-    if time_s is not None and not abs(time_s) <= MOST_TIME_S:
-        answer(Answer(422, b"", f"time_s: must be within ±1e10, not {time_s}"))
-        return
-    picture = memoryview(content)[_TIME.size :]  # copied once, to the worker
-    if len(picture) > session.frame_bytes:
-        answer(Answer(413, b"", f"the frame is too long: send at most {session.frame_bytes} bytes"))
-        return
+    """A frame: a picture behind its time, or behind a line of JSON with time and region."""
     try:
+        if content.startswith(_HEAD):
+            line, where = content[:MOST_HEAD].partition(b"\n")[0], "the line before the picture"
+            head = checked(_FRAME_HEAD, parse_json(line.decode(errors="replace"), where), where)
+            time_s, region, start = head.time_s, head.roi, len(line) + 1
+        elif len(content) > _TIME.size:
+            (sent_s,), start = _TIME.unpack_from(content), _TIME.size
+            time_s = None if math.isnan(sent_s) else frame_time(sent_s)
+        else:
+            raise RendezviewError(
+                "a frame must be 8 bytes of time, or a line of JSON, and a picture"
+            )
+        picture = memoryview(content)[start:]  # copied once, to the worker
+        if len(picture) > session.frame_bytes:
+            most = session.frame_bytes
+            raise HTTPException(413, f"the frame is too long: send at most {most} bytes")
         waiting = session.input([picture], time_s, answer, sender=sender)
         waiting.roi = region
         session.replace(waiting)
-    except (RendezviewError, Refused) as error:
-        status = error.status if isinstance(error, Refused) else 422
-        answer(Answer(status, b"", str(error)))
+    except (HTTPException, RendezviewError, Refused) as error:
+        answer(_refusal(error))
+
+
+def _refusal(error: HTTPException | RendezviewError | Refused) -> Answer:
+    if isinstance(error, HTTPException):
+        return Answer(error.status_code, b"", str(error.detail))
+    return Answer(error.status if isinstance(error, Refused) else 422, b"", str(error))
 
 
 def _take_text(
@@ -152,10 +166,10 @@ def _take_text(
 ) -> list[float] | None:
     """A text message ``{"sensor": name, "record": {…}}``, or ``{"roi": […]}``, which is given."""
     most = min(settings.measurement_bytes, settings.frame_bytes)
-    if len(text) > most:
-        answer(Answer(413, b"", f"the message is too long: send at most {most} bytes"))
-        return None
+    too_long = HTTPException(413, f"the message is too long: send at most {most} bytes")
     try:
+        if len(text) > most:
+            raise too_long
         message = parse_json(text, "the message")
         if isinstance(message, dict) and set(message) == {"roi"}:
             return frame_region(message["roi"])
@@ -167,12 +181,10 @@ def _take_text(
         sensor = sensor_name(message["sensor"])
         content = json.dumps(message["record"]).encode()
         if len(content) > most:
-            raise HTTPException(413, f"the message is too long: send at most {most} bytes")
+            raise too_long
         session.measure(session.input([content], None, answer, sensor=sensor))
-    except HTTPException as error:
-        answer(Answer(error.status_code, b"", str(error.detail)))
-    except (RendezviewError, Refused) as error:
-        answer(Answer(error.status if isinstance(error, Refused) else 422, b"", str(error)))
+    except (HTTPException, RendezviewError, Refused) as error:
+        answer(_refusal(error))
     return None
 
 
@@ -242,9 +254,8 @@ async def _accepted(socket: WebSocket, name: str, right: Right) -> Session | Non
     except (HTTPException, NotReady) as error:
         # Accept first: a browser gives its page no reason for a refused handshake.
         await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
-        soon = isinstance(error, NotReady)
-        reason = str(error if soon else error.detail)  # type: ignore[union-attr]
-        await socket.close(_SOON if soon else _REFUSED, reason[:100])
+        code = _SOON if isinstance(error, NotReady) else _REFUSED
+        await socket.close(code, _refusal(error).error[:100])
         return None
     await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
     return session

@@ -87,19 +87,13 @@ class Past:
         place = bisect_right(self._states, frame, key=lambda entry: entry[1])
         return self._states[place - 1][2] if place else None
 
-    def image(self, frame: int) -> tuple[int, bytes] | None:
-        """The picture of a frame, or of the last one before it that is kept."""
-        kept = self._image_entry(frame)
-        return None if kept is None else (kept[1], kept[2][0])
-
-    def marks(self, frame: int) -> bytes | None:
-        """The marks of the picture that `image` returns."""
-        kept = self._image_entry(frame)
-        return None if kept is None else kept[2][1]
-
-    def _image_entry(self, frame: int) -> tuple[float, int, tuple[bytes, bytes]] | None:
+    def image(self, frame: int) -> tuple[int, bytes, bytes] | None:
+        """Number, picture and marks of a frame, or of the last one before it that is kept."""
         place = bisect_right(self._images, frame, key=lambda entry: entry[1])
-        return self._images[place - 1] if place else None
+        if not place:
+            return None
+        _, number, kept = self._images[place - 1]
+        return number, *kept
 
     @property
     def image_frames(self) -> list[int]:

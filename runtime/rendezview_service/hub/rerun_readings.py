@@ -23,7 +23,6 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview_service.messages.message_parts import PoseMessage
-from rendezview_service.tracker.tracking import pose_of
 
 _GREEN, _BLUE, _PURPLE = (80, 220, 120), (90, 160, 255), (200, 120, 255)
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 65)  # rad, along an ellipse. Source: chosen
@@ -61,14 +60,21 @@ class ReadingsRecorder:
         self._rr, self._log, self._at, self._size_m = rr, log, at, size_m
         self._drawn: set[str] = set()
 
-    def show(self, state: dict[str, Any], camera: Camera | None, scale: float = 1.0) -> None:
+    def show(
+        self,
+        state: dict[str, Any],
+        camera: Camera | None,
+        scale: float = 1.0,
+        more: dict[str, Any] | None = None,
+    ) -> None:
         """Draw the readings of a `State`, or of any record with its keys.
 
         Args:
             camera: of the frame; None: nothing is drawn over the picture.
             scale: of the shown picture over the frame.
+            more: other shapes, by entity.
         """
-        shapes = self._in_space(state)
+        shapes = self._in_space(state) | (more or {})
         if camera is not None:
             shapes |= self._in_picture(state, camera, scale)
         for name in self._drawn - shapes.keys():
@@ -119,7 +125,7 @@ class ReadingsRecorder:
 
 def _pose(pose_message: Any) -> Pose:
     try:
-        return pose_of(PoseMessage.model_validate(pose_message))
+        return PoseMessage.model_validate(pose_message).pose
     except ValidationError as error:
         raise RendezviewError(f"fused: pose: {error.errors()[0]['msg']}") from None
 

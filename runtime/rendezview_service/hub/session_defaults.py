@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections import Counter
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from pydantic import TypeAdapter
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
-from rendezview.io.files import checked, read_text
+from rendezview.io.files import checked, read_toml
 from rendezview.io.plausible import camera_doubts
 from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance import ViewModel
@@ -169,11 +168,7 @@ def load_approach(path: Path) -> ApproachRequest:
     Raises:
         RendezviewError: the file is missing or wrong.
     """
-    try:
-        content = tomllib.loads(read_text(path, "an approach (TOML)"))
-    except tomllib.TOMLDecodeError as error:
-        raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from None
-    return checked(_APPROACH, content, str(path))
+    return checked(_APPROACH, read_toml(path, "an approach"), str(path))
 
 
 def way_points(plan: Plan, model: ViewModel) -> list[WayPoint]:

@@ -328,7 +328,8 @@ class Session:
             self.events.add("recording", Level.ALARM, f"{lost} states waited for the disk: lost")
         self.handover = self.progress.handover
         if self.progress.last_found is not None or self.handover is not None:
-            self.request_now = self.request.model_copy(update={"prior": self.progress.prior})
+            known = {"prior": self.progress.prior, "roi": None}
+            self.request_now = self.request.model_copy(update=known)
         self._others.forget("its filter ended with the worker process; a new one starts")
         self.frame_base = self.progress.frames
         self._queue.shows_last = None

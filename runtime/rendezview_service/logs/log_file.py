@@ -13,6 +13,7 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 from mcap.data_stream import ReadDataStream
@@ -37,6 +38,7 @@ from rendezview.io.files import StrPath
 from rendezview_service.logs.log_index import MAGIC
 
 WRITER = "rendezview"  # in the header of the service's own logs
+SESSION_METADATA, MODEL_ATTACHMENT = "rendezview.session", "model.rvm"
 _HEAD = struct.Struct("<BQ")  # opcode, length
 _PARSED: dict[int, Any] = {
     Opcode.HEADER: Header,
@@ -75,6 +77,33 @@ class ChannelKinds:
             self._schemas[record.id] = record.name
         elif isinstance(record, Channel):
             self.kinds[record.id] = self._schemas.get(record.schema_id, "")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogHead:
+    """What a log says before its messages."""
+
+    notes: dict[str, str]  # metadata of the session; empty in files of other programs
+    model: bytes | None
+    kinds: dict[int, str]  # the name of each channel's schema
+
+
+def head_of(path: StrPath, *, with_model: bool = False) -> LogHead:
+    """The head of a log; its model only if that is wanted, which is long.
+
+    Raises:
+        RendezviewError: it is missing or not an MCAP file.
+    """
+    channels, notes, model = ChannelKinds(), dict[str, str](), None
+    for record, _, _ in records(path):
+        channels.note(record)
+        if isinstance(record, Metadata) and record.name == SESSION_METADATA:
+            notes = dict(record.metadata)
+        elif isinstance(record, Attachment) and record.name == MODEL_ATTACHMENT:
+            model = record.data
+        if isinstance(record, Chunk) or (notes and not with_model):
+            break
+    return LogHead(notes, model, channels.kinds)
 
 
 def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord, int, int]]:

@@ -19,17 +19,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from mcap.records import Chunk, Metadata
-
 from rendezview.errors import RendezviewError
-from rendezview_service.logs.log_file import is_finished, is_own, records
+from rendezview_service.logs.log_file import head_of, is_finished, is_own
 from rendezview_service.logs.log_index import last_ns
 from rendezview_service.logs.log_lock import folder_lock
 from rendezview_service.logs.log_repair import RECOVERED, locked, mend
 
 log = logging.getLogger("rendezview_service")
 
-SESSION_METADATA = "rendezview.session"
 _SUFFIX = ".mcap"
 _UNFINISHED = re.compile(r"\..+\.[0-9a-f]{8,12}\.tmp")  # a file that is being written
 _UNFINISHED_S = 3600.0  # s, since its last write: then who wrote it has ended. Source: chosen
@@ -54,27 +51,8 @@ def free_number(base: Path, least: int = 1) -> int:
     return max([least, *(number + 1 for number in taken)])
 
 
-def notes_of(path: Path) -> dict[str, str]:
-    """The metadata of the session at the start of a log; empty in files of other programs.
-
-    Raises:
-        RendezviewError: it is missing or not an MCAP file.
-    """
-    for record, _, _ in records(path):
-        if isinstance(record, Metadata) and record.name == SESSION_METADATA:
-            return dict(record.metadata)
-        if isinstance(record, Chunk):
-            break
-    return {}
-
-
-def parts_from(path: Path) -> list[Path]:
-    """A log and the parts that follow it in its folder; a later part stands alone.
-
-    Raises:
-        RendezviewError: it is missing or not an MCAP file.
-    """
-    notes = notes_of(path)
+def parts_from(path: Path, notes: dict[str, str]) -> list[Path]:
+    """A log, of these notes, and its later parts in the folder; a later part stands alone."""
     log, number = notes.get("log"), int(notes.get("part", 1))
     if log is None:
         return [path]
@@ -83,7 +61,7 @@ def parts_from(path: Path) -> list[Path]:
         if other == path or not is_own(other):
             continue
         with contextlib.suppress(RendezviewError, ValueError):
-            noted = notes_of(other)
+            noted = head_of(other).notes
             if noted.get("log") == log:
                 found.setdefault(int(noted.get("part", 1)), other)
     if any(other < number for other in found):

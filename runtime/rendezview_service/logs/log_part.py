@@ -10,7 +10,9 @@ import contextlib
 import errno
 import json
 import os
+import struct
 import time
+import zlib
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +20,7 @@ from itertools import islice
 from pathlib import Path
 
 from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
     Channel,
@@ -27,13 +30,12 @@ from mcap.records import (
 )
 
 from rendezview_service.logs import log_schemas
-from rendezview_service.logs.log_file import WRITER
-from rendezview_service.logs.log_folder import SESSION_METADATA
+from rendezview_service.logs.log_file import MODEL_ATTACHMENT, SESSION_METADATA, WRITER
 from rendezview_service.logs.log_index import MAGIC, Scan, ending, taken
 from rendezview_service.logs.log_lock import NO_LOCKS, lock
 from rendezview_service.logs.log_queue import MOST_AT_ONCE, Entry
 
-MODEL_ATTACHMENT = "model.rvm"
+_CHECKSUM = struct.Struct("<I")  # at an attachment's end. Source: mcap.dev/spec, "Attachment"
 _NO_FOLDER_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES)
 
 
@@ -71,7 +73,7 @@ class Sync:
 class OpenPart:
     """A part that is being written, by one thread."""
 
-    def __init__(self, path: Path, number: int, beginning: bytes, scan: Scan) -> None:
+    def __init__(self, path: Path, number: int, beginning: Sequence[bytes], scan: Scan) -> None:
         """Create the file with its beginning, and lock it where the file system has locks.
 
         Args:
@@ -90,7 +92,7 @@ class OpenPart:
             except OSError as error:
                 if error.errno not in NO_LOCKS:
                     raise
-            _write_all(self._file, [beginning])
+            _write_all(self._file, beginning)
             status, named = os.fstat(self._file), os.stat(path)
         except OSError:
             os.close(self._file)
@@ -195,8 +197,10 @@ class OpenPart:
             os.close(self._file)
 
 
-def beginning(notes: dict[str, str], model: bytes | None) -> tuple[bytes, Scan]:
-    """The records before the messages, and their index.
+def beginning(notes: dict[str, str], model: bytes | None) -> tuple[list[bytes], Scan]:
+    """The records before the messages, in pieces, and their index.
+
+    The model, of many megabytes, is not copied.
 
     Args:
         notes: the metadata of the session.
@@ -206,7 +210,7 @@ def beginning(notes: dict[str, str], model: bytes | None) -> tuple[bytes, Scan]:
     Header("", WRITER).write(builder)
     found = Scan(end=len(MAGIC) + builder.count)
 
-    def add(record: Schema | Channel | Metadata | Attachment) -> None:
+    def add(record: Schema | Channel | Metadata) -> None:
         before = builder.count
         record.write(builder)
         found.add(record, len(MAGIC) + before, builder.count - before)
@@ -221,18 +225,20 @@ def beginning(notes: dict[str, str], model: bytes | None) -> tuple[bytes, Scan]:
         encoding = "json" if kind is None else "protobuf"
         add(Channel(number, topic, encoding, {}, number))
     add(Metadata(name=SESSION_METADATA, metadata=notes))
+    pieces = [MAGIC + taken(builder)]
     if model is not None:
-        now = time.time_ns()
-        add(
-            Attachment(
-                create_time=now,
-                log_time=now,
-                name=MODEL_ATTACHMENT,
-                media_type="application/octet-stream",
-                data=model,
-            )
-        )
-    return MAGIC + taken(builder), found
+        now_ns, kind = time.time_ns(), "application/octet-stream"
+        fields = struct.pack("<QQ", now_ns, now_ns)
+        for text in (MODEL_ATTACHMENT.encode(), kind.encode()):
+            fields += struct.pack("<I", len(text)) + text
+        fields += struct.pack("<Q", len(model))
+        length = len(fields) + len(model) + _CHECKSUM.size
+        head = struct.pack("<BQ", Opcode.ATTACHMENT, length) + fields
+        checksum = _CHECKSUM.pack(zlib.crc32(model, zlib.crc32(fields)))
+        attached = Attachment(now_ns, now_ns, MODEL_ATTACHMENT, kind, model)
+        found.add(attached, found.end, len(head) + len(model) + len(checksum))
+        pieces += [head, model, checksum]
+    return pieces, found
 
 
 def _write_all(file: int, pieces: Sequence[bytes]) -> None:

@@ -20,15 +20,8 @@ from mcap.records import Chunk
 
 from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance import ViewModel
-from rendezview_service.logs.log_file import (
-    ChannelKinds,
-    is_own,
-    messages,
-    next_chunk,
-    record_at,
-    records,
-)
-from rendezview_service.logs.log_folder import notes_of, parts_from
+from rendezview_service.logs.log_file import head_of, is_own, messages, next_chunk, record_at
+from rendezview_service.logs.log_folder import parts_from
 from rendezview_service.logs.log_index import MAGIC
 from rendezview_service.logs.log_repair import RECOVERED
 from rendezview_service.logs.replay import Log, LoggedFrame, frames_of, model_of, read_log
@@ -138,7 +131,7 @@ class Recording:
 
     def _read(self, path: Path, offset: int) -> list[LoggedFrame]:
         if path not in self._kinds:
-            self._kinds[path] = _kinds_of(path)
+            self._kinds[path] = head_of(path).kinds
         chunk = record_at(path, offset)
         parts = messages(chunk) if isinstance(chunk, Chunk) else None
         return list(frames_of(path, parts or [], self._kinds[path]))
@@ -157,7 +150,7 @@ class Recordings:
         found = []
         for path in sorted(self._folder.glob("*.mcap")) if self._folder else []:
             try:
-                if is_own(path) and notes_of(path).get("part", "1") == "1":
+                if is_own(path) and head_of(path).notes.get("part", "1") == "1":
                     found.append(summary(path))
             except (RendezviewError, OSError, ValueError):
                 continue  # another program's, or one that is being removed
@@ -183,7 +176,8 @@ def summary(path: Path) -> Recorded:
     Raises:
         RendezviewError: it cannot be read.
     """
-    notes, parts = notes_of(path), parts_from(path)
+    notes = head_of(path).notes
+    parts = parts_from(path, notes)
     extents = [_extent(part, part.stat().st_size) for part in parts]
     counts, times = [e[0] for e in extents], [t for e in extents if e[0] for t in e[1:]]
     request = SessionRequest.model_validate_json(notes["request"])
@@ -232,12 +226,3 @@ def places_of(parts: list[Path]) -> list[tuple[Path, int, int]]:
                     found.append((path, place, first_ns))
                 place = end
     return found
-
-
-def _kinds_of(path: Path) -> dict[int, str]:
-    channels = ChannelKinds()
-    for record, _, _ in records(path):
-        if isinstance(record, Chunk):
-            break
-        channels.note(record)
-    return channels.kinds

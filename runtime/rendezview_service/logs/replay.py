@@ -13,7 +13,7 @@ from typing import Any
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError
-from mcap.records import Attachment, Chunk, Metadata
+from mcap.records import Chunk, Metadata
 from mcap.records import Message as McapMessage
 from pydantic import ValidationError
 from pydantic_core import to_json
@@ -21,9 +21,14 @@ from pydantic_core import to_json
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import ViewModel
-from rendezview_service.logs.log_file import ChannelKinds, messages, records
-from rendezview_service.logs.log_folder import SESSION_METADATA, parts_from
-from rendezview_service.logs.log_part import MODEL_ATTACHMENT
+from rendezview_service.logs.log_file import (
+    SESSION_METADATA,
+    ChannelKinds,
+    head_of,
+    messages,
+    records,
+)
+from rendezview_service.logs.log_folder import parts_from
 from rendezview_service.messages.frames import read_frame
 from rendezview_service.messages.fusion_messages import LoggedMeasurement
 from rendezview_service.messages.messages import SessionRequest
@@ -127,16 +132,8 @@ def read_log(path: Path) -> Log:
     Raises:
         RendezviewError: it is missing or not an MCAP file.
     """
-    notes: dict[str, str] = {}
-    model = None
-    for record, _, _ in records(path):
-        if isinstance(record, Metadata) and record.name == SESSION_METADATA:
-            notes = dict(record.metadata)
-        elif isinstance(record, Attachment) and record.name == MODEL_ATTACHMENT:
-            model = record.data
-        elif isinstance(record, Chunk):
-            break
-    return Log(path, notes, model, parts_from(path))
+    head = head_of(path, with_model=True)
+    return Log(path, head.notes, head.model, parts_from(path, head.notes))
 
 
 def _lines(
@@ -258,10 +255,9 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Comparison]]
             run = None
             continue
         run.expected += 1
-        image = read_frame(entry.image, run.tracker.camera)
-        state, _ = run.tracker.track(
-            image, entry.time_s, entry.state["received_unix_s"], entry.state.get("drops", 0)
-        )
+        image, logged = read_frame(entry.image, run.tracker.camera), entry.state
+        about = logged["received_unix_s"], logged.get("drops", 0), logged.get("roi")
+        state, _ = run.tracker.track(image, entry.time_s, *about)
         state["frame"] += run.first_frame
         again = json.loads(to_json(state, inf_nan_mode="null"))
         so_far.frames += 1

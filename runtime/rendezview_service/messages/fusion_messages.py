@@ -109,14 +109,6 @@ class FusionRequest(Message):
             raise ValueError(f"a group has at most {MOST_OF_GROUP} reflectors")
         return reflectors
 
-    @field_validator("mounts")
-    @classmethod
-    def _check_mounts(cls, mounts: dict[str, PoseMessage]) -> dict[str, PoseMessage]:
-        for name, mount in mounts.items():
-            if not any(mount.quat_wxyz):
-                raise ValueError(f"{name}: quat_wxyz must not be zero")
-        return mounts
-
     @field_validator("options")
     @classmethod
     def _check_options(cls, options: FusionOptions | None) -> FusionOptions | None:

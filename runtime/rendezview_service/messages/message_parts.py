@@ -7,6 +7,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
+from rendezview.geometry.pose import Pose
+
 CAMERA = "camera"  # name of the session's own camera among its sensors
 # s, either side of zero; the stamps of a log hold no more. Source: a chosen limit.
 MOST_TIME_S = 1e10
@@ -15,7 +17,6 @@ MOST_FIRST_S = 5e9  # s, of a session's first frame: others follow. Source: chos
 MOST_JUMP_S = 3600.0
 Two = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
-Four = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
 # Where a target is: x, y, width, height; x, y; or x, y, range
 RegionNumbers = Annotated[list[FiniteFloat], Field(min_length=2, max_length=4)]
 Six = Annotated[list[FiniteFloat], Field(min_length=6, max_length=6)]
@@ -24,13 +25,16 @@ Twelve = Annotated[list[FiniteFloat], Field(min_length=12, max_length=12)]
 Matrix12 = Annotated[list[Twelve], Field(min_length=12, max_length=12)]
 
 
-def _checked_direction(vector: list[float]) -> list[float]:
+def _checked_length(vector: list[float]) -> list[float]:
     if not 1e-6 < math.hypot(*vector) < 1e6:
-        raise ValueError("a direction must not be zero, nor longer than 1e6")
+        raise ValueError("a direction or a turn must not be zero, nor longer than 1e6")
     return vector
 
 
-Direction = Annotated[Three, AfterValidator(_checked_direction)]
+Direction = Annotated[Three, AfterValidator(_checked_length)]
+Quaternion = Annotated[
+    list[FiniteFloat], Field(min_length=4, max_length=4), AfterValidator(_checked_length)
+]
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 
@@ -41,11 +45,23 @@ class Message(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
+class FrameHead(Message):
+    """The line of JSON before the picture of a frame in a stream."""
+
+    time_s: Annotated[FiniteFloat, Field(ge=-MOST_TIME_S, le=MOST_TIME_S)] | None
+    roi: RegionNumbers | None = None
+
+
 class PoseMessage(Message):
     """camera_from_target: ``p_camera = R p_target + t``."""
 
-    quat_wxyz: Four
+    quat_wxyz: Quaternion
     translation_m: Three
+
+    @property
+    def pose(self) -> Pose:
+        """As the package has it."""
+        return Pose.from_quat_wxyz(self.quat_wxyz, self.translation_m)
 
 
 class ProtectionLevels(Message):

@@ -284,6 +284,7 @@ class State(ObservationMessage):
     candidates: list[PoseMessage] = Field(description="poses that fit but are not reported")
     fit: Fit | None
     on_nodes: list[ActiveNode]
+    roi: RegionNumbers | None = Field(default=None, description="as its sender gave it")
     track_ms: float = Field(description="of the tracker, all stages")
     latency_ms: float = Field(description="from the frame's arrival to this answer")
     drops: int = Field(description="frames of the session that newer ones replaced, so far")

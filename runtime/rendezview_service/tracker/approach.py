@@ -65,7 +65,7 @@ class ApproachMonitor:
             centre_m: view centre, target frame.
 
         Raises:
-            RendezviewError: a direction or a pose is impossible.
+            RendezviewError: what is asked needs a port, or its up direction is impossible.
         """
         self._asked = request or ApproachRequest()
         self._centre_m = np.asarray(centre_m, np.float64)
@@ -73,12 +73,7 @@ class ApproachMonitor:
         self._plan_s = np.array([point.time_s for point in self._asked.plan])
         self._plan_m = np.array([point.position_m for point in self._asked.plan]).reshape(-1, 3)
         probe = self._asked.probe_from_camera
-        self._probe = Pose.identity()
-        if probe is not None:
-            try:
-                self._probe = Pose.from_quat_wxyz(probe.quat_wxyz, probe.translation_m)
-            except ValueError as error:
-                raise RendezviewError(f"approach: probe_from_camera: {error}") from None
+        self._probe = Pose.identity() if probe is None else probe.pose
         if self._port is None and (self._asked.corridor or self._needs_port()):
             raise RendezviewError(
                 "approach: a corridor, and limits along or about a port's axis, need a port: give "
@@ -94,7 +89,7 @@ class ApproachMonitor:
         """
         if motion["pose"] is None or motion["rates"] is None or covariance is None:
             return None
-        pose = Pose.from_quat_wxyz(motion["pose"]["quat_wxyz"], motion["pose"]["translation_m"])
+        pose = Pose.from_quat_wxyz(**motion["pose"])
         turn = np.array(motion["rates"]["angular_rad_s"])
         move = np.array(motion["rates"]["linear_m_s"])
         aim = self._centre_m if self._port is None else self._port.centre_m

@@ -32,7 +32,6 @@ from rendezview_service.messages.fusion_messages import (
     Marks,
     SurfaceMessage,
 )
-from rendezview_service.messages.message_parts import PoseMessage
 
 _LEAST, _MOST = 1e-20, 1e12  # m², rad²; variances that the filter can use in 64-bit floats
 _MOST_M = 1e9  # m; places farther away are refused. Source: a chosen limit
@@ -55,8 +54,7 @@ def pose_of_fused(fused: Json) -> tuple[Pose, Array] | None:
     pose, covariance = fused["pose"], fused["covariance"]
     if pose is None or covariance is None:
         return None
-    found = Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
-    return found, np.array(covariance)[:6, :6]
+    return Pose.from_quat_wxyz(**pose), np.array(covariance)[:6, :6]
 
 
 def split_records(text: bytes) -> list[Json]:
@@ -172,7 +170,7 @@ def context_of(asked: FusionRequest, mesh: BeamMesh | None = None) -> LogContext
             tuple(asked.ring.circles),
         )
     surfaces = tuple(map(_surface, asked.surfaces)) or mesh or ()
-    return LogContext(ring, surfaces, {name: _pose(one) for name, one in asked.mounts.items()})
+    return LogContext(ring, surfaces, {name: one.pose for name, one in asked.mounts.items()})
 
 
 def _surface(message: SurfaceMessage) -> BeamSurface:
@@ -184,7 +182,3 @@ def _surface(message: SurfaceMessage) -> BeamSurface:
         message.inner_m,
         outer_m,
     )
-
-
-def _pose(message: PoseMessage) -> Pose:
-    return Pose.from_quat_wxyz(message.quat_wxyz, message.translation_m)

@@ -91,7 +91,7 @@ class SessionFilter:
         """Go on from the last `Fused` state of a process that ended."""
         self._start("its process ended")
         self.fuses = True
-        pose = Pose.from_quat_wxyz(kept["pose"]["quat_wxyz"], kept["pose"]["translation_m"])
+        pose = Pose.from_quat_wxyz(**kept["pose"])
         rates, status, covariance = None, Status(kept["status"]), np.array(kept["covariance"])
         if kept["rates"] is not None:
             rates = np.array([*kept["rates"]["angular_rad_s"], *kept["rates"]["linear_m_s"]])

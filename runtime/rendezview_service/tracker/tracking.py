@@ -60,18 +60,6 @@ def camera_message(camera: Camera, *, checked: bool = False) -> CameraMessage:
     return CameraMessage.model_validate(keys | {"checked": checked})
 
 
-def pose_of(message: PoseMessage) -> Pose:
-    """The pose of a message.
-
-    Raises:
-        RendezviewError: the quaternion is zero.
-    """
-    try:
-        return Pose.from_quat_wxyz(message.quat_wxyz, message.translation_m)
-    except ValueError as error:
-        raise RendezviewError(f"pose: {error}") from None
-
-
 def integrity_of(message: IntegrityRequest | None) -> IntegrityOptions | None:
     """The integrity of a message."""
     return None if message is None else IntegrityOptions(**message.model_dump(exclude_none=True))
@@ -103,7 +91,7 @@ class SessionTracker:
             handover: the last `Fused` state of that filter; None: it had no pose.
 
         Raises:
-            RendezviewError: the camera, the prior or the direction to the Sun is wrong.
+            RendezviewError: the camera, the region, a sensor or the path is wrong.
         """
         if request.camera is None:
             raise RendezviewError("the session has no camera: give one")
@@ -111,12 +99,10 @@ class SessionTracker:
         self.model = model
         self.camera = camera_of(request.camera)
         self.sun_camera = request.sun_camera
-        if self.sun_camera is not None and not any(self.sun_camera):
-            raise RendezviewError("sun_camera: a direction must not be zero")
-        self._roi = request.roi
+        self._roi = request.roi  # until there is a pose
         if self._roi is not None:
             Region.of(self._roi, self.camera)  # a wrong one is said at once
-        prior = None if request.prior is None else pose_of(request.prior)
+        prior = None if request.prior is None else request.prior.pose
         recognizer = recognizer or Recognizer(model, self.camera, trees=request.trees)
         self.tracker = Tracker(recognizer, prior, integrity=integrity_of(request.integrity))
         self._nodes = model.geodesic.nodes.tolist()
@@ -167,15 +153,16 @@ class SessionTracker:
         start = time.perf_counter()
         if self.tracker.lost and (known := self.filter.expected(time_s)) is not None:
             self.tracker.expect(*known)
-        if roi is None and self.tracker.prior is None:
-            roi = self._roi
-        observation = self.tracker.update(time_s, image, self.sun_camera, roi)
+        region = self._roi if roi is None and self.tracker.prior is None else roi
+        observation = self.tracker.update(time_s, image, self.sun_camera, region)
         track_ms = 1e3 * (time.perf_counter() - start)
         self.last_s = time_s
         if observation.pose is not None:
-            self._last_pose_s = time_s
+            self._last_pose_s, self._roi = time_s, None  # it may be elsewhere when it is lost
         state = self._state(observation, time_s, received_unix_s, track_ms)
         state["drops"] = drops
+        if roi is not None:
+            state["roi"] = roi
         clock = time.perf_counter()
 
         def lap(stage: str) -> None:
@@ -331,4 +318,4 @@ def contour_shown(
     pose, predicted = shown_pose(state)
     if pose is None or camera is None:
         return None
-    return contour_at(model, camera, pose_of(pose), angles_rad, predicted=predicted)
+    return contour_at(model, camera, pose.pose, angles_rad, predicted=predicted)

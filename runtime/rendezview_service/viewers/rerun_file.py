@@ -87,25 +87,21 @@ class _Recorder:
         self._rr, self._stream, self._model = rr, stream, model
         self._camera: Camera | None = None
         self._status: str | None = None
-        self._drawn: set[str] = set()  # entities drawn over the picture
-        size_m = 1.0 if model is None else 0.5 * model.target_radius_m
-        self._readings = ReadingsRecorder(rr, stream.log, "", size_m)
+        self._size_m = 1.0 if model is None else 0.5 * model.target_radius_m
+        self._readings = ReadingsRecorder(rr, stream.log, "", self._size_m)
 
     def write(self, run: Iterable[Moment]) -> int:
         rr, log = self._rr, self._stream.log
         log("/", rr.ViewCoordinates.RDF, static=True)
         if self._model is not None:
             points = geometry("", self._model)
-            size_m = 0.5 * self._model.target_radius_m
             log(
                 "target/points",
                 rr.Points3D(points.points_m, colors=_ORANGE, radii=0.4 * points.spacing_m),
                 static=True,
             )
-        else:
-            size_m = 1.0
         for entity in ("target", "truth"):
-            log(f"{entity}/axes", self._axes(size_m), static=True)
+            log(f"{entity}/axes", self._axes(), static=True)
         count = 0
         for moment in run:
             self._write(moment)
@@ -123,7 +119,7 @@ class _Recorder:
             )
         where = f"frame {moment.index}"
         pose = pose_of(record, where)
-        self._picture(moment, pose)
+        drawn = self._picture(moment, pose)
         log("target", transform(rr, None if pose is None else pose.as_dict()))
         if moment.camera is not None or moment.truth is not None:
             log("truth", transform(rr, None if moment.truth is None else moment.truth.as_dict()))
@@ -136,16 +132,17 @@ class _Recorder:
             log("plots/error/rotation_deg", rr.Scalars(math.degrees(pose.angle_to(moment.truth))))
             log("plots/error/translation_m", rr.Scalars(float(off_m)))
         self._ring(record)
-        self._readings.show(record, moment.camera)
+        self._readings.show(record, moment.camera, more=drawn)
         line = f"{record.get('status')}: {record['reason']}" if record.get("reason") else "ok"
         if line != self._status:
             self._status = line
             log("status", rr.TextLog(line, level="INFO" if line == "ok" else "WARN"))
 
-    def _picture(self, moment: Moment, pose: Pose | None) -> None:
+    def _picture(self, moment: Moment, pose: Pose | None) -> dict[str, Any]:
+        """Log the picture; the shapes over it, by entity."""
         rr, log, camera = self._rr, self._stream.log, moment.camera
         if camera is None:
-            return
+            return {}
         if camera != self._camera:
             self._camera = camera
             size = [camera.width, camera.height]
@@ -159,27 +156,23 @@ class _Recorder:
         if self._model is not None and pose is not None:
             contour = contour_at(self._model, camera, pose)
         if contour is not None:
-            drawn["contour"] = rr.Points2D(contour.points_px, colors=_BLUE, radii=1.0)
+            drawn[f"{_PICTURE}/contour"] = rr.Points2D(contour.points_px, colors=_BLUE, radii=1.0)
         spots = [(s["x_px"], s["y_px"]) for s in moment.record.get("spots") or () if "x_px" in s]
         if spots:
-            drawn["spots"] = rr.Points2D(spots, colors=_GREEN, radii=4.0)
+            drawn[f"{_PICTURE}/spots"] = rr.Points2D(spots, colors=_GREEN, radii=4.0)
         ellipses = [ellipse_points(e) for e in moment.record.get("ellipses") or ()]
         if ellipses:
-            drawn["ellipses"] = rr.LineStrips2D(ellipses, colors=_GREEN)
-        for name in self._drawn - drawn.keys():
-            log(f"{_PICTURE}/{name}", rr.Clear(recursive=False))
-        for name, shapes in drawn.items():
-            log(f"{_PICTURE}/{name}", shapes)
-        self._drawn = set(drawn)
+            drawn[f"{_PICTURE}/ellipses"] = rr.LineStrips2D(ellipses, colors=_GREEN)
+        return drawn
 
     def _ring(self, record: dict[str, Any]) -> None:
         if "ellipses" not in record:
             return
         self._stream.log("ring", ring_arrows(self._rr, record.get("poses") or ()))
 
-    def _axes(self, size_m: float) -> Any:
+    def _axes(self) -> Any:
         return self._rr.Arrows3D(
-            vectors=size_m * np.eye(3), colors=(255 * np.eye(3)).astype(np.uint8)
+            vectors=self._size_m * np.eye(3), colors=(255 * np.eye(3)).astype(np.uint8)
         )
 
 

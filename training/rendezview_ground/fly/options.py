@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated
@@ -11,8 +10,7 @@ from typing import Annotated
 from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from rendezview.errors import RendezviewError
-from rendezview.io.files import checked, read_text
+from rendezview.io.files import checked, read_toml
 
 _FORBID = ConfigDict(extra="forbid")  # an unknown key is an error
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -143,8 +141,4 @@ def load_fly_plan(path: Path | None) -> FlyPlan:
     """
     if path is None:
         return FlyPlan()
-    try:
-        data = tomllib.loads(read_text(path, "a flight plan (TOML)"))
-    except tomllib.TOMLDecodeError as error:
-        raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from error
-    return checked(_PLAN, data, str(path))
+    return checked(_PLAN, read_toml(path, "a flight plan"), str(path))

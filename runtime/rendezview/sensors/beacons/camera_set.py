@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import load_camera
-from rendezview.io.files import StrPath, checked, read_text
+from rendezview.io.files import StrPath, checked, read_toml
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.beacons.accelerations import Accelerations
 from rendezview.sensors.beacons.cameras import RangedCamera, SwitchingSensor
@@ -90,11 +89,7 @@ def load_cameras(
         RendezviewError: missing, an unknown or wrong key, pictures that cannot be opened, or
             cameras that do not have as many readings as the first.
     """
-    try:
-        content = tomllib.loads(read_text(path, "a set of cameras (TOML)"))
-    except tomllib.TOMLDecodeError as error:
-        raise RendezviewError(f"{path}: not valid TOML ({error}): correct it") from error
-    file = checked(_ADAPTER, content, str(path))
+    file = checked(_ADAPTER, read_toml(path, "a set of cameras"), str(path))
     folder, runs = Path(path).parent, []
     for table in file.cameras:
         camera = load_camera(folder / table.camera) if table.camera else None
