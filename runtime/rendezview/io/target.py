@@ -122,6 +122,7 @@ class Target:
     shape_error: float = 0.0  # σ of the strain between mesh and craft
     joints: tuple[JointedParts, ...] = ()  # parts that turn
     parts: tuple[TrustedPart, ...] = ()  # parts that are less trusted than the others
+    source: Path | None = None  # its target file
 
     @property
     def mesh_path(self) -> Path:
@@ -334,6 +335,7 @@ def _read_target(path: Path) -> Target:
         symmetries=_symmetries(path, file.symmetries),
         joints=tuple(_joint(path, joint) for joint in file.joints),
         parts=tuple(_part(path, part) for part in file.parts),
+        source=path,
     )
 
 
