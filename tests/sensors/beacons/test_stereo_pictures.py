@@ -50,11 +50,36 @@ def test_dark_noisy_bright_and_crowded_pictures_have_no_lights():
     assert len(find_spots(cut)) == 0
 
 
+def test_a_dark_picture_takes_a_sunlit_craft_out_of_the_places():
+    """Lights on the edge of a lit plate: in one picture they move by many times the noise."""
+    rng, places = np.random.default_rng(3), np.array([[40.3, 30.0], [40.0, 60.4], [40.6, 90.1]])
+    v, u = np.mgrid[:120, :120]
+    plate = np.where((u >= 40) & (u < 110), 25.0, 0.0)
+    lights = sum(200.0 * np.exp(-0.5 * ((u - x) ** 2 + (v - y) ** 2) / 1.5**2) for x, y in places)
+
+    def picture(light: np.ndarray | float) -> np.ndarray:
+        noisy = 20.0 + plate + light + rng.normal(0.0, 1.0, plate.shape)
+        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+    def off(spots: Spots) -> np.ndarray:
+        apart = spots.positions[:, None] - places
+        return apart[np.arange(len(spots)), np.linalg.norm(apart, axis=2).argmin(axis=1)]
+
+    lit = picture(lights)
+    both = find_spots(lit, dark=picture(0.0))
+    assert len(both) == 3
+    assert (np.abs(off(both)) < 4.0 * both.sigma).all()
+    assert both.sigma.max() < 0.01
+    assert np.abs(off(find_spots(lit))).max() > 0.1
+
+
 @pytest.mark.parametrize("image", [np.zeros((5, 5), np.uint8), np.zeros((60, 80, 3), np.uint8),
                                    np.full((60, 80), np.nan)])  # fmt: skip
 def test_what_is_no_grey_picture_is_refused(image: np.ndarray):
     with pytest.raises(RendezviewError, match="a picture must be"):
         find_spots(image)
+    with pytest.raises(RendezviewError, match="a picture must be"):
+        find_spots(np.zeros((60, 80), np.uint8), dark=image)
     with pytest.raises(RendezviewError, match="threshold"):
         SpotOptions(threshold_grey=0.0)
 

@@ -23,11 +23,12 @@ from rendezview.sensors.beacons import ReflectorPattern, patterns_of
 from rendezview_ground.fly.dynamics import OrbitDynamics
 from rendezview_ground.fly.faults import Fault, fault_of_run
 from rendezview_ground.fly.guidance import Guidance
+from rendezview_ground.fly.lights import StereoPair
 from rendezview_ground.fly.loop import Flight, FusedEstimator, Loop
 from rendezview_ground.fly.options import FlyPlan
 from rendezview_ground.fly.port import Port
 from rendezview_ground.fly.rendered import RenderedSensors
-from rendezview_ground.fly.sensors import ModelledSensors
+from rendezview_ground.fly.sensors import CAMERA, ModelledSensors
 from rendezview_ground.learn.jobs.shard_executor import ShardExecutor
 from rendezview_ground.learn.jobs.stages import Arrays, Progress, Shards, shares
 from rendezview_ground.mesh.mesh import Mesh
@@ -44,6 +45,7 @@ class Setup:
     mesh: Mesh
     beam: BeamMesh
     patterns: tuple[ReflectorPattern, ...]
+    target: Target
     model: ViewModel | None = None  # None: modelled sensors, no frames
 
     @classmethod
@@ -51,7 +53,12 @@ class Setup:
         """Of a target with a port, see `Port.of`."""
         beam = BeamMesh(mesh.vertices_m.astype(np.float64), mesh.faces)
         patterns = tuple(patterns_of(target)) if target.reflectors else ()
-        return cls(plan, Port.of(target, plan), mesh, beam, patterns, model)
+        return cls(plan, Port.of(target, plan), mesh, beam, patterns, target, model)
+
+    def stereo_pair(self) -> StereoPair | None:
+        """A fresh one, for one flight; None: the target has no lights."""
+        baseline_m = self.plan.sensors.stereo_baseline_m
+        return StereoPair(CAMERA, baseline_m, self.target, self.beam) if self.target.leds else None
 
 
 def fly_once(
@@ -63,11 +70,14 @@ def fly_once(
     patterns = list(setup.patterns)
     sensors: ModelledSensors | RenderedSensors
     if setup.model is None:
-        sensors = ModelledSensors(plan, setup.beam, port.ring, port.centre_m, patterns, seed, fault)
+        sensors = ModelledSensors(
+            plan, setup.beam, port.ring, port.centre_m, patterns, seed, fault, setup.stereo_pair()
+        )
     else:
         sensors = RenderedSensors(
-            plan, setup.model, setup.mesh, setup.beam, port.ring, patterns, seed, fault, film
-        )
+            plan, setup.model, setup.mesh, setup.beam, port.ring, patterns, seed, fault, film,
+            setup.stereo_pair(),
+        )  # fmt: skip
     dynamics = OrbitDynamics(plan, port, seed, fault)
     return Loop(sensors, FusedEstimator(), Guidance(plan, port), dynamics).run()
 

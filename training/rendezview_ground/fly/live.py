@@ -40,11 +40,12 @@ class LiveSensors(Pictures):
     """What a flight sends: frames, and lines of the sensors that read none of the service's."""
 
     def __init__(self, setup: Setup, seed: int, fault: Fault | None = None) -> None:
-        patterns = list(setup.patterns)
-        super().__init__(setup.plan, setup.mesh, setup.beam, patterns, seed, fault)
+        patterns, pair = list(setup.patterns), setup.stereo_pair()
+        super().__init__(setup.plan, setup.mesh, setup.beam, patterns, seed, fault, pair)
         self.prior: Pose | None = None  # of the first frame; None: none yet
         # That the operator may switch; `hand` covers the camera.
-        self.on = {"camera": True, "laser": True, "reflectors": True, "hand": False}
+        names = ("camera", "laser", "reflectors", *(("stereo",) if self.pair else ()))
+        self.on = dict.fromkeys(names, True) | {"hand": False}
 
     def read(self, truth: Truth, _: Known | None) -> list[Reading]:
         """All readings of a step that are on, in their order."""
@@ -56,10 +57,10 @@ class LiveSensors(Pictures):
         ]
         image = self.draw(truth)
         if image is not None:
-            spots = None if self.on["hand"] else self.spots(image, truth)
             found.append(("camera", _with_hand(image) if self.on["hand"] else image))
-            if spots is not None:
-                found.append(("reflectors", spots.record()))
+            if not self.on["hand"]:
+                seen = {"reflectors": self.spots(image, truth), "stereo": self.lights(image, truth)}
+                found += [(name, one.record()) for name, one in seen.items() if one is not None]
         return [reading for reading in found if self.on.get(reading[0], True)]
 
 

@@ -97,6 +97,10 @@ class SensorOptions:
     reflector_px: _Positive = 0.0144  # centroid error. Source: `reflector-accuracy`
     reflector_bound: _Positive = 1.2  # error over its Cramér–Rao bound. Source: the same, 3 m
     reflectors_m: _Positive = 12.0  # farthest. Source: the same
+    stereo_baseline_m: _Positive = 0.5  # of the pair that looks at lights. Source: chosen
+    stereo_m: _Positive = 50.0  # farthest. Source: the lights of `scole` merge in pictures at 60 m
+    led_px: _Positive = 0.006  # of a light's place. Source: `find_spots` on drawn lights
+    led_scene: _Least0 = 0.05  # exposure of lights over that of frames. Source: chosen
     prior_deg: _Least0 = 8.0  # error of the recognizer's first prior. Source: `fusion-approach`
 
 

@@ -27,7 +27,7 @@ from rendezview_ground.evaluate.pictures.palette import (
 from rendezview_ground.fly.campaign import Setup
 from rendezview_ground.fly.loop import Flight
 
-_SENSORS = ("camera", "ring", "reflectors", "laser")
+_SENSORS = ("camera", "ring", "reflectors", "stereo", "laser")
 _MODES = {"hold": ACTIVE, "retreat": PROBLEM, "abort": PROBLEM}
 _ENDS = {"contact": GREEN, "outside": PROBLEM}
 

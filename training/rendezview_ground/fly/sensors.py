@@ -31,6 +31,7 @@ from rendezview.sensors.beam import Met
 from rendezview_ground.fly.dynamics import Truth
 from rendezview_ground.fly.faults import Fault
 from rendezview_ground.fly.guidance import Known
+from rendezview_ground.fly.lights import StereoPair
 from rendezview_ground.fly.options import FlyPlan
 
 # Source: `fusion-approach`, of which the error tables are
@@ -184,14 +185,16 @@ class ModelledSensors:
     def __init__(
         self, plan: FlyPlan, mesh: BeamMesh, ring: DockingRing | None, centre_m: Array,
         patterns: list[ReflectorPattern], seed: int, fault: Fault | None = None,
+        pair: StereoPair | None = None,
     ) -> None:  # fmt: skip
         """For one flight.
 
         Args:
             centre_m: (3,) of the port, target frame: what the tables are about.
+            pair: reads the target's lights, if it has any.
         """
         self.plan, self.ring, self.centre_m = plan, ring, centre_m
-        self.patterns, self.fault = patterns, fault
+        self.patterns, self.fault, self.pair = patterns, fault, pair
         self._own = OwnSensors(plan, mesh, seed, fault)
         self._rng = np.random.default_rng([_STREAM + 1, seed])
         self._lasting: dict[str, tuple[float, Array]] = {}
@@ -208,6 +211,10 @@ class ModelledSensors:
             found += self._ring(truth, centre, self.ring)
         if not own.struck("reflectors", time_s):
             found += self._reflectors(truth, centre)
+        if self.pair is not None and centre[2] <= self.plan.sensors.stereo_m:
+            spots = self.pair.modelled(truth.pose, self.plan.sensors.led_px, self._rng)
+            seen = self.pair.read(time_s, spots).measurement("stereo")
+            found += [] if seen is None else [seen]
         return found
 
     def _error(self, sensor: str, size: int, time_s: float, share: float) -> Array:

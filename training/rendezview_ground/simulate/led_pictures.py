@@ -52,12 +52,22 @@ class PictureOptions:
 
 
 def draw(
-    rig: Rig, camera: int, points_rig_m: Array, options: PictureOptions, rng: np.random.Generator
+    rig: Rig,
+    camera: int,
+    points_rig_m: Array,
+    options: PictureOptions,
+    rng: np.random.Generator,
+    scene: npt.NDArray[np.float32] | None = None,
 ) -> npt.NDArray[np.uint8]:
-    """One picture of lights (N, 3), rig frame; lights outside the picture are ignored."""
+    """One picture of lights (N, 3), rig frame; lights outside the picture are ignored.
+
+    A ``scene`` (H, W) adds grey levels to the sky.
+    """
     width, height = rig.cameras[camera].size or (0, 0)
     noise = rng.standard_normal((height, width), dtype=np.float32)
     grey = options.sky_grey + options.noise_grey * noise
+    if scene is not None:
+        grey += scene
     s = options.spot_sigma_px
     for u, v in rig.cameras[camera].project(points_rig_m):
         if not (math.isfinite(u) and math.isfinite(v)):

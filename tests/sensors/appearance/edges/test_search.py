@@ -1,5 +1,7 @@
 """Poses that another estimator proposes, judged by the grey edges."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -106,3 +108,24 @@ def test_an_empty_frame_bears_no_proposal_out(refining_model, camera, truth):
     frame = np.clip(frame, 0, 255).astype(np.uint8)
     found = PoseSearch(refining_model, camera).proposed(frame, Sky.of(frame), [truth], [])
     assert found is None or found.confidence < 0.5
+
+
+def test_where_coarse_stages_lead_away_from_a_prior_the_pose_next_to_it_counts_too(
+    refining_model, bumpy_mesh, camera, draw, truth, monkeypatch
+):
+    """A flat face seen end-on: its edges fit nearly as well some degrees away."""
+    search = PoseSearch(refining_model, camera)
+    frame, refiner = draw(bumpy_mesh, truth, camera), search.refiner
+    refine, away = refiner.refine, Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix()
+
+    def another_optimum(image, sky, start, *, closely=False, least=0.0):
+        found = refine(image, sky, start, closely=closely, least=least)
+        if closely or found is None:
+            return found
+        pose = turned(found.pose, away, refining_model.centre_m)
+        return replace(found, pose=pose, outline=0.9 * found.outline, inner=0.8 * found.inner)
+
+    monkeypatch.setattr(refiner, "refine", another_optimum)
+    found = search.at(frame, Sky.of(frame), truth, np.deg2rad(20.0))
+    assert found is not None
+    assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)

@@ -239,6 +239,8 @@ class PoseSearch:
         if refined is None or refined.inlier_ratio < min(sufficient_inlier_ratio, usual):
             return None
         single.add([refined])
+        if refined.pose.angle_to(prior) > _CLOSE_RAD:  # coarse stages may find another optimum
+            single.refine([prior], closely=True)
         reaches_usual = refined.inlier_ratio >= usual
         found = single.choose(shade=not reaches_usual)
         if reaches_usual and found is not None and found.confidence < _CONFIDENT:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array
 from rendezview.sensors.beacons.detect.detectors import UNKNOWN, Spots
 from rendezview.sensors.beacons.detect.difference import LitDark, Opening, ThresholdOptions
 from rendezview.sensors.beacons.detect.spots import (
@@ -20,8 +21,6 @@ from rendezview.sensors.beacons.detect.spots import (
     Y,
 )
 from rendezview.sensors.beacons.detect.spots import find_spots as reflector_spots
-
-GreyImage = npt.NDArray[np.uint8]
 
 _LEAST_NOISE = 0.29  # grey, of rounding. Source: by construction
 
@@ -42,23 +41,28 @@ class SpotOptions:
             raise RendezviewError(f"a threshold must be 0 to 255 grey, not {self.threshold_grey}")
 
 
-def find_spots(image: npt.ArrayLike, options: SpotOptions | None = None) -> Spots:
+def find_spots(
+    image: npt.ArrayLike, options: SpotOptions | None = None, *, dark: npt.ArrayLike | None = None
+) -> Spots:
     """All lights in a grey picture (H, W) uint8, brightest first, without names.
 
-    Blobs at the border are left out: half a spot has no centre.
+    Blobs at the border are left out: half a spot has no centre. What a ``dark`` picture of the
+    same scene shows without the lights, as a craft in sunlight, is subtracted.
 
     Raises:
-        RendezviewError: not an 8-bit grey picture.
+        RendezviewError: not 8-bit grey pictures of one size.
     """
     options = options or SpotOptions()
-    grey = np.asarray(image)
-    if grey.ndim != 2 or grey.dtype != np.uint8 or min(grey.shape) < 8:
-        raise RendezviewError(
-            f"a picture must be (height, width) uint8 of at least 8 × 8, not {grey.shape} "
-            f"{grey.dtype}"
-        )
-    frames = LitDark(grey)
-    sky, noise = _sky(frames.lit[::5, ::5])
+    grey, without = np.asarray(image), None if dark is None else np.asarray(dark)
+    for picture in (grey,) if without is None else (grey, without):
+        small = picture.ndim != 2 or min(picture.shape) < 8
+        if small or picture.dtype != np.uint8 or picture.shape != grey.shape:
+            raise RendezviewError(
+                f"a picture must be (height, width) uint8 of at least 8 × 8, not {picture.shape} "
+                f"{picture.dtype}; a dark one must be as large as the other"
+            )
+    frames, some = LitDark(grey, without), grey[::5, ::5].astype(np.float64)
+    sky, noise = _sky(some if without is None else some - without[::5, ::5])
     level = options.threshold_grey if options.threshold_grey is not None else max(8 * noise, 12.0)
     if sky + level >= 255.0:
         return Spots.none()  # no sky to see a light against
@@ -78,9 +82,9 @@ def find_spots(image: npt.ArrayLike, options: SpotOptions | None = None) -> Spot
     )  # fmt: skip
 
 
-def _sky(sample: GreyImage) -> tuple[float, float]:
+def _sky(sample: Array) -> tuple[float, float]:
     """Level and r.m.s. noise of the background, quantisation included."""
-    values = sample.ravel().astype(np.float64)
+    values = sample.ravel()
     middle = np.median(values)
     spread = 1.4826 * np.median(np.abs(values - middle))
     # Whole grey levels make the median and its deviation coarse: mean and r.m.s. of the rest
