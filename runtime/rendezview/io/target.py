@@ -317,17 +317,7 @@ def _read_target(path: Path) -> Target:
         unit=None if file.mesh is None else file.mesh.unit,
         shape_error=0.0 if file.mesh is None else file.mesh.shape_error,
         docking_ring=None if ring is None else _ring(ring),
-        reflectors=tuple(
-            Reflector(
-                r.name,
-                r.group,
-                _frozen(r.position_m),
-                _frozen(r.normal),
-                r.diameter_m,
-                r.position_sigma_m,
-            )
-            for r in file.reflectors
-        ),
+        reflectors=tuple(_reflector(table) for table in file.reflectors),
         leds=tuple(
             Led(led.name, _frozen(led.position_m), _frozen(led.normal), led.position_sigma_m)
             for led in file.leds
@@ -386,6 +376,11 @@ def _boxes(where: str, corners: list[list[list[float]]]) -> tuple[Array, ...]:
         if not np.all(low < high):
             raise RendezviewError(f"{where}: boxes_m must be [lowest, highest] corners")
     return boxes
+
+
+def _reflector(table: _ReflectorTable) -> Reflector:
+    place, normal, sigma = _frozen(table.position_m), _frozen(table.normal), table.position_sigma_m
+    return Reflector(table.name, table.group, place, normal, table.diameter_m, sigma)
 
 
 def _ring(table: _RingTable) -> DockingRing:

@@ -20,7 +20,7 @@ from rendezview.geometry.pose import Array
 _OFF = 0.05  # of a reflector to be off, before the run. Source: by construction
 # Of the base: σ of where it then is, each as likely. Source: by construction, 1 to 7 mm of 368
 _OFF_BY = (0.0025, 0.005, 0.01, 0.02)
-WIDEST = _OFF_BY[-1]
+WIDEST = _OFF_BY[-1]  # Source: as above
 _SIZE = 0.1  # σ of the pattern's size where a length is given. Source: by construction
 # Of the base: what a tolerance is at most, and at least where the file states none. Each is twice
 # the one before. Source: by construction, 4 mm and 0.02 mm of 368
