@@ -48,15 +48,17 @@ def turn(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 def look_at(
-    rng: np.random.Generator, camera: Pinhole, range_m: float, tilt: float, margin_px: float
-) -> tuple[np.ndarray, np.ndarray]:
+    rng: np.random.Generator, camera: Pinhole, range_m: float, tilt: float, margin_px: float,
+    least_tilt: float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """A target whose face (+z, y up) looks at the camera, tilted by up to ``tilt``, rolled at will.
 
     Returns rotation (3, 3) and translation (3,), camera from target.
     """
     roll = turn([0, 0, 1], rng.uniform(-math.pi, math.pi))
     way = rng.uniform(0.0, 2.0 * math.pi)
-    lean = turn([math.cos(way), math.sin(way), 0.0], tilt * math.sqrt(rng.random()))
+    off = math.sqrt(least_tilt**2 + (tilt**2 - least_tilt**2) * rng.random())
+    lean = turn([math.cos(way), math.sin(way), 0.0], off)
     u = rng.uniform(margin_px, camera.width - 1 - margin_px)
     v = rng.uniform(margin_px, camera.height - 1 - margin_px)
     sight = np.array([(u - camera.cx) / camera.focal_px, (v - camera.cy) / camera.focal_px, 1.0])

@@ -20,6 +20,7 @@ EXPERIMENTS = {
         "reflector-accuracy": ("reflectors.accuracy", "pose errors against the Cramér–Rao bound"),
         "reflector-hidden": ("reflectors.hidden", "every three to five of five reflectors"),
         "reflector-nees": ("reflectors.nees", "errors against covariances, by condition"),
+        "reflector-pattern": ("reflectors.pattern", "places of reflectors from a run"),
         "stereo-accuracy": ("stereo.accuracy", "pose errors in the simulated laboratory"),
     },
     "trajectory and fusion": {

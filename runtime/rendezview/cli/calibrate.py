@@ -20,6 +20,7 @@ from rendezview.calibration.as_built.picture import shape_picture
 from rendezview.calibration.board import Chessboard
 from rendezview.calibration.one_camera import CharucoBoard, calibrate_camera
 from rendezview.cli.inputs import given_sequence
+from rendezview.cli.pattern import calibrate_pattern
 from rendezview.cli.progress import say
 from rendezview.cli.reflectors import calibrate_reflectors
 from rendezview.cli.ring import size
@@ -194,6 +195,7 @@ def shape(
 
 
 calibrate.command("rig")(calibrate_rig)
+calibrate.command("pattern")(calibrate_pattern)
 calibrate.command("reflectors")(calibrate_reflectors)
 calibrate.command("ring")(size)
 

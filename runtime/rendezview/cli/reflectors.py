@@ -194,7 +194,7 @@ def reflectors(
         chosen = itertools.islice(steps, total)
         _run(chosen, patterns, forms, overlay, output, total, options, BudgetReport(budget))
         return
-    pairs, total = _pairs(places, camera, mode, lit_from_dark, invert, rate, readings)
+    pairs, total = pairs_of(places, camera, mode, lit_from_dark, invert, rate, readings)
     if calibrating:
         if output is None:
             raise RendezviewError("calibrate reflectors: give -o, the file for the calibration")
@@ -278,7 +278,7 @@ class _Step(NamedTuple):
     more: dict[str, Any]
 
 
-def _pairs(
+def pairs_of(
     places: list[str], camera: Path | None, mode: Mode | None, lit_from_dark: str | None,
     invert: bool, rate: float | None, readings: int | None,
 ) -> tuple[Iterable[FramePair], int | None]:  # fmt: skip

@@ -121,6 +121,7 @@ class Target:
     shape_error: float = 0.0  # σ of the strain between mesh and craft
     joints: tuple[JointedParts, ...] = ()  # parts that turn
     parts: tuple[TrustedPart, ...] = ()  # parts that are less trusted than the others
+    source: Path | None = None  # its target file
 
     @property
     def mesh_path(self) -> Path:
@@ -310,17 +311,7 @@ def _read_target(path: Path) -> Target:
         unit=None if file.mesh is None else file.mesh.unit,
         shape_error=0.0 if file.mesh is None else file.mesh.shape_error,
         docking_ring=None if ring is None else _ring(ring),
-        reflectors=tuple(
-            Reflector(
-                r.name,
-                r.group,
-                _frozen(r.position_m),
-                _frozen(r.normal),
-                r.diameter_m,
-                r.position_sigma_m,
-            )
-            for r in file.reflectors
-        ),
+        reflectors=tuple(_reflector(table) for table in file.reflectors),
         leds=tuple(
             Led(led.name, _frozen(led.position_m), _frozen(led.normal), led.position_sigma_m)
             for led in file.leds
@@ -328,6 +319,7 @@ def _read_target(path: Path) -> Target:
         symmetries=_symmetries(path, file.symmetries),
         joints=tuple(_joint(path, joint) for joint in file.joints),
         parts=tuple(_part(path, part) for part in file.parts),
+        source=path,
     )
 
 
@@ -378,6 +370,11 @@ def _boxes(where: str, corners: list[list[list[float]]]) -> tuple[Array, ...]:
         if not np.all(low < high):
             raise RendezviewError(f"{where}: boxes_m must be [lowest, highest] corners")
     return boxes
+
+
+def _reflector(table: _ReflectorTable) -> Reflector:
+    place, normal, sigma = _frozen(table.position_m), _frozen(table.normal), table.position_sigma_m
+    return Reflector(table.name, table.group, place, normal, table.diameter_m, sigma)
 
 
 def _ring(table: _RingTable) -> DockingRing:

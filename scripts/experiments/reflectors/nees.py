@@ -17,13 +17,15 @@ from rendezview.sensors.beacons import ReflectorPattern, TrackingOptions
 from rendezview.sensors.beacons.detect.registration import register
 
 RANGES_M = (0.8, 1.5, 3.0, 6.0)
-TILT_RAD, WRONG_RAD = 0.5, np.deg2rad(5.0)
+TILT_RAD, WRONG_RAD = (0.0, 0.5), np.deg2rad(5.0)
+TILTS_RAD = {"tilt 50 to 60°": np.deg2rad((50, 60)), "tilt 60 to 75°": np.deg2rad((60, 75))}
 KINDS = (
-    "retro-reflected", "even light", "shade of 40 grey", "MJPEG", "texture",
+    "retro-reflected", "even light", "shade of 40 grey", "MJPEG", "JPEG 40", "texture",
     "texture, 0.3 px of motion", "texture, 0.3 px of motion, registered", "five reflectors",
     "clutter", "saturated", "saturated, bloomed", "focal length 0.1 %", "focal length 1 %",
     "centre 3 px", "camera of 12 boards", "post 1 mm off", "places 0.3 mm off", "20 % covered",
     "35 % covered", "five reflectors, 20 % covered", "five reflectors, 35 % covered",
+    "tilt 50 to 60°", "tilt 60 to 75°",
 )  # fmt: skip
 # σ of fx fy cx cy, and m of each reflector's place, that the files state. The errors have them.
 STATED = {
@@ -43,7 +45,7 @@ def off(pose: Pose, truth: Pose) -> np.ndarray:
     return error_of(pose, near)
 
 
-def jpeg(picture: np.ndarray, quality: int = 75) -> np.ndarray:
+def jpeg(picture: np.ndarray, quality: int) -> np.ndarray:
     _, coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE))
 
@@ -78,8 +80,8 @@ def frames_of(
         return LitDark(frames.lit)
     if "bloomed" in kind:
         return LitDark(bloomed(frames.lit), frames.dark)
-    if kind == "MJPEG":
-        return LitDark(jpeg(frames.lit), jpeg(frames.dark))
+    if quality := {"MJPEG": 75, "JPEG 40": 40}.get(kind):
+        return LitDark(jpeg(frames.lit, quality), jpeg(frames.dark, quality))
     return register(frames) if "registered" in kind else frames
 
 
@@ -138,7 +140,7 @@ def clutter(rng: np.random.Generator) -> np.ndarray:
 
 
 def run(
-    *, readings: int = 60, seed: int = 7,
+    *, readings: int = 60, seed: int = 7, ranges_m: list[float] = RANGES_M,
     kind: Annotated[str, "the beginning of a condition"] = "", simulator: lab.Simulator = "plain",
 ) -> None:  # fmt: skip
     """NEES of single poses (6 unknowns: 6 is right) under one condition each, by range.
@@ -150,19 +152,20 @@ def run(
     errors in the camera file or in the target file, drawn anew for each reading from the σ that the
     file states. 'covered': an edge hides so much of one disc.
     """
-    columns = ["condition", *(f"{r:g} m" for r in RANGES_M)]
+    columns = ["condition", *(f"{r:g} m" for r in ranges_m)]
     title = f"mean NEES of {readings} readings (poses found), seed {seed}, {simulator} simulator"
     table = table_of(title, columns)
     for condition in (one for one in KINDS if one.startswith(kind)):
         rng, cells = np.random.default_rng(seed), []
         pattern = lab.FIVE if condition.startswith("five") else lab.THREE
-        for range_m in RANGES_M:
+        tilt = TILTS_RAD.get(condition, TILT_RAD)
+        for range_m in ranges_m:
             errors: list[float] = []
             # All dots lie in the picture; near by the target stands in its middle.
             margin_px = 20.0 + 0.25 * lab.PINHOLE.focal_px / range_m
             margin_px = min(margin_px, 0.5 * min(lab.PINHOLE.width, lab.PINHOLE.height) - 5.0)
             for _ in range(readings):
-                placed = plain.look_at(rng, lab.PINHOLE, range_m, TILT_RAD, margin_px)
+                placed = plain.look_at(rng, lab.PINHOLE, range_m, tilt[1], margin_px, tilt[0])
                 truth = Pose(*placed)
                 camera, known = filed(condition, pattern, rng)
                 sensor = ReflectorSensor(camera, [known], tracking=TrackingOptions(confirm=False))

@@ -12,17 +12,24 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, predict_spots
-from rendezview.sensors.beacons.detect.cover import compare_spots, middle
-from rendezview.sensors.beacons.detect.spots import AMPLITUDE, LONG_X, LONG_XY, SIGMA, SIZE
+from rendezview.sensors.beacons.detect.cover import compare_spots, middle, uncovered_sizes
+from rendezview.sensors.beacons.detect.spots import (
+    AMPLITUDE,
+    COLUMNS,
+    LONG_X,
+    LONG_XY,
+    SIGMA,
+    SIZE,
+)
 
 PINHOLE = plain.Pinhole()
 CAMERA = Camera(512, 384, 650.0, 650.0, 255.5, 191.5)
 EDGE = {0.1: 0.687, 0.2: 0.492, 0.35: 0.238}  # radii from the middle that hide this share
 
 
-def reading(five, rng, covers):
-    """One reading of the plain simulator at 3 m, the truth, and the pictures."""
-    placed = plain.look_at(rng, PINHOLE, 3.0, 0.5, 80.0)
+def reading(five, rng, covers, range_m=3.0, margin_px=80.0):
+    """One reading of the plain simulator, and the truth."""
+    placed = plain.look_at(rng, PINHOLE, range_m, 0.5, margin_px)
     discs = (five.positions_m, five.normals, five.diameters_m)
     light = plain.discs(PINHOLE, *placed, *discs, plain.Look(), covers=covers)
     frames = LitDark(*plain.pair(PINHOLE, light, plain.Look(), rng))
@@ -68,6 +75,32 @@ def test_a_pose_of_a_covered_reflector_is_off_by_what_it_claims(three):
         nees.append(off @ np.linalg.solve(found.covariance, off))
     assert len(nees) >= 12
     assert np.mean(nees) < 10.0  # 138 without
+
+
+@pytest.mark.parametrize("range_m", [0.8, 1.5])
+def test_a_disc_that_is_covered_by_a_third_is_found_near_by(three, range_m):
+    """It is 0.2 smaller (ln) than its neighbours, which no triplet passes; its shape says so."""
+    rng, right, poses = np.random.default_rng(3), 0, 0
+    half_turn = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    for _ in range(10):
+        covers = {int(rng.integers(3)): (rng.uniform(0.0, 6.3), EDGE[0.35])}
+        found, truth = reading(three, rng, covers, range_m, min(80.0 + 163.0 / range_m, 187.0))
+        if found.pose is not None:
+            poses += 1
+            right += min(found.pose.angle_to(t) for t in (truth, truth @ half_turn)) < 0.09
+    assert right == poses >= 8
+
+
+def test_round_spots_keep_their_sizes():
+    rows = np.zeros((5, COLUMNS))
+    rows[:, SIZE], rows[:, LONG_X] = 4.0, [0.05, 0.02, -0.02, 0.0, 0.08]
+    np.testing.assert_array_equal(uncovered_sizes(rows, 0.75), 4.0)
+    rows[4, LONG_X] = 0.25
+    sizes = uncovered_sizes(rows, 0.75)
+    np.testing.assert_array_equal(sizes[:4], 4.0)
+    assert 0.12 < math.log(sizes[4] / 4.0) < 0.25
+    rows[2:, LONG_X] = np.nan  # saturated
+    np.testing.assert_array_equal(uncovered_sizes(rows, 0.75), 4.0)
 
 
 def test_discs_that_lean_alike_are_covered_by_nothing(five):

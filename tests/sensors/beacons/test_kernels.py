@@ -21,6 +21,7 @@ from rendezview.sensors.beacons.detect.discs import (
     disc_radius,
     expected_size,
     placed,
+    project_all,
     project_disc,
     turned,
 )
@@ -335,3 +336,18 @@ def test_rates_of_the_six_numbers_follow_those_of_the_pose(three):
     assert rates.span_s == pytest.approx(3.75)
     estimator.clear()
     assert estimator.add(9.0, pose_of(SIX, three), 1e-8 * np.eye(6), face) is None
+
+
+def test_all_discs_are_projected_as_each_is(five):
+    """About a middle: arms and its place, as a bundle has them."""
+    pose, out = pose_of(SIX, five), np.empty((5, 2))
+    numbers, centre = camera_numbers(DISTORTED), five.centre_m
+    arms, radii = five.positions_m - centre, 0.5 * five.diameters_m
+    project_all(
+        numbers, arms, five.normals, five.diameters_m, pose.rotation.copy(), pose.apply(centre), out
+    )
+    places, normals = pose.apply(five.positions_m), five.normals @ pose.rotation.T
+    for k in range(5):
+        alone = project_disc(numbers, *places[k], *normals[k], radii[k])
+        np.testing.assert_allclose(out[k], alone, atol=1e-9)
+    np.testing.assert_allclose(out, predict_spots(DISTORTED, five, pose), atol=1e-9)

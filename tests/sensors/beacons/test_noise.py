@@ -89,6 +89,21 @@ def test_jpeg_is_known_by_its_steps_and_raw_pictures_have_none():
     assert quantisation_step(np.zeros((5, 5), np.uint8)) == 0.0
 
 
+@pytest.mark.parametrize("quality", [30, 40, 50, 60])
+def test_a_dark_jpeg_of_few_lights_is_known_by_its_even_blocks(quality):
+    """Nothing but three spots has coefficients: too few for a common divisor."""
+    rng = np.random.default_rng(4)
+    spots = np.column_stack([rng.uniform(40.0, 340.0, (3, 2)), np.full(3, 1.2), np.full(3, 170.0)])
+    light = plain.lights(plain.Pinhole(), spots)
+    lit, dark = (jpeg(p, quality) for p in plain.pair(plain.Pinhole(), light, plain.Look(), rng))
+    step = 11.0 * (2.0 - 0.02 * quality if quality >= 50 else 50.0 / quality)
+    assert 0.9 * step < quantisation_step(lit) < 3.0 * step
+    assert quantisation_step(dark) < 2.0 * step
+    for noise in (0.3, 2.0):  # not coded
+        raw, _ = plain.pair(plain.Pinhole(), light, plain.Look(noise=noise), rng)
+        assert quantisation_step(raw) == 0.0
+
+
 def test_texture_that_moved_counts_in_wide_spots_most():
     white, moved = HiddenNoise.of(pair((0.0, 0.0), 60.0)), HiddenNoise.of(pair((0.3, 0.0), 60.0))
     assert not white.of_cells.any()

@@ -36,6 +36,9 @@ _SURE = 2.7  # σ; clean spots exceed it once in 200. Source: reflector-nees --k
 # too low at 3 to 6 m
 _SMALLER, _SMALLER_YET = 0.45, 1.0
 _QUARTER = 0.25  # Source: likewise
+# Elongation from which a spot seems hidden before there is a pose: 30° of tilt changes it so much
+# across a target as wide as half its range. And ln(size) at most, half of a disc's.
+_APPARENT, _LARGEST = 0.1, 0.35  # Source: likewise
 _DIMMER = 2.0  # × elongation: σ of ln(brightness) of a covered disc. Source: likewise
 _SIZE_SIGMA = 0.035  # of ln(size). Source: AcquisitionOptions.size_sigma
 # of ln(brightness) over its neighbours' since it was last certain, and a √reading since then.
@@ -76,6 +79,21 @@ def compare_spots(
         blur_px, scale, known, ago, cover, light,
     )  # fmt: skip
     return cover, light
+
+
+def uncovered_sizes(rows: Array, blur_px: float) -> Array:
+    """(K,) sizes of spots (K, 23), px, those that seem partly hidden as they would be whole.
+
+    Before there is a pose the middle of all spots stands for the shape that tilt gives a disc.
+    """
+    long = rows[:, [LONG_X, LONG_XY]]
+    if np.isfinite(long).all(axis=1).sum() < 3:
+        return np.array(rows[:, SIZE])
+    hidden = np.nan_to_num(np.linalg.norm(long - np.nanmedian(long, axis=0), axis=1))
+    hidden[hidden < _APPARENT] = 0.0
+    share = np.maximum(1.0 - (blur_px / rows[:, SIZE]) ** 2, 0.01)
+    smaller = hidden * (_SMALLER + _SMALLER_YET * hidden / share)
+    return np.asarray(rows[:, SIZE] * np.exp(np.minimum(smaller, _LARGEST)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

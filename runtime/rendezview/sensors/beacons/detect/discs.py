@@ -84,7 +84,7 @@ def predict_spots(
     out = np.empty((len(pattern), 2))
     arm = pattern.positions_m - pattern.centre_m
     shift = camera_from_target.apply(pattern.centre_m)
-    _project_all(
+    project_all(
         camera_numbers(camera, blur_px), arm, pattern.normals, pattern.diameters_m,
         np.ascontiguousarray(camera_from_target.rotation), shift, out,
     )  # fmt: skip
@@ -129,10 +129,11 @@ def disc_radius(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _project_all(
+def project_all(
     lens: Array, arms: Array, normals: Array, diameters: Array, rotation: Array, shift: Array,
     out: Array,
 ) -> None:  # fmt: skip
+    """Fill (N, 2) pixels of discs whose places in the camera are ``rotation @ arm + shift``."""
     for i in range(arms.shape[0]):
         px, py, pz = turned(rotation, arms, i)
         nx, ny, nz = turned(rotation, normals, i)

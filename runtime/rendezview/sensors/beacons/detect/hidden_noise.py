@@ -50,6 +50,10 @@ _MOST, _MOST_SIGMA = 0.8, 1.2816  # share of the slopes, σ. Source: normal dist
 _BLOCK = 8  # px. Source: ITU-T T.81
 _MOST_BLOCKS = 1000  # that are looked at first. Source: by construction, 0.1 ms
 _SLOWEST = ((0, 1), (1, 0), (1, 1))  # coefficients down, across. Source: by construction
+_ROUNDING = 1e-3  # grey of a coefficient that is 0. Source: by construction, single precision
+# share of blocks without detail, and of coefficients that are a step. Source: experiment
+# reflector-nees --kind JPEG
+_EVEN, _LEAST = 0.5, 0.1
 _FEWEST = 12  # multiples of a step. Source: by construction, chance is below 1e-6
 _LEAST_STEP = 1.5  # grey of a coefficient. Source: by construction, five times its rounding
 # Source: by construction, qualities 30 to 88; smaller steps hide less than a grey level
@@ -198,15 +202,23 @@ def quantisation_step(picture: Grey) -> float:
     angle = math.pi * (np.arange(_BLOCK) + 0.5) / _BLOCK
     basis = np.stack([np.full(_BLOCK, math.sqrt(0.125)), 0.5 * np.cos(angle)], axis=1)
     # In a dark picture only the spots' own blocks have any.
+    sizes = np.empty((0, 0))
     for every in (1 + rows * columns // _MOST_BLOCKS, 1):
         across = blocks[::every].astype(np.float32) @ basis  # (rows, 8, columns, 2)
         whole = np.tensordot(basis, across, ((0,), (1,)))  # (v, rows, columns, u)
-        steps = [_common_step(np.abs(whole[v, ..., u].ravel())) for v, u in _SLOWEST]
+        sizes = np.array([np.abs(whole[v, ..., u].ravel()) for v, u in _SLOWEST])
+        steps = [_common_step(own) for own in sizes]
         known = [step for step in steps if step is not None]
         found = [step for step in known if step > 0]
+        if len(found) > 1:
+            return float(np.mean(found))
         if len(known) > 1:
-            return float(np.mean(found)) if len(found) > 1 else 0.0
-    return 0.0
+            break
+    # Too few, or ringing is cut off at 0; but blocks are even, noise and all, as none is that is
+    # not coded: the least coefficients are a step, or more.
+    some = sizes[sizes > _LEAST_STEP]
+    even = (sizes < _ROUNDING).all(axis=0).mean() > _EVEN
+    return float(np.quantile(some, _LEAST)) if even and len(some) else 0.0
 
 
 def _common_step(sizes: Array) -> int | None:

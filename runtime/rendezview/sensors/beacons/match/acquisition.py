@@ -15,6 +15,7 @@ from rendezview.estimation.p3p import MAX_ROOTS
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
+from rendezview.sensors.beacons.detect.cover import uncovered_sizes
 from rendezview.sensors.beacons.detect.lens_scale import LensScale
 from rendezview.sensors.beacons.detect.spots import (
     AMPLITUDE,
@@ -147,8 +148,14 @@ class Acquirer:
                 Status.NO_SPOTS,
                 f"{len(spots)} spots, {len(usable)} of them round and whole; three are needed",
             )
+        sizes = spots.table[usable, SIZE]
         with self._lock:
-            candidates, crowded = self._candidates(spots, usable, prior)
+            candidates, crowded = self._candidates(spots, usable, sizes, prior)
+            if not (crowded or len(candidates.rows)):
+                # One may be partly hidden, and smaller for that.
+                whole = uncovered_sizes(spots.table[usable], self.options.blur_px)
+                if (whole > sizes).any():
+                    candidates, crowded = self._candidates(spots, usable, whole, prior)
         if crowded:
             return Acquisition(
                 Status.CROWDED,
@@ -248,16 +255,16 @@ class Acquirer:
         return np.flatnonzero(whole & round_ & (table[:, AMPLITUDE] > 0.0))
 
     def _candidates(
-        self, spots: SpotTable, usable: npt.NDArray[np.int64], prior: Pose | None
+        self, spots: SpotTable, usable: npt.NDArray[np.int64], sizes: Array, prior: Pose | None
     ) -> tuple[Candidates, bool]:
-        """Candidates, and whether there are too many of them."""
+        """Candidates of spots of some sizes (K,), and whether there are too many of them."""
         options, camera = self.options, self.camera
         rays = camera.rays(spots.centroids_px[usable])
         seen = np.isfinite(rays).all(axis=1)
-        usable, rays = usable[seen], rays[seen]
+        usable, sizes, rays = usable[seen], sizes[seen], rays[seen]
         directions = rays / np.sqrt((rays * rays).sum(axis=1))[:, None]
         flat = np.ascontiguousarray(rays[:, :2] * camera.fx)
-        sizes, peaks = spots.table[usable, SIZE], spots.table[usable, AMPLITUDE]
+        peaks = spots.table[usable, AMPLITUDE]
         order = np.argsort(flat[:, 0], kind="stable")
         window = _NO_RANGE
         if prior is not None:
