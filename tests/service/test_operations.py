@@ -145,8 +145,9 @@ def _ends_in_order(served, sent, log, states):
 
 def test_a_hung_worker_with_three_sessions_does_not_delay_the_end(start_service, camera, tour):
     served = start_service()
-    with served.client() as client, ThreadPoolExecutor() as pool:
-        sessions = [client.open(camera, prior=tour[0][1]) for _ in range(3)]
+    with contextlib.ExitStack() as clients, ThreadPoolExecutor() as pool:
+        each = [clients.enter_context(served.client()) for _ in range(3)]
+        sessions = [client.open(camera, prior=tour[0][1]) for client in each]
         for session in sessions:
             session.track(tour[0][2], tour[0][0])
         (worker,) = served.workers

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import httpx
@@ -227,3 +228,15 @@ def test_the_geometry_is_of_the_target(client, refining_model, bumpy_mesh):
     assert (points < high + 0.1).all()
     assert len(geometry.nodes) == len(refining_model.geodesic.nodes)
     assert len(geometry.tangents) == len(points) == len(geometry.kinds)
+
+
+def test_threads_that_share_a_client_get_their_own_answers(client, camera):
+    """Two on one connection would read each other's answers, and lose its socket."""
+    with client.open(camera, name="one"), client.open(camera, name="other"):
+        names = ["one", "other"] * 40
+
+        def seen(name: str) -> str:
+            return client.request("GET", f"/v1/sessions/{name}")["id"]
+
+        with ThreadPoolExecutor(8) as threads:
+            assert list(threads.map(seen, names)) == names

@@ -15,6 +15,7 @@ import re
 import secrets
 import socket
 import ssl
+import threading
 import time
 from collections.abc import Mapping
 from http.client import (
@@ -53,7 +54,7 @@ _IDLE_S = 30.0  # s; the service may have closed an idle connection. Source: cho
 
 
 class Client:
-    """One connection to a service. Each thread needs its own client."""
+    """One connection to a service. Requests of threads that share it follow one another."""
 
     def __init__(
         self,
@@ -95,6 +96,7 @@ class Client:
             else HTTPSConnection(parts.hostname, parts.port, timeout=timeout_s, context=self._tls)
         )
         self._used_s = 0.0
+        self._lock = threading.Lock()  # of the connection
         self._headers = {"X-Sender": sender or secrets.token_hex(8)}  # frames of two would mix
         if token is not None:
             self._headers["Authorization"] = f"Bearer {token}"
@@ -221,7 +223,8 @@ class Client:
         if method == "POST":  # received twice, it is done once
             headers = headers | {"Idempotency-Key": secrets.token_hex(16)}
         try:
-            response, content = self._send_again(method, path, body, headers)
+            with self._lock:
+                response, content = self._send_again(method, path, body, headers)
         except (OSError, HTTPException, ValueError) as error:
             self._connection.close()
             raise RendezviewError(
