@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from rendezview.cli.main import main
+from rendezview.io.bundled import find_target
 
 # 3 m before the port, to be short.
 SHORT = """
@@ -55,3 +56,21 @@ def test_a_strangers_mesh_with_a_ring_that_the_plan_places(monkeypatch, capsys, 
     place = {"centre": [-2.093, -0.408, 0.0], "axis": [-1.0, 0.0, 0.0], "radius": "radius_m = 0.4"}
     said = fly(monkeypatch, capsys, tmp_path, str(mesh), "--unit", "m", **place)
     assert said.startswith("contact")
+
+
+def test_lights_that_give_no_pose_are_an_error_before_anything_is_flown(
+    monkeypatch, capsys, tmp_path
+):
+    lines = (find_target("scole").mesh_path.parent / "target.toml").read_text().split("[[leds]]")
+    target = tmp_path / "target.toml"
+    mesh = find_target("scole").mesh_path
+    target.write_text("[[leds]]".join(lines[:3]).replace('"scole.glb"', f'"{mesh}"'))
+    plan = tmp_path / "plan.toml"
+    plan.write_text("[port]\ncentre_m = [0.3, 0, -0.03]\naxis = [0, 0, -1]\n")
+    words = ["rendezview", "fly", str(target), "--plan", str(plan), "-o", str(tmp_path / "flight")]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code != 0
+    assert "has 2 lights, a pose needs at least 3" in capsys.readouterr().err
+    assert not (tmp_path / "flight").exists()

@@ -95,7 +95,9 @@ def fly(
     mesh = load_mesh(found.mesh_path, unit or found.unit)
     kinds = FAULTS if faults == "all" else tuple(filter(None, faults.split(",")))
     drawn = [Fault.drawn(kind, seed) for kind in kinds]  # an unknown one is an error now
-    port = Setup.of(found, mesh, options).port  # and so is a target without a port
+    checked = Setup.of(found, mesh, options)
+    port = checked.port  # so is a target without a port
+    checked.stereo_pair()  # and so are lights that give no pose
     others = None if beside is None else read_json_lines(beside)
     make_folder(output)
     views = None
