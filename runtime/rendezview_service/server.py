@@ -35,6 +35,10 @@ class _Server(uvicorn.Server):
     on_listening: Callable[[str], None] = staticmethod(lambda address: None)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        if self.config.ssl is not None:
+            # A ticket that a client's thread receives while another one writes can stop the write
+            # for ever: Python's ssl before 3.13, in one of 300 streams that open.
+            self.config.ssl.num_tickets = 0
         await super().startup(sockets)
         gc.collect()
         gc.freeze()  # what exists now stays: the collector need not scan it again

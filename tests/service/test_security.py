@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import ssl
 from pathlib import Path
 
 import httpx
@@ -176,6 +177,13 @@ def test_a_service_with_tokens_and_a_certificate_lets_each_do_his_part(
     plain = served.url.replace("https", "http")
     with Client(plain) as client, pytest.raises(RendezviewError, match="cannot be reached"):
         client.sessions()
+
+    address = ("127.0.0.1", int(served.url.rstrip("/").rpartition(":")[2]))
+    trusted = ssl.create_default_context(cafile=str(known))
+    with trusted.wrap_socket(socket.create_connection(address), server_hostname="127.0.0.1") as own:
+        own.sendall(b"GET /healthz HTTP/1.1\r\nHost: here\r\n\r\n")
+        assert own.recv(1000).startswith(b"HTTP/1.1 ")
+        assert not own.session.has_ticket  # one that comes while a thread writes can stop it
 
     def client_of(token: str | None) -> Client:
         return Client(served.url, token, certificate=known)
