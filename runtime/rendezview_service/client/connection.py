@@ -222,14 +222,14 @@ class Client:
         headers = self._headers if body is None else self._headers | {"Content-Type": kind}
         if method == "POST":  # received twice, it is done once
             headers = headers | {"Idempotency-Key": secrets.token_hex(16)}
-        try:
-            with self._lock:
+        with self._lock:
+            try:
                 response, content = self._send_again(method, path, body, headers)
-        except (OSError, HTTPException, ValueError) as error:
-            self._connection.close()
-            raise RendezviewError(
-                f"{self._url.geturl()}: the service cannot be reached ({error}): is it running?"
-            ) from None
+            except (OSError, HTTPException, ValueError) as error:
+                self._connection.close()  # before another thread uses it
+                raise RendezviewError(
+                    f"{self._url.geturl()}: the service cannot be reached ({error}): is it running?"
+                ) from None
         if response.status >= 400:
             try:
                 message = str(json.loads(content)["error"])
