@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
-from rendezview.io.files import StrPath, atomic_write_text, read_text
+from rendezview.io.files import StrPath, atomic_write_text, read_toml
 from rendezview.io.target import Target
 
 
@@ -25,7 +24,7 @@ def write_places(target: Target, places: Mapping[str, tuple[Array, float]], path
     """
     if target.source is None:
         raise RendezviewError(f"target {target.name!r} is a bare mesh, and has no reflectors")
-    data = tomllib.loads(read_text(target.source, "a target file (TOML)"))
+    data = read_toml(target.source, "a target file")
     for reflector in data["reflectors"]:
         if reflector["name"] in places:
             place, sigma = places[reflector["name"]]

@@ -32,11 +32,10 @@ class StereoPair:
     def __init__(self, camera: Camera, baseline_m: float, target: Target, beam: BeamMesh) -> None:
         right = Pose(np.eye(3), np.array([-baseline_m, 0.0, 0.0]))
         self.camera, self.beam = camera, beam
-        self.cameras = (Pose.identity(), right)  # camera_from_rig
         self.rig = Rig(
-            tuple(
-                RigCamera.from_camera(name, camera, pose)
-                for name, pose in zip(("left", "right"), self.cameras, strict=True)
+            (
+                RigCamera.from_camera("left", camera, Pose.identity()),
+                RigCamera.from_camera("right", camera, right),
             )
         )
         self.tracker = StereoTracker.of_target(self.rig, target)
@@ -44,7 +43,7 @@ class StereoPair:
     def shining(self, number: int, pose: Pose) -> Array:
         """(N, 3) the lights that a camera sees, rig frame: towards it, and nothing between."""
         leds, normals = self.tracker.leds, self.tracker.normals
-        eye = (self.cameras[number] @ pose).inverse().translation_m
+        eye = (self.rig.cameras[number].camera_from_rig @ pose).inverse().translation_m
         ways = leds - eye
         away = np.linalg.norm(ways, axis=1)
         seen = []

@@ -106,7 +106,7 @@ class Pictures:
         if pair is None:
             return None
         glare = self._glare if self.own.struck("glare", truth.time_s) else None
-        right = self._scene(truth, pair.cameras[1] @ truth.pose, glare)
+        right = self._scene(truth, pair.rig.cameras[1].camera_from_rig @ truth.pose, glare)
         spots = pair.pictured(truth.pose, (share * image, share * right), self._rng)
         return pair.read(truth.time_s, spots)
 
