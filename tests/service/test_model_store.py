@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import shutil
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -49,3 +51,22 @@ def test_threads_share_one_model(model_path, tmp_path):
     with ThreadPoolExecutor(8) as threads:
         models = list(threads.map(lambda _: stored.model, range(8)))
     assert all(model is models[0] for model in models)
+
+
+def test_a_model_that_nobody_asks_for_leaves_memory_and_its_facts_stay(
+    model_path, tmp_path, monkeypatch
+):
+    store = ModelStore(None, tmp_path)
+    stored = store.give(model_path)
+    # The arrays of a model are views of its file's content.
+    content = weakref.ref(stored.model.views.readings.base)
+    store.rest()
+    assert content() is not None  # just used
+    monkeypatch.setattr("rendezview_service.hub.model_store._REST_S", 0.0)
+    store.rest()
+    gc.collect()
+    assert content() is None
+    assert stored.info.nodes > 0
+    assert stored.known == (None, ())
+    assert stored.centre_m.shape == (3,)
+    assert stored.model.name == stored.info.target  # read again

@@ -16,12 +16,15 @@ import secrets
 import shutil
 import tempfile
 import threading
+import time
 import weakref
 from functools import cached_property
 from pathlib import Path
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array
 from rendezview.io.files import atomic_write, make_folder, write_error
+from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance import ViewModel
 from rendezview_service.messages.model_messages import ModelInfo
 from rendezview_service.tracker.model_geometry import geometry
@@ -31,6 +34,7 @@ log = logging.getLogger("rendezview_service")
 SUFFIX = ".rvm"
 BY_HASH = "by-hash"  # folder of copies that several services share
 _PIECE = 1_000_000  # bytes of a file that are in memory at once. Source: chosen
+_REST_S = 30.0  # s without use, until a model's memory is given back. Source: chosen
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -52,21 +56,36 @@ class StoredModel:
         self.path = path
         self.own = own
         self._copies = copies
-        self._read: tuple[ViewModel, Path] | None = None
+        self._copy: Path | None = None
         self._held: int | None = (
             None  # descriptor of its copy; it can be read when its name is gone
         )
-        self._lock = threading.Lock()
+        self._model: ViewModel | None = None  # None: not in memory
+        self._used_s = 0.0
+        self._lock = threading.RLock()
 
     @property
     def is_read(self) -> bool:
         """Whether it has been used."""
-        return self._read is not None
+        return self._copy is not None
 
     @property
     def model(self) -> ViewModel:
-        """The model. Errors as in `copy`."""
-        return self._loaded()[0]
+        """The model, in memory until `rest`. Errors as in `copy`."""
+        with self._lock:
+            self._used_s = time.monotonic()
+            if self._copy is None:
+                self._model = self._checked()
+                _ = self.info, self.centre_m, self.known  # sessions open without the model
+            elif self._model is None:
+                self._model = ViewModel.load(self.copy)
+            return self._model
+
+    def rest(self) -> None:
+        """Give back the memory of a model that nobody has asked for: workers have their own."""
+        with self._lock:
+            if time.monotonic() - self._used_s > _REST_S:
+                self._model = None
 
     @property
     def copy(self) -> Path:
@@ -75,7 +94,10 @@ class StoredModel:
         Raises:
             RendezviewError: the file is not a model, or is gone.
         """
-        copy = self._loaded()[1]
+        if self._copy is None:
+            _ = self.model
+        copy = self._copy
+        assert copy is not None
         if self._held is not None and not copy.exists():
             make_folder(copy.parent)
             content = os.pread(self._held, os.fstat(self._held).st_size, 0)
@@ -87,21 +109,23 @@ class StoredModel:
     @property
     def sha256(self) -> str:
         """The hash of its content, hexadecimal. Errors as in `copy`, on first use only."""
-        return self._loaded()[1].stem
+        if self._copy is None:
+            _ = self.model
+        assert self._copy is not None
+        return self._copy.stem
 
-    def _loaded(self) -> tuple[ViewModel, Path]:
-        with self._lock:
-            if self._read is None:
-                copy = self._copied()
-                try:
-                    self._read = ViewModel.load(copy), copy
-                except RendezviewError as error:
-                    copy.unlink()
-                    said = str(error).replace(str(copy), str(self.path))
-                    raise RendezviewError(said) from None
-                self._held = os.open(copy, os.O_RDONLY)
-                weakref.finalize(self, os.close, self._held)
-            return self._read
+    def _checked(self) -> ViewModel:
+        """Copy the file and read the copy."""
+        copy = self._copied()
+        try:
+            model = ViewModel.load(copy)
+        except RendezviewError as error:
+            copy.unlink()
+            said = str(error).replace(str(copy), str(self.path))
+            raise RendezviewError(said) from None
+        self._held, self._copy = os.open(copy, os.O_RDONLY), copy
+        weakref.finalize(self, os.close, self._held)
+        return model
 
     def _copied(self) -> Path:
         """Copy the file, in pieces, under its hash."""
@@ -133,6 +157,16 @@ class StoredModel:
             refines=self.model.contours is not None,
             loaded=True,
         )
+
+    @cached_property
+    def centre_m(self) -> Array:
+        """(3,) m, target frame: the middle of its views."""
+        return self.model.centre_m.copy()  # a view of it would keep the whole file in memory
+
+    @cached_property
+    def known(self) -> tuple[DockingRing | None, tuple[Reflector, ...]]:
+        """The target's ring and reflectors."""
+        return self.model.docking_ring, self.model.reflectors
 
     @cached_property
     def geometry_json(self) -> bytes:
@@ -285,6 +319,11 @@ class ModelStore:
         with contextlib.suppress(FileNotFoundError):
             stored.path.unlink()
         del self._models[name]
+
+    def rest(self) -> None:
+        """Give back the memory of models that nobody has asked for."""
+        for stored in list(self._models.values()):
+            stored.rest()
 
     def prune(self, used: set[str]) -> None:
         """Delete the copies of models that have no name any more and that nobody uses.

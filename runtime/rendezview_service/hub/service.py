@@ -383,6 +383,7 @@ class Service:
     async def _housekeeping(self) -> None:
         while True:
             await asyncio.sleep(_IDLE_CHECK_S)
+            await asyncio.to_thread(self.models.rest)
             now_s = time.monotonic()
             for session in list(self.sessions.values()):
                 if now_s - session.used_s > session.idle_s and session.id not in self._feeders:

@@ -10,12 +10,12 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array
 from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import checked, read_toml
 from rendezview.io.plausible import camera_doubts
 from rendezview.io.target import DockingRing, Reflector
-from rendezview.sensors.appearance import ViewModel
 from rendezview.trajectory import Plan, Shape, plan_of, read_plan
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.messages.approach_messages import ApproachRequest, PortMessage, WayPoint
@@ -98,7 +98,7 @@ class SessionDefaults:
         fusion = request.fusion or FusionRequest()
         known = self._target
         if known is None:
-            known = _known_of(stored.model.docking_ring, stored.model.reflectors)
+            known = _known_of(*stored.known)
         ring, reflectors = fusion.ring or known.ring, fusion.reflectors or known.reflectors
         fusion = fusion.model_copy(update={"ring": ring, "reflectors": reflectors})
         if request.fusion is not None or fusion.ring is not None or fusion.reflectors:
@@ -148,7 +148,7 @@ class SessionDefaults:
         approach = request.approach or ApproachRequest()
         if self._plan is None or approach.plan:
             return request
-        points = way_points(self._plan, stored.model)
+        points = way_points(self._plan, stored.centre_m)
         return request.model_copy(update={"approach": approach.model_copy(update={"plan": points})})
 
 
@@ -171,11 +171,11 @@ def load_approach(path: Path) -> ApproachRequest:
     return checked(_APPROACH, read_toml(path, "an approach"), str(path))
 
 
-def way_points(plan: Plan, model: ViewModel) -> list[WayPoint]:
-    """Places of a plan, target frame."""
+def way_points(plan: Plan, middle_m: Array) -> list[WayPoint]:
+    """Places of a plan, target frame; ``middle_m``: where it does not say what it aims at."""
     end_s = plan.end_s if math.isfinite(plan.end_s) else plan.start_s + _PLAN_S
     times_s = np.linspace(plan.start_s, end_s, _PLAN_POINTS)
-    centre_m = model.centre_m if plan.centre_m is None else plan.centre_m
+    centre_m = middle_m if plan.centre_m is None else plan.centre_m
     return [
         WayPoint(
             time_s=float(time_s),
