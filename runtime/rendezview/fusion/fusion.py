@@ -69,6 +69,7 @@ class Fusion:
         # By sensor that gives places: what its readings have in common; None: not known.
         self._common: dict[str, Array | None] = {}
         self._floor_s = -math.inf  # nothing earlier can be put in
+        self._asked: tuple[float, Estimate] | None = None  # last, since the newest measurement
         self._lock = threading.Lock()  # of all of the above
 
     @overload
@@ -89,7 +90,7 @@ class Fusion:
             return self._add(measurement)
 
     def _add(self, measurement: Measurement) -> Verdict:
-        time_s = measurement.time_s
+        time_s, self._asked = measurement.time_s, None
         if time_s < self._floor_s:
             reason = f"later than {self.options.history_s:g} s: no longer remembered"
             return Verdict(measurement.sensor, time_s, False, reason, None, measurement.size)
@@ -156,7 +157,7 @@ class Fusion:
             self._base = resumed(
                 start, np.zeros(6) if rates is None else rates, covariance, confirmed, self.options
             )
-            self._floor_s = last.time_s
+            self._floor_s, self._asked = last.time_s, None
 
     def state_at(self, time_s: float) -> Estimate:
         """The estimate at a time: now, shortly ahead, or within the memory.
@@ -169,8 +170,13 @@ class Fusion:
         if not math.isfinite(time_s):
             raise ValueError(f"the time must be finite, not {time_s}")
         with self._lock:
-            place = bisect.bisect_right(self._measurements, time_s, key=_time_of)
-            snapshot = self._after[place - 1] if place else self._base
+            if self._asked is None or self._asked[0] != time_s:
+                self._asked = time_s, self._state_at(time_s)
+            return self._asked[1]
+
+    def _state_at(self, time_s: float) -> Estimate:
+        place = bisect.bisect_right(self._measurements, time_s, key=_time_of)
+        snapshot = self._after[place - 1] if place else self._base
         if snapshot.main is None:
             reason = "no sensor has given a whole pose yet"
             return Estimate(time_s, Status.WAITING, reason, None, None, None)
