@@ -174,7 +174,7 @@ def test_the_list_of_commands_has_a_line_for_each(run):
 
 
 def test_the_version_is_told(run):
-    assert run("--version").out == "rendezview 0.2.0\n"
+    assert run("--version").out == "rendezview 0.3.0\n"
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ class STORED:
     """A model of a target without ring and reflectors, as the service keeps it."""
 
     name = "bumpy"
-    model = SimpleNamespace(docking_ring=None, reflectors=(), centre_m=np.zeros(3))
+    known, centre_m = (None, ()), np.zeros(3)
 
 
 def filled(camera: Camera, settings: Settings | None = None, **asked: Any) -> SessionRequest:
@@ -275,14 +275,16 @@ def test_a_model_brings_the_ring_of_its_target(refining_model, camera, tmp_path)
     known = replace(refining_model, docking_ring=target.docking_ring, reflectors=target.reflectors)
     known.save(tmp_path / "known.rvm")
     read = ViewModel.load(tmp_path / "known.rvm")
-    stored = SimpleNamespace(name="known", model=read)
+    stored = SimpleNamespace(
+        name="known", known=(read.docking_ring, read.reflectors), centre_m=read.centre_m
+    )
     request = SessionRequest(camera=camera_message(camera))
     full = SessionDefaults(Settings()).filled(request, "one", stored)
     assert (full.sensors.ring, full.sensors.trajectory.shape) == (True, "vbar")
     by_file = filled(camera, Settings(target=target.mesh_path.parent))
     assert full.fusion == by_file.fusion
     many = tuple(replace(target.reflectors[0], name=str(k)) for k in range(9))
-    stored.model = replace(read, reflectors=many)
+    stored.known = read.docking_ring, many
     assert SessionDefaults(Settings()).filled(request, "one", stored).fusion.reflectors == []
 
 

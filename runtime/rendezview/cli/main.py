@@ -45,7 +45,6 @@ _SUMMARIES = {
     "evaluate": "Compare results with the truth of their scene.",
     "assess": "Say how accurate a model is on its craft, on simulated frames.",
     "fly": "Fly to a target's port in a closed loop.",
-    "campaign": "The former name of assess.",
     "show": "Draw any file that rendezview writes.",
     "export": "Print a model's trees, or write flight code: C99, ONNX.",
 }

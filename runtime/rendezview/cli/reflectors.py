@@ -120,7 +120,7 @@ def reflectors(
     lit_from_dark: Annotated[
         str | None, typer.Option(help="Splitter: 'a,b,c,d,e,f', rows of the map between cameras.")
     ] = None,
-    registered: Annotated[
+    registered: Annotated[  # until version 0.4
         bool, typer.Option("--register", hidden=True, help="No effect: the pictures tell.")
     ] = False,
     readout_ms: Annotated[

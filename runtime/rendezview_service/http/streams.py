@@ -20,7 +20,6 @@ from rendezview.errors import RendezviewError
 from rendezview.io.files import checked, parse_json
 from rendezview_service.http.answers import (
     SENDER_HEADER,
-    frame_region,
     frame_time,
     needs,
     sender_of,
@@ -55,7 +54,6 @@ async def stream(socket: WebSocket, name: str) -> None:
     session = await _accepted(socket, name, Right.TRACK)
     if session is None:
         return
-    region: list[float] | None = None  # in the next frame
     sender_name = sender_of(socket) if SENDER_HEADER in socket.headers else f"stream {id(socket)}"
     outbox: deque[Answer] = deque()
     news, room = asyncio.Event(), asyncio.Event()
@@ -97,11 +95,10 @@ async def stream(socket: WebSocket, name: str) -> None:
                 content = message.get("bytes")
                 if content is None:
                     settings = service_of(socket).settings
-                    region = _take_text(session, settings, message["text"], answer) or region
+                    _take_text(session, settings, message["text"], answer)
                 else:
                     counted = _counted(socket, len(content), answer)
-                    _take(session, content, region, counted, sender_name)
-                    region = None
+                    _take(session, content, counted, sender_name)
                 await room.wait()
     except (WebSocketDisconnect, RuntimeError):
         pass
@@ -128,9 +125,7 @@ def _counted(socket: WebSocket, count: int, answer: Answering) -> Answering:
     return answered
 
 
-def _take(
-    session: Session, content: bytes, region: list[float] | None, answer: Answering, sender: str
-) -> None:
+def _take(session: Session, content: bytes, answer: Answering, sender: str) -> None:
     """A frame: a picture behind its time, or behind a line of JSON with time and region."""
     try:
         if content.startswith(_HEAD):
@@ -138,7 +133,7 @@ def _take(
             head = checked(_FRAME_HEAD, parse_json(line.decode(errors="replace"), where), where)
             time_s, region, start = head.time_s, head.roi, len(line) + 1
         elif len(content) > _TIME.size:
-            (sent_s,), start = _TIME.unpack_from(content), _TIME.size
+            (sent_s,), region, start = _TIME.unpack_from(content), None, _TIME.size
             time_s = None if math.isnan(sent_s) else frame_time(sent_s)
         else:
             raise RendezviewError(
@@ -161,22 +156,17 @@ def _refusal(error: HTTPException | RendezviewError | Refused) -> Answer:
     return Answer(error.status if isinstance(error, Refused) else 422, b"", str(error))
 
 
-def _take_text(
-    session: Session, settings: Settings, text: str, answer: Answering
-) -> list[float] | None:
-    """A text message ``{"sensor": name, "record": {…}}``, or ``{"roi": […]}``, which is given."""
+def _take_text(session: Session, settings: Settings, text: str, answer: Answering) -> None:
+    """A text message ``{"sensor": name, "record": {…}}``."""
     most = min(settings.measurement_bytes, settings.frame_bytes)
     too_long = HTTPException(413, f"the message is too long: send at most {most} bytes")
     try:
         if len(text) > most:
             raise too_long
         message = parse_json(text, "the message")
-        if isinstance(message, dict) and set(message) == {"roi"}:
-            return frame_region(message["roi"])
         if not isinstance(message, dict) or set(message) != {"sensor", "record"}:
             raise RendezviewError(
-                'a text message must be {"sensor": name, "record": a line of its log}, or '
-                '{"roi": [x, y, width, height]} of the next frame'
+                'a text message must be {"sensor": name, "record": a line of its log}'
             )
         sensor = sensor_name(message["sensor"])
         content = json.dumps(message["record"]).encode()
@@ -185,7 +175,6 @@ def _take_text(
         session.measure(session.input([content], None, answer, sensor=sensor))
     except (HTTPException, RendezviewError, Refused) as error:
         answer(_refusal(error))
-    return None
 
 
 @router.websocket("/{name}/watch")

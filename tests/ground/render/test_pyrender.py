@@ -173,7 +173,7 @@ def test_a_model_drawn_by_pyrender_equals_ours_to_the_pixels_that_differ(
 def test_the_commands_start_without_pyrender_and_opengl():
     """They are imported by the processes that draw, when they draw."""
     program = (
-        "import sys, rendezview.api, rendezview_ground.learn.command; "
+        "import sys, rendezview_ground.learn.command; "
         "import rendezview_ground.simulate.command, "
         "rendezview_ground.evaluate.demo_command; print({'pyrender', 'OpenGL'} & set(sys.modules))"
     )

@@ -43,3 +43,15 @@ def test_a_long_reason_is_written_on_several_lines(make, ring_camera):
         written.append(rows.max())
         assert not drawn[:, -4:].any()
     assert written[1] > written[0] + 30
+
+
+def test_a_reason_keeps_its_signs(make, ring_camera):
+    scene, image = make([20, 0])
+    sure = RingSensor(ring_camera, scene.ring.radius_m).update(1.0, image)
+    drawn = [
+        draw_reading(
+            image, replace(sure, circles=(), choice=None, reason=f"12 {sign} 1"), ring_camera
+        )
+        for sign in "±?"
+    ]
+    assert (drawn[0] != drawn[1]).any()

@@ -26,7 +26,6 @@ from rendezview.io.target import DockingRing
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.sensors.appearance.following import follow, record, result_row
 from rendezview.sensors.appearance.video import video_of
-from rendezview.sensors.observation import Status
 from rendezview.sensors.run import Line, Summary, run
 from rendezview_ground.evaluate.evaluate import evaluate as evaluate_rows
 from rendezview_ground.evaluate.page import WEBM, Card
@@ -160,15 +159,10 @@ def demo(
         ],
     )  # fmt: skip
     console.print(evaluation.as_table())
-    lost = sum(s.status is not Status.OK for s in observations)
-    active = [len(s.active_nodes) for s in observations]
     console.print(
-        f"{len(tracked.rows)} poses in {len(observations)} frames, {lost} without; "
-        f"{np.mean(active):.1f} active nodes per frame"
-    )
-    console.print(
-        f"{contact.range_m[-1]:.1f} m from the ring, its centre is known to "
-        f"{1e3 * contact.last_error_m:.1f} mm; {time.perf_counter() - start:.0f} s in all"
+        f"{contact.range_m[-1]:.1f} m from the ring, the fused state's place of it is off by "
+        f"{1e3 * contact.errors_m['fused'][-1]:.1f} mm (σ {1e3 * contact.sigma_m[-1]:.1f} mm); "
+        f"{time.perf_counter() - start:.0f} s in all"
     )
     console.print("5. Flying to the ring in a closed loop, with modelled readings …")
     (fly,) = metadata.entry_points(group=GROUP, name="fly")

@@ -78,8 +78,9 @@ figure:has(video) {{ container-type: inline-size }}
 video.apart {{ height: calc(100cqw * var(--tall) + {_PLAYER_PX}px); object-fit: contain;
   object-position: top }}
 .key i {{ font-style: normal; font-weight: 600 }}
-@media (max-width: 600px) {{ .pair figure, .wide figure {{ overflow-x: auto }}
-  .pair img {{ width: 520px }} .wide img {{ width: 760px }} }}
+@media (max-width: 600px) {{ .plot {{ overflow-x: auto }} th, td {{ padding-right: 8px }}
+  .pair img {{ width: 520px }} .wide img {{ width: 760px }}
+  figure:has(.plot) figcaption p::after {{ content: " The plot goes on to the right: swipe." }} }}
 details {{ margin-top: 36px; color: {MUTED}; font-size: .9rem }}
 dl {{ display: grid; grid-template-columns: max-content 1fr; gap: 2px 18px; margin: 10px 0 }}
 dd {{ margin: 0; color: {INK}; overflow-wrap: anywhere }}
@@ -224,10 +225,10 @@ def _facts(model: ViewModel) -> str:
 
 def figure(card: Card) -> str:
     words = f"<p>{escape(card.words)}</p>" if card.words else ""
-    return (
-        f"<figure><figcaption><h3>{escape(card.title)}</h3>{words}</figcaption>"
-        f"{_tag(card, card.title)}</figure>"
-    )
+    shown = _tag(card, card.title)
+    if card.kind == PNG:  # wider than a phone
+        shown = f'<div class="plot">{shown}</div>'
+    return f"<figure><figcaption><h3>{escape(card.title)}</h3>{words}</figcaption>{shown}</figure>"
 
 
 def _image(card: Card, words: str) -> str:

@@ -103,7 +103,8 @@ def _overview(
             png(cloud),
         ),
         Card("curves", "Frame by frame", "Gaps are frames without a pose.", png(curves)),
-        Card("stages", "Computing time", "", png(stage_picture(observations))),
+        Card("stages", "Computing time", "Of each stage; of whole frames it is in the table.",
+             png(stage_picture(observations))),
         Card("model", "The model", "Accuracy and size of every node's tree.",
              png(model_picture(model))),
     ]  # fmt: skip

@@ -40,10 +40,9 @@ def draw_reading(image: npt.ArrayLike, reading: RingObservation, camera: Camera)
     lines = [f"{reading.status}: {len(reading.edges)} ellipses"]
     if reading.circle is not None:
         far = float(np.linalg.norm(reading.circle.centre_m))
-        lines = [f"range {far:.3f} m   tilt {math.degrees(reading.circle.tilt_rad):.2f} deg"]
+        lines = [f"range {far:.3f} m   tilt {math.degrees(reading.circle.tilt_rad):.2f}°"]
     elif reading.reason:
-        words = reading.reason.encode("ascii", "replace").decode()
-        lines += textwrap.wrap(words, max(canvas.shape[1] // _LETTER_PX, 1))
+        lines += textwrap.wrap(reading.reason, max(canvas.shape[1] // _LETTER_PX, 1))
     for number, line in enumerate(lines):
         cv2.putText(
             canvas, line, (8, 18 + 18 * number), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _WORDS, 1,

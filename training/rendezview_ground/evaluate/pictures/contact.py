@@ -52,11 +52,6 @@ class Contact:
     errors_m: Mapping[str, Array]  # (N,) by sensor; "fused": the state
     sigma_m: Array  # (N,) of the state's ring centre, all axes
 
-    @property
-    def last_error_m(self) -> float:
-        """Of the fused state in the last frame."""
-        return float(self.errors_m["fused"][-1])
-
 
 def fuse_to_contact(
     frames: Sequence[Frame],

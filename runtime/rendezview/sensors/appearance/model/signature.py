@@ -167,7 +167,7 @@ def _raise_bins(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nearly_atan2(y: float, x: float) -> float:
-    """atan2 to 1e-5 rad; it only decides which bins a segment is tested against.
+    """atan2 to 1.2e-5 rad; it only decides which bins a segment is tested against.
 
     Minimax polynomial of odd degree 9 for arctan on [0, 1] (Abramowitz & Stegun 4.4.49).
     """
