@@ -55,7 +55,7 @@ def test_every_loop_of_tracking_and_of_the_service_is_listed(
         for command, entries in json.loads(run.stdout.splitlines()[-1]).items()
     }
     names = {name.rpartition(":")[2] for loops in called.values() for name, _ in loops}
-    assert {"align_each", "shading", "mean_shift", "align_to_sketch"} <= names, run.stderr
+    assert {"align", "shading", "mean_shift", "align_to_sketch"} <= names, run.stderr
     assert {"fit_steps", "judge", "downhill_simplex", "ring_parts"} <= names, run.stderr
     for command, loops in called.items():
         groups = map(compiling.load_loops, compiling.COMMANDS[command])

@@ -34,7 +34,7 @@ from rendezview.io.sequences import Sequence
 from rendezview.io.sequences.images import write_png
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.beacons.card import write_card
+from rendezview.sensors.beacons.card import Paper, write_card
 
 calibrate = typer.Typer(
     help="Calibrate cameras from pictures of a board; measure a target from frames.",
@@ -93,15 +93,17 @@ def camera(
 def card(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write.")],
     diameter_mm: Annotated[float, typer.Option(help="Of the dots.")] = 16.0,
+    paper: Annotated[Paper, typer.Option(help="Size of the page.")] = Paper.A4,
 ) -> None:
-    """Make a card of dots to print (A4, PDF), with its target file.
+    """Make a card of dots to print (PDF), with its target file.
 
     \b
     Example: rendezview calibrate card -o card
-    Print it at 100 %, fold it along the lines, and measure the scale bar: 100 mm.
+    Print it at 100 %, fold it along the lines, and measure the scale bar: 100 mm. If it has
+    97 mm, ranges come out 3 % too long: `calibrate pattern --length` measures the dots.
     """
     make_folder(output)
-    write_card(output, 1e-3 * diameter_mm)
+    write_card(output, 1e-3 * diameter_mm, paper)
     say(
         f"{output}/card.pdf, {output}/target.toml: print at 100 %, fold, then "
         f"rendezview reflectors {output}/target.toml 0 --camera webcam.yaml --invert"

@@ -63,7 +63,7 @@ class PointingJitter:
     @property
     def variances(self) -> tuple[float, float]:
         """rad² an axis across the line of sight and about it; 0 where chance explains it."""
-        count, shared, chance, bearing, bearing_chance, roll = self._sums
+        count, shared, chance, bearing, bearing_chance, roll = self._sums.tolist()
         if not count > 0.0:
             return 0.0, 0.0
         doubt, share = math.sqrt(_OVERLAP * chance), (1.0 + _FEW / count) / count

@@ -10,6 +10,7 @@ import numpy as np
 
 from experiments.frame import error_of, nees, show, table_of
 from experiments.reflectors import lab
+from experiments.reflectors.followed import followed
 from experiments.reflectors.lab import plain
 from rendezview import Camera, LitDark, Pose, ReflectorSensor
 from rendezview.calibration.one_camera import camera_of_corners
@@ -26,6 +27,9 @@ KINDS = (
     "centre 3 px", "camera of 12 boards", "post 1 mm off", "places 0.3 mm off", "20 % covered",
     "35 % covered", "five reflectors, 20 % covered", "five reflectors, 35 % covered",
     "tilt 50 to 60°", "tilt 60 to 75°",
+    "tracked", "tracked, 35 % covered", "tracked, 50 % covered", "tracked, five, 50 % covered",
+    "tracked, rolling shutter", "tracked, 30 % dropped", "tracked, swinging",
+    "tracked, swinging, 30 % dropped",
 )  # fmt: skip
 # σ of fx fy cx cy, and m of each reflector's place, that the files state. The errors have them.
 STATED = {
@@ -34,7 +38,7 @@ STATED = {
     "centre 3 px": (np.zeros(2), np.full(2, 3.0)),
 }
 # An edge so many radii from the middle of one disc hides so much of it.
-COVERS = {"20 %": 0.492, "35 %": 0.238}
+COVERS = {"20 %": 0.492, "35 %": 0.238, "50 %": 0.0}
 PLACES_M = {"post 1 mm off": (0.0, 1e-3, 0.0), "places 0.3 mm off": (3e-4,) * 3}
 
 
@@ -151,29 +155,41 @@ def run(
     length of their columns runs over at one end. Rows from 'focal length' to 'places' have
     errors in the camera file or in the target file, drawn anew for each reading from the σ that the
     file states. 'covered': an edge hides so much of one disc.
+
+    'tracked': the last of 12 readings at 10 Hz, and the rates' NEES; an edge creeps over a disc,
+    a rolling shutter of 33 ms sees a turn of 20°/s, or the motion swings (30 readings at 5 Hz).
     """
     columns = ["condition", *(f"{r:g} m" for r in ranges_m)]
-    title = f"mean NEES of {readings} readings (poses found), seed {seed}, {simulator} simulator"
+    title = f"mean NEES (; of rates) of {readings} readings (poses), seed {seed}, {simulator}"
     table = table_of(title, columns)
     for condition in (one for one in KINDS if one.startswith(kind)):
         rng, cells = np.random.default_rng(seed), []
-        pattern = lab.FIVE if condition.startswith("five") else lab.THREE
+        pattern = lab.FIVE if "five" in condition else lab.THREE
+        edge = next((e for share, e in COVERS.items() if f"{share} covered" in condition), 1.0)
         tilt = TILTS_RAD.get(condition, TILT_RAD)
         for range_m in ranges_m:
             errors: list[float] = []
+            of_rates: list[float] = []
             # All dots lie in the picture; near by the target stands in its middle.
             margin_px = 20.0 + 0.25 * lab.PINHOLE.focal_px / range_m
             margin_px = min(margin_px, 0.5 * min(lab.PINHOLE.width, lab.PINHOLE.height) - 5.0)
             for _ in range(readings):
                 placed = plain.look_at(rng, lab.PINHOLE, range_m, tilt[1], margin_px, tilt[0])
                 truth = Pose(*placed)
-                camera, known = filed(condition, pattern, rng)
-                sensor = ReflectorSensor(camera, [known], tracking=TrackingOptions(confirm=False))
-                frames = frames_of(condition, pattern, simulator, placed, rng)
-                reading = sensor.update(0.0, frames)
+                if condition.startswith("tracked"):
+                    reading, true_rates = followed(condition, pattern, placed, edge, rng)
+                    if (rates := reading.rates) is not None and reading.pose is not None:
+                        rate = np.append(rates.turn_rad_s, rates.velocity_m_s)
+                        of_rates.append(nees(rate - true_rates, rates.covariance))
+                else:
+                    camera, known = filed(condition, pattern, rng)
+                    tracking = TrackingOptions(confirm=False)
+                    frames = frames_of(condition, pattern, simulator, placed, rng)
+                    reading = ReflectorSensor(camera, [known], tracking=tracking).update(0, frames)
                 error = None if reading.pose is None else off(reading.pose, truth)
                 if error is not None and np.linalg.norm(error[:3]) < WRONG_RAD:
                     errors.append(nees(error, reading.covariance))
-            cells.append(f"{np.mean(errors):.1f} ({len(errors)})" if errors else "– (0)")
+            means = "; ".join(f"{np.mean(some):.1f}" for some in (errors, of_rates) if some)
+            cells.append(f"{means or '–'} ({len(errors)})")
         table.add_row(condition, *cells)
     show(table)

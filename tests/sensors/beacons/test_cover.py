@@ -12,7 +12,12 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, predict_spots
-from rendezview.sensors.beacons.detect.cover import compare_spots, middle, uncovered_sizes
+from rendezview.sensors.beacons.detect.cover import (
+    compare_spots,
+    middle,
+    uncovered,
+    uncovered_sizes,
+)
 from rendezview.sensors.beacons.detect.spots import (
     AMPLITUDE,
     COLUMNS,
@@ -24,7 +29,7 @@ from rendezview.sensors.beacons.detect.spots import (
 
 PINHOLE = plain.Pinhole()
 CAMERA = Camera(512, 384, 650.0, 650.0, 255.5, 191.5)
-EDGE = {0.1: 0.687, 0.2: 0.492, 0.35: 0.238}  # radii from the middle that hide this share
+EDGE = {0.1: 0.687, 0.2: 0.492, 0.35: 0.238, 0.5: 0.0}  # radii from the middle that hide this share
 
 
 def reading(five, rng, covers, range_m=3.0, margin_px=80.0):
@@ -43,7 +48,7 @@ def test_edges_hide_the_share_that_is_said(share, edge):
     assert hidden == pytest.approx(share, abs=0.002)
 
 
-@pytest.mark.parametrize("share", [0.2, 0.35])
+@pytest.mark.parametrize("share", [0.2, 0.35, 0.5])
 def test_a_covered_spot_counts_by_how_far_it_has_moved(five, share):
     rng, moved, claimed = np.random.default_rng(1), [], []
     for _ in range(8):
@@ -89,6 +94,36 @@ def test_a_disc_that_is_covered_by_a_third_is_found_near_by(three, range_m):
             poses += 1
             right += min(found.pose.angle_to(t) for t in (truth, truth @ half_turn)) < 0.09
     assert right == poses >= 8
+
+
+def test_a_covered_spot_is_as_large_as_the_whole_one_and_others_keep_their_size():
+    assert uncovered(-0.3, 0.3, 0.22) == 0.0  # half hidden
+    assert -0.2 < uncovered(-0.3, 0.2, 0.0) < -0.15
+    for ratio, long in ((-0.3, 0.05), (0.3, 0.3), (-0.3, math.nan)):
+        assert uncovered(ratio, long, 0.0) == ratio
+
+
+@pytest.mark.parametrize("range_m", [0.8, 3.0])
+def test_a_half_covered_disc_of_three_is_tracked_and_off_by_what_its_pose_claims(three, range_m):
+    """Its spot moves by up to 5 px, which the pose follows along a curve: 29 without that."""
+    half_turn, looks = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)), plain.Look()
+    rng, values = np.random.default_rng(6), []
+    for _ in range(8):
+        placed = plain.look_at(rng, PINHOLE, range_m, 0.5, min(80.0 + 163.0 / range_m, 187.0))
+        sensor, which = ReflectorSensor(CAMERA, [three]), int(rng.integers(3))
+        way, truth = rng.uniform(0.0, 6.3), Pose(*placed)
+        for k, edge in enumerate([1.0, 1.0, *np.linspace(0.9, 0.0, 7)]):
+            discs = (three.positions_m, three.normals, three.diameters_m)
+            light = plain.discs(PINHOLE, *placed, *discs, looks, covers={which: (way, edge)})
+            found = sensor.update(0.1 * k, LitDark(*plain.pair(PINHOLE, light, looks, rng)))
+        if found.pose is None:
+            continue
+        near = min((truth, truth @ half_turn), key=found.pose.angle_to)
+        turn = between(found.pose.rotation.copy(), near.rotation.copy())
+        off = np.append(turn, found.pose.translation_m - near.translation_m)
+        values.append(off @ np.linalg.solve(found.covariance, off))
+    assert len(values) >= 7
+    assert np.mean(values) < 9.0
 
 
 def test_round_spots_keep_their_sizes():

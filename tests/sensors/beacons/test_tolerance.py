@@ -18,7 +18,7 @@ from rendezview.sensors.beacons import (
     patterns_of,
     pose_of,
 )
-from rendezview.sensors.beacons.card import dots_m, write_card
+from rendezview.sensors.beacons.card import Paper, dots_m, write_card
 from rendezview.sensors.beacons.detect.difference import background_of, faint_mask
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.beacons.tolerance import fit_dots, scaled
@@ -132,8 +132,9 @@ def test_faint_stars_are_found_and_noise_is_not():
     assert (apart < 1.0).mean() > 0.85  # some stand together
 
 
-def test_the_card_is_a_target_without_a_mesh_and_its_page_has_the_dots(tmp_path):
-    write_card(tmp_path, 0.016)
+@pytest.mark.parametrize(("paper", "wide_mm"), [(Paper.A4, 297.0), (Paper.LETTER, 279.4)])
+def test_the_card_is_a_target_without_a_mesh_and_its_page_has_the_dots(tmp_path, paper, wide_mm):
+    write_card(tmp_path, 0.016, paper)
     target = Target.load(tmp_path)
     assert target.mesh is None
     (pattern,) = patterns_of(target)
@@ -145,6 +146,8 @@ def test_the_card_is_a_target_without_a_mesh_and_its_page_has_the_dots(tmp_path)
         assert page[int(place) :].startswith(f"{number} 0 obj".encode())
     starts = [float(x) for x in re.findall(rb"^([\d.]+) [\d.]+ m$", page, re.MULTILINE)]
     assert len(starts) == 3
+    assert b"MediaBox [0 0 %.3f " % (wide_mm * 72.0 / 25.4) in page
+    assert starts[1] - 8.0 == pytest.approx(0.5 * wide_mm)  # the post stands in the middle
     # Unfolded, the post is 35 mm of riser farther from each outer dot than folded.
     folded = [place[0] for _, place, _ in dots_m(0.016)]
     assert starts[1] - starts[0] == pytest.approx(1e3 * (folded[1] - folded[0]) + 35.0, abs=0.01)

@@ -7,13 +7,23 @@ third, as the post of Book et al.'s target. A flat card of three dots would ofte
 from __future__ import annotations
 
 import math
+from enum import StrEnum
 from pathlib import Path
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import atomic_write, atomic_write_text
 
-_PAGE_MM = (297.0, 210.0)  # A4 across. Source: ISO 216
-_PANELS_MM = (70.0, 35.0, 60.0, 35.0, 70.0)  # flat, riser, top, riser, flat. Source: fits 297 mm
+
+class Paper(StrEnum):
+    """The size of a page."""
+
+    A4 = "a4"
+    LETTER = "letter"
+
+
+# Across. Source: ISO 216; ANSI/ASME Y14.1, size A
+_PAGES_MM = {Paper.A4: (297.0, 210.0), Paper.LETTER: (279.4, 215.9)}
+_PANELS_MM = (70.0, 35.0, 60.0, 35.0, 70.0)  # flat, riser, top, riser, flat. Source: fits 279.4 mm
 # Of the strip: white about the largest dot as far again as its diameter, with room for tilt.
 _WIDTH_MM = 90.0  # Source: by construction
 _OUTER_MM = 35.0  # of an outer dot from its end of the strip. Source: the middle of a flat
@@ -34,7 +44,7 @@ def dots_m(diameter_m: float) -> list[tuple[str, tuple[float, float, float], flo
     ]
 
 
-def write_card(folder: Path, diameter_m: float = 0.016) -> None:
+def write_card(folder: Path, diameter_m: float = 0.016, paper: Paper = Paper.A4) -> None:
     """Write ``card.pdf`` and ``target.toml`` into a folder.
 
     Raises:
@@ -44,7 +54,7 @@ def write_card(folder: Path, diameter_m: float = 0.016) -> None:
     if not 4.0 <= diameter_mm <= 24.0:
         raise RendezviewError(f"a dot must be 4 to 24 mm wide, not {diameter_mm:g} mm")
     with atomic_write(folder / "card.pdf") as file:
-        file.write(_pdf(diameter_mm))
+        file.write(_pdf(diameter_mm, _PAGES_MM[paper]))
     lines = [
         'name = "card"',
         'description = "a strip of three dots folded into a hat; printed from card.pdf"',
@@ -58,10 +68,10 @@ def write_card(folder: Path, diameter_m: float = 0.016) -> None:
     atomic_write_text(folder / "target.toml", "\n".join(lines) + "\n")
 
 
-def _pdf(diameter_mm: float) -> bytes:
+def _pdf(diameter_mm: float, page_mm: tuple[float, float]) -> bytes:
     """One page: outline, fold lines, dots, a scale bar and a line of instructions."""
-    left, bottom = 0.5 * (_PAGE_MM[0] - sum(_PANELS_MM)), 0.5 * (_PAGE_MM[1] - _WIDTH_MM)
-    middle = 0.5 * _PAGE_MM[1]
+    left, bottom = 0.5 * (page_mm[0] - sum(_PANELS_MM)), 0.5 * (page_mm[1] - _WIDTH_MM)
+    middle = 0.5 * page_mm[1]
     drawn = [f"{_POINTS_PER_MM:.6f} 0 0 {_POINTS_PER_MM:.6f} 0 0 cm", "0.2 w"]
     drawn.append(f"{left} {bottom} {sum(_PANELS_MM)} {_WIDTH_MM} re S")
     at = left
@@ -70,7 +80,7 @@ def _pdf(diameter_mm: float) -> bytes:
         at += panel
         drawn.append(f"{at} {bottom} m {at} {bottom + _WIDTH_MM} l S")
     drawn.append("[] 0 d 0 g")
-    places = (left + _OUTER_MM, 0.5 * _PAGE_MM[0], left + sum(_PANELS_MM) - _OUTER_MM)
+    places = (left + _OUTER_MM, 0.5 * page_mm[0], left + sum(_PANELS_MM) - _OUTER_MM)
     for x, (_, factor) in zip(places, _DOTS, strict=True):
         drawn.append(_circle(x, middle, 0.5 * factor * diameter_mm))
     drawn.append(f"0.4 w {left} 40 m {left + 100.0} 40 l S")
@@ -79,12 +89,17 @@ def _pdf(diameter_mm: float) -> bytes:
     words = (
         (left, 33.0, "100 mm: print at 100 %, and measure this bar"),
         (left, 27.0, "Cut out; fold the dashed lines: 1 and 4 towards you, 2 and 3 away: a hat."),
+        (
+            left,
+            15.0,
+            "Is the bar 97 mm? Then so are ranges 3 % too long: calibrate pattern --length.",
+        ),
         (left, 21.0, "Glue both ends flat on cardboard, 200 mm from edge to edge."),
     )
     for x, y, text in words:
         drawn.append(f"BT /F1 4 Tf {x} {y} Td ({text}) Tj ET")
     stream = "\n".join(drawn).encode("ascii")
-    width, height = (_POINTS_PER_MM * side for side in _PAGE_MM)
+    width, height = (_POINTS_PER_MM * side for side in page_mm)
     objects = [
         b"<< /Type /Catalog /Pages 2 0 R >>",
         b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",

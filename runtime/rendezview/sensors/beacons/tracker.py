@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 
@@ -300,8 +301,8 @@ class ReflectorSensor:
         Where the windows show no pose, one near the last is taken at once: the camera jerked.
         """
         several = track.roll_ambiguous and len(self.patterns) > 1
-        range_m = self.constellation.range_m(track.pose)
-        doubted = self._note is not None and range_m < _NEARER * self._noted_m
+        range_m = math.inf if self._note is None else self.constellation.range_m(track.pose)
+        doubted = range_m < _NEARER * self._noted_m
         if not (several or doubted or refined is None or self._fit.misses(seen)):
             self._unconfirmed = None
             return None
@@ -355,7 +356,9 @@ class ReflectorSensor:
 
     def _resolves(self, seen: npt.NDArray[np.int64] | None) -> bool:
         """Whether reflectors of two groups are visible: their offset fixes the roll."""
-        return seen is not None and len({self._group_of[k] for k in seen}) > 1
+        if seen is None or len(self.patterns) == 1:
+            return False
+        return len({self._group_of[k] for k in seen}) > 1
 
     def _remember(
         self, time_s: float, table: Array, refined: Refined, noise: float, ambiguous: bool,

@@ -9,12 +9,15 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.linear_algebra import copy_into
+from rendezview.sensors.beacons.detect.cover import uncovered
 from rendezview.sensors.beacons.detect.spots import (
     AMPLITUDE,
     AREA,
     BOTTOM,
     COLUMNS,
     LEFT,
+    LONG_X,
+    LONG_XY,
     RIGHT,
     RIVALS,
     SHAPE,
@@ -119,7 +122,7 @@ def _search_window(
             rim_size = window_centroid(lit, dark, row, noise, columns, rows)
             if rim_size > 0.0:
                 row[SIZE] = rim_size
-            ratio = math.log(row[SIZE] / expected[2])
+            ratio = uncovered(math.log(row[SIZE] / expected[2]), row[LONG_X], row[LONG_XY])
             off = math.hypot(row[X] - expected[0], row[Y] - expected[1]) / half
             # Where another light lies over a spot, its size tells nothing.
             unlike = abs(ratio) > size_limit

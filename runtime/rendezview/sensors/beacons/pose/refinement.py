@@ -18,7 +18,7 @@ from rendezview.estimation.least_squares import (
 from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into, invert
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.so3 import orthonormalise, perturb_into
+from rendezview.geometry.so3 import between, orthonormalise, perturb_into
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview.sensors.beacons.detect.discs import (
     LAW,
@@ -46,6 +46,9 @@ _STEP = 1e-12  # rad and share of the range: the end. Source: by construction, r
 # Source: by construction, root of rounding
 _ROUNDING = 1e-9
 _GAIN = 1e-13  # of the cost: the end. Source: by construction, rounding
+# × the least σ of a spot, from which a spot's second order counts. Source: by construction, with
+# less it is below the others' noise
+_BENT = 10.0
 _EXACT = 1e-18  # χ²: the spots are fitted. Source: by construction, rounding
 
 
@@ -111,7 +114,7 @@ def refine(
     rotation, translation, centre = np.array(start.rotation), np.empty(3), pattern.centre_m
     iterations = solve_spots(
         camera_numbers(camera, blur_px), camera_doubts(camera), pattern.positions_m - centre,
-        pattern.normals, pattern.discs, centre, table, which, 0.0,
+        pattern.normals, pattern.discs, centre, table, which,
         rotation, np.array(start.translation_m), translation, shares, residuals,
     )  # fmt: skip
     return None if iterations < 0 else Refined(Pose(rotation, translation), shares, residuals)
@@ -134,8 +137,62 @@ def adjust(
     number of iterations, −1 where the pose is not determined or leaves the front of the camera.
     """
     diameters, sigma = discs[:, 0].copy(), whole_sigma(lens, discs, arms, noise, rotation, shift)
-    normal, lower, right, step = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
-    trial_r, trial_t = np.empty((3, 3)), np.empty(3)
+    normal, lower = np.empty((6, 6)), np.empty((6, 6))
+    used = _converge(
+        lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals, normal, lower
+    )
+    if used < 0 or not invert(normal, lower, shares[0]):
+        return -1
+    share_out(lens, doubts, arms, normals, discs, noise, sigma, rotation, shift, shares)
+    for i in range(len(noise)):
+        if noise[i] > _BENT * noise.min():
+            _bend(lens, arms, normals, diameters, spots, sigma, i, rotation, shift, shares[0])
+    orthonormalise(rotation)
+    return used
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bend(
+    lens: Array, arms: Array, normals: Array, diameters: Array, spots: Array, sigma: Array,
+    i: int, rotation: Array, shift: Array, covariance: Array,
+) -> None:  # fmt: skip
+    """Add what is of second order in the error of spot ``i``, which is far larger than others.
+
+    Half the sum of the steps that the pose makes where the spot is off by √2 σ one way and the
+    other; the mean of its square over four directions.
+    """
+    turned_r, moved_t, moved = np.empty((3, 3)), np.empty(3), spots.copy()
+    residuals, normal, lower = np.empty_like(spots), np.empty((6, 6)), np.empty((6, 6))
+    steps = np.empty(6)
+    for k in range(4):
+        steps[:] = 0.0
+        for sign in (-1.0, 1.0):
+            far = sign * math.sqrt(2.0) * sigma[i]
+            moved[i, 0] = spots[i, 0] + far * math.cos(0.25 * k * math.pi)
+            moved[i, 1] = spots[i, 1] + far * math.sin(0.25 * k * math.pi)
+            copy_matrix_into(rotation, turned_r)
+            copy_into(shift, moved_t)
+            if _converge(
+                lens, arms, normals, diameters, moved, sigma, turned_r, moved_t, residuals, normal,
+                lower,
+            ) < 0:  # fmt: skip
+                return
+            turn = between(turned_r, rotation)
+            for a in range(3):
+                steps[a] += 0.5 * turn[a]
+                steps[3 + a] += 0.5 * (moved_t[a] - shift[a])
+        for a in range(6):
+            for b in range(6):
+                covariance[a, b] += 0.25 * steps[a] * steps[b]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _converge(
+    lens: Array, arms: Array, normals: Array, diameters: Array, spots: Array, sigma: Array,
+    rotation: Array, shift: Array, residuals: Array, normal: Array, lower: Array,
+) -> int:  # fmt: skip
+    """Levenberg–Marquardt; changes the pose and fills ``residuals`` and normal equations there."""
+    right, step, trial_r, trial_t = np.empty(6), np.empty(6), np.empty((3, 3)), np.empty(3)
     trials, damping, done, used = np.empty_like(residuals), 0.0, False, 0
     cost = _cost(lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals)
     if not math.isfinite(cost):
@@ -170,10 +227,6 @@ def adjust(
                     break
             damping = max(DAMPING_GROWTH * damping, FIRST_DAMPING)
         done = done or not accepted
-    if not invert(normal, lower, shares[0]):
-        return -1
-    share_out(lens, doubts, arms, normals, discs, noise, sigma, rotation, shift, shares)
-    orthonormalise(rotation)
     return used if done else _ITERATIONS
 
 
@@ -204,8 +257,8 @@ def _equations(
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_spots(
     lens: Array, doubts: Array, arms: Array, normals: Array, discs: Array, centre: Array,
-    table: Array, seen: Ints, floor_px: float, rotation: Array, translation_before: Array,
-    translation: Array, shares: Array, residuals: Array,
+    table: Array, seen: Ints, rotation: Array, translation_before: Array, translation: Array,
+    shares: Array, residuals: Array,
 ) -> int:  # fmt: skip
     """`adjust` on the rows ``seen`` of a spot table; pose and covariances at the target's origin.
 
@@ -223,7 +276,7 @@ def solve_spots(
         for a in range(3):
             some_arms[i, a], some_normals[i, a] = arms[k, a], normals[k, a]
         spots[i, 0], spots[i, 1] = table[k, 0], table[k, 1]
-        sigma[i] = math.sqrt(table[k, 7] ** 2 + floor_px**2)
+        sigma[i] = table[k, SIGMA]
     if not _spans(some_arms):
         return -1
     if clipped:  # their middles are those of their rims
