@@ -62,8 +62,8 @@ class TrackingOptions:
     # so many times that of the others, or beside which another was in so many readings before.
     # Source: experiment reflector-hidden --scene glint
     doubt: int = 12
-    # Of its spots, beside the noise: pixels, lens, reflector edge. Source: by hand; in the
-    # covariance, NEES falls from 5.4 to 3.0
+    # error of a centroid beside the noise: pixels, lens, reflector edge. A first find is without:
+    # its σ is of the noise. Source: by hand; simulated spots have none, so NEES is 3 instead of 5
     floor_px: float = 0.01
     # s, from the first row to the last of a rolling shutter; times are those of the middle row
     readout_s: float = 0.0  # Source: a global shutter

@@ -131,8 +131,8 @@ class WindowFit:
         shares, residuals = np.empty((len(CAUSES), 6, 6)), np.empty((len(seen), 2))
         iterations = solve_spots(
             self._lens, self._doubts, self._arms, self.constellation.normals, self._discs,
-            self._centre, table, seen, rotation, np.array(start.translation_m), translation, shares,
-            residuals,
+            self._centre, table, seen, self.options.floor_px,
+            rotation, np.array(start.translation_m), translation, shares, residuals,
         )  # fmt: skip
         if iterations < 0:
             return None

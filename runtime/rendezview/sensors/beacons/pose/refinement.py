@@ -114,7 +114,7 @@ def refine(
     rotation, translation, centre = np.array(start.rotation), np.empty(3), pattern.centre_m
     iterations = solve_spots(
         camera_numbers(camera, blur_px), camera_doubts(camera), pattern.positions_m - centre,
-        pattern.normals, pattern.discs, centre, table, which,
+        pattern.normals, pattern.discs, centre, table, which, 0.0,
         rotation, np.array(start.translation_m), translation, shares, residuals,
     )  # fmt: skip
     return None if iterations < 0 else Refined(Pose(rotation, translation), shares, residuals)
@@ -257,8 +257,8 @@ def _equations(
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_spots(
     lens: Array, doubts: Array, arms: Array, normals: Array, discs: Array, centre: Array,
-    table: Array, seen: Ints, rotation: Array, translation_before: Array, translation: Array,
-    shares: Array, residuals: Array,
+    table: Array, seen: Ints, floor_px: float, rotation: Array, translation_before: Array,
+    translation: Array, shares: Array, residuals: Array,
 ) -> int:  # fmt: skip
     """`adjust` on the rows ``seen`` of a spot table; pose and covariances at the target's origin.
 
@@ -276,7 +276,7 @@ def solve_spots(
         for a in range(3):
             some_arms[i, a], some_normals[i, a] = arms[k, a], normals[k, a]
         spots[i, 0], spots[i, 1] = table[k, 0], table[k, 1]
-        sigma[i] = table[k, SIGMA]
+        sigma[i] = math.sqrt(table[k, SIGMA] ** 2 + floor_px**2)
     if not _spans(some_arms):
         return -1
     if clipped:  # their middles are those of their rims
