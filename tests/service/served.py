@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator, MutableSequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +29,7 @@ class Served:
     process: subprocess.Popen[str]
     url: str
     folder: Path
-    lines: MutableSequence[str]  # of its log
+    written: deque[str]  # lines of its log; a thread adds to them
 
     @classmethod
     def start(
@@ -49,14 +49,19 @@ class Served:
         assert process.stderr is not None
         with ends_in_time(process):
             for line in process.stderr:
-                served.lines.append(line)
+                served.written.append(line)
                 if "serves at" in line:
                     served.url = line.split("serves at ")[1].strip()
                     break
             else:
                 raise RuntimeError(f"the service does not start: {''.join(served.lines)}")
-        threading.Thread(target=served.lines.extend, args=(process.stderr,), daemon=True).start()
+        threading.Thread(target=served.written.extend, args=(process.stderr,), daemon=True).start()
         return served
+
+    @property
+    def lines(self) -> list[str]:
+        """Of its log, so far."""
+        return list(self.written)
 
     def client(self, token: str | None = None) -> Client:
         return Client(self.url, token, timeout_s=MOST_S)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from tests.service.served import Served
 from tests.waiting import MOST_S, free_port, wait_until
 
 from rendezview_service.client import Client
@@ -23,8 +24,8 @@ TOKEN = "behind-the-proxy-0123"
 
 
 @pytest.fixture(scope="module")
-def proxied(start_service, tmp_path_factory) -> Iterator[tuple[str, Path, list[str]]]:
-    """The proxy's address, the certificate of its authority, and lines of the service's log."""
+def proxied(start_service, tmp_path_factory) -> Iterator[tuple[str, Path, Served]]:
+    """The proxy's address, the certificate of its authority, and the service."""
     caddy = shutil.which("caddy")
     if caddy is None:
         pytest.skip("no Caddy: apt-get install caddy")
@@ -53,7 +54,7 @@ def proxied(start_service, tmp_path_factory) -> Iterator[tuple[str, Path, list[s
     root = folder / "caddy" / "pki" / "authorities" / "local" / "root.crt"
     wait_until(lambda: process.poll() is not None or (root.exists() and _listens(ports[0])))
     assert process.poll() is None
-    yield f"https://localhost:{ports[0]}", root, served.lines
+    yield f"https://localhost:{ports[0]}", root, served
     process.terminate()
     process.wait(MOST_S)
 
@@ -65,7 +66,7 @@ def _listens(port: int) -> bool:
 
 
 def test_frames_streams_and_logs_pass_the_proxy(proxied, camera, tour) -> None:
-    url, root, lines = proxied
+    url, root, served = proxied
     with Client(url, TOKEN, MOST_S, root) as client, client.open(camera, name="p") as session:
         assert session.track(tour[0][2], 0.0)["pose"] is not None
         with session.stream() as stream:
@@ -73,7 +74,7 @@ def test_frames_streams_and_logs_pass_the_proxy(proxied, camera, tour) -> None:
                 stream.send(image, time_s)
                 assert stream.receive(MOST_S)["frame"] > 0
         assert session.log().startswith(b"\x89MCAP0\r\n")
-    said = [json.loads(line) for line in lines if '"audit"' in line]
+    said = [json.loads(line) for line in served.lines if '"audit"' in line]
     assert any(line["who"] == "ann" and line["what"] == "POST /v1/sessions" for line in said)
 
 

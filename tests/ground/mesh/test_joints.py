@@ -161,7 +161,7 @@ def test_a_model_has_a_sheet_for_each_angle_and_survives_its_file(model: ViewMod
 
 def test_its_tables_are_those_that_loops_are_compiled_for(model: ViewModel, camera: Camera) -> None:
     """Though its points are turned in place."""
-    (listed,) = [e for e in load_loops("track") if e["loop"].endswith(".alignment:align_each")]
+    (listed,) = [e for e in load_loops("track") if e["loop"].endswith(".alignment:align")]
     assert type_to_json(typeof(Refiner(model, camera).views)) in listed["arguments"]
 
 
