@@ -53,6 +53,18 @@ def test_threads_share_one_model(model_path, tmp_path):
     assert all(model is models[0] for model in models)
 
 
+def test_a_model_whose_name_is_gone_leaves_memory_too(model_path, tmp_path, monkeypatch):
+    monkeypatch.setattr("rendezview_service.hub.model_store._REST_S", 0.0)
+    store = ModelStore(tmp_path / "models", tmp_path)
+    stored = store.add("gone", Path(shutil.copy(model_path, tmp_path / "sent.tmp")))
+    store.remove("gone")
+    content = weakref.ref(stored.model.views.readings.base)
+    store.rest([stored])  # a session has it still
+    gc.collect()
+    assert content() is None
+    assert stored.copy.exists()
+
+
 def test_a_model_that_nobody_asks_for_leaves_memory_and_its_facts_stay(
     model_path, tmp_path, monkeypatch
 ):

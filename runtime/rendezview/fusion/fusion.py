@@ -162,7 +162,8 @@ class Fusion:
     def state_at(self, time_s: float) -> Estimate:
         """The estimate at a time: now, shortly ahead, or within the memory.
 
-        Of a time in the past, it is the estimate by the measurements up to then.
+        Of a time in the past, it is the estimate by the measurements up to then. Asked again for
+        the same time before the next measurement, it is the same object: its arrays are to read.
 
         Raises:
             ValueError: the time is not finite, or earlier than the memory reaches.

@@ -18,6 +18,7 @@ import tempfile
 import threading
 import time
 import weakref
+from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
 
@@ -94,10 +95,7 @@ class StoredModel:
         Raises:
             RendezviewError: the file is not a model, or is gone.
         """
-        if self._copy is None:
-            _ = self.model
-        copy = self._copy
-        assert copy is not None
+        copy = self._named()
         if self._held is not None and not copy.exists():
             make_folder(copy.parent)
             content = os.pread(self._held, os.fstat(self._held).st_size, 0)
@@ -109,10 +107,14 @@ class StoredModel:
     @property
     def sha256(self) -> str:
         """The hash of its content, hexadecimal. Errors as in `copy`, on first use only."""
+        return self._named().stem
+
+    def _named(self) -> Path:
+        """Where its copy is, or was; it is read first if it has not been."""
         if self._copy is None:
             _ = self.model
         assert self._copy is not None
-        return self._copy.stem
+        return self._copy
 
     def _checked(self) -> ViewModel:
         """Copy the file and read the copy."""
@@ -320,9 +322,13 @@ class ModelStore:
             stored.path.unlink()
         del self._models[name]
 
-    def rest(self) -> None:
-        """Give back the memory of models that nobody has asked for."""
-        for stored in list(self._models.values()):
+    def rest(self, used: Iterable[StoredModel] = ()) -> None:
+        """Give back the memory of models that nobody has asked for.
+
+        Args:
+            used: those of the sessions, which may have no name any more.
+        """
+        for stored in {*self._models.values(), *used}:
             stored.rest()
 
     def prune(self, used: set[str]) -> None:

@@ -383,7 +383,8 @@ class Service:
     async def _housekeeping(self) -> None:
         while True:
             await asyncio.sleep(_IDLE_CHECK_S)
-            await asyncio.to_thread(self.models.rest)
+            used = [session.stored for session in self.sessions.values()]
+            await asyncio.to_thread(self.models.rest, used)
             now_s = time.monotonic()
             for session in list(self.sessions.values()):
                 if now_s - session.used_s > session.idle_s and session.id not in self._feeders:

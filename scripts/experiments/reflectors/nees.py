@@ -54,6 +54,11 @@ def jpeg(picture: np.ndarray, quality: int) -> np.ndarray:
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE))
 
 
+def edge_of(kind: str) -> float:
+    """Radii from the middle of a disc to the edge that covers it; 1: none does."""
+    return next((e for share, e in COVERS.items() if f"{share} covered" in kind), 1.0)
+
+
 def frames_of(
     kind: str, pattern: ReflectorPattern, simulator: lab.Simulator,
     placed: tuple[np.ndarray, np.ndarray], rng: np.random.Generator,
@@ -73,10 +78,9 @@ def frames_of(
             moved = cv2.warpAffine(wall, shift, size, flags=cv2.INTER_CUBIC, borderMode=way)
         background = wall, moved
     false = clutter(rng) if kind == "clutter" else None
-    covers = {
-        int(rng.integers(len(pattern))): (rng.uniform(0.0, 2.0 * np.pi), edge)
-        for share, edge in COVERS.items() if f"{share} covered" in kind
-    }  # fmt: skip
+    edge, covers = edge_of(kind), None
+    if edge < 1.0:
+        covers = {int(rng.integers(len(pattern))): (rng.uniform(0.0, 2.0 * np.pi), edge)}
     frames = lab.pictures(
         simulator, pattern, placed, look, rng, background=background, false=false, covers=covers
     )
@@ -165,7 +169,6 @@ def run(
     for condition in (one for one in KINDS if one.startswith(kind)):
         rng, cells = np.random.default_rng(seed), []
         pattern = lab.FIVE if "five" in condition else lab.THREE
-        edge = next((e for share, e in COVERS.items() if f"{share} covered" in condition), 1.0)
         tilt = TILTS_RAD.get(condition, TILT_RAD)
         for range_m in ranges_m:
             errors: list[float] = []
@@ -177,7 +180,9 @@ def run(
                 placed = plain.look_at(rng, lab.PINHOLE, range_m, tilt[1], margin_px, tilt[0])
                 truth = Pose(*placed)
                 if condition.startswith("tracked"):
-                    reading, true_rates = followed(condition, pattern, placed, edge, rng)
+                    reading, true_rates = followed(
+                        condition, pattern, placed, edge_of(condition), rng
+                    )
                     if (rates := reading.rates) is not None and reading.pose is not None:
                         rate = np.append(rates.turn_rad_s, rates.velocity_m_s)
                         of_rates.append(nees(rate - true_rates, rates.covariance))
