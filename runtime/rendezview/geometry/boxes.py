@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from rendezview.geometry.pose import Array
 
 
 def overlap(a: Sequence[float] | Array, b: Sequence[float] | Array) -> float:
     """Intersection over union of two boxes (4,): left, top, right, bottom, px."""
-    across, down = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
-    common = max(across, 0.0) * max(down, 0.0)
-    areas = sum((box[2] - box[0]) * (box[3] - box[1]) for box in (a, b))
-    return float(common / max(areas - common, 1e-9))
+    return float(overlaps(np.asarray(a), np.asarray(b)))
+
+
+def overlaps(a: Array, b: Array) -> Array:
+    """(…) the same of boxes (…, 4), of any unit, each with its partner."""
+    common = np.maximum(
+        np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2]), 0.0
+    ).prod(-1)
+    areas = sum((box[..., 2:] - box[..., :2]).prod(-1) for box in (a, b))
+    return np.asarray(common / np.maximum(areas - common, 1e-9))

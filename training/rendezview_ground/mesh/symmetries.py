@@ -182,19 +182,43 @@ def _is_new(turn: Array, known: list[Array], apart_rad: float) -> bool:
 
 def _closed(surface: TurnedSurface, candidates: Iterable[Array]) -> list[Array]:
     """Those turns that hold and all their products, the identity first."""
-    group = [np.eye(3)]
+    held: list[Array] = []
     for turn in candidates:
-        if _is_new(turn, group, _SAME_RAD) and _holds(surface, turn):
-            group.append(turn)
+        if _is_new(turn, [np.eye(3), *held], _SAME_RAD) and _holds(surface, turn):
+            held.append(turn)
+    group = _generated(surface, held, all_hold=False)
+    if group is not None:
+        return group
+    # A body that is nearly round: many small turns hold, but not their powers.
+    group = [np.eye(3)]
+    for turn in held:
+        if _is_new(turn, group, _SAME_RAD):
+            group = _generated(surface, [*group[1:], turn], all_hold=True) or group
+    return group
+
+
+def _generated(
+    surface: TurnedSurface, turns: list[Array], *, all_hold: bool
+) -> list[Array] | None:
+    """Turns with their products that hold, the identity first; None: more than a body can have.
+
+    ``all_hold``: None as well where a product does not hold.
+    """
+    group = [np.eye(3), *turns]
     for turn in group:  # grows while it is walked
         for other in list(group):
-            if len(group) >= _MOST_TURNS:
-                return group
             product = turn @ other
-            if _is_new(product, group, _SAME_RAD):
-                product = surface.polished(product)
-                if _is_new(product, group, _SAME_RAD) and _holds(surface, product):
-                    group.append(product)
+            if not _is_new(product, group, _SAME_RAD):
+                continue
+            product = surface.polished(product)
+            if not _is_new(product, group, _SAME_RAD):
+                continue
+            if _holds(surface, product):
+                group.append(product)
+            elif all_hold:
+                return None
+            if len(group) > _MOST_TURNS:
+                return None
     return group
 
 

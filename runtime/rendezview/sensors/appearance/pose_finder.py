@@ -37,6 +37,7 @@ from rendezview.sensors.appearance.verdict import (
     Near,
     beside_look_alikes,
     contradicted,
+    contradiction,
     is_known,
     refused,
 )
@@ -114,6 +115,7 @@ class PoseFinder:
             views = other.search.refiner.views
             other.sketch = self.sketch.with_tables(self.model, views, camera)
             other.sketch.bounds = (*self.sketch.bounds, may_be)
+            other.sketch.box = region.told_box
         return other
 
     def judged(self, seen: AppearanceObservation) -> AppearanceObservation:
@@ -174,14 +176,13 @@ class PoseFinder:
                 found = found if proposed is None else proposed
             given, surer = self._chosen(search, frame, sky, found, sketched)
             clock.lap("refine")
-        apart_rad = 0.0
-        if not alone and given is not None and sketched is not None:
-            poses = given.best.pose, sketched.best.pose
-            apart_rad = angle_between(*poses, self.model.symmetries)
-        if given is not None and apart_rad <= NEAR_RAD:
+        doubt = None
+        if given is not None and not alone:
+            doubt = contradiction(given, sketched, self.model.symmetries)
+        if given is not None and doubt is None:
             return self._given(self.outline.seen(traced, given.best.pose, clock), given)
         seen = refused(self.outline.recognize(traced, None, None, clock), surer)
-        return contradicted(seen, apart_rad) if apart_rad > NEAR_RAD else seen
+        return seen if doubt is None else contradicted(seen, doubt)
 
     def _among_others(self, seen: AppearanceObservation, request: Request) -> AppearanceObservation:
         """The pose of the body that is the target, where a frame is full of other things.
@@ -195,7 +196,7 @@ class PoseFinder:
         looks = []
         may_be = None if self.region is None else self.region.holds
         for body in self.sketch.bodies(request.frame, _BODIES, may_be):
-            region = Region.around(body.box_px, self.camera)
+            region = Region.around(body.box_px, self.camera, sketched=True)
             part = request._replace(frame=region.cut(request.frame), thorough=False)
             looks.append(region.in_frame(self.looking_at(region).find(part)))
         clock.lap("windows")  # with all looks

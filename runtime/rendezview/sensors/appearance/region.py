@@ -13,6 +13,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contour_at import target_box
+from rendezview.sensors.appearance.edges.network import Box
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.reading import LateReading, OutlineReading
@@ -38,6 +39,7 @@ class Region:
     mask: Picture | None = None  # (H, W) of the part, 255: target
     place_px: Array | None = None  # (2,) somewhere on the target
     range_m: float | None = None
+    sketched: bool = False  # the box is that of a sketch's cover
 
     @classmethod
     def of(cls, roi: npt.ArrayLike, camera: Camera) -> Region:
@@ -87,12 +89,13 @@ class Region:
         return replace(region, mask=region.cut(np.where(inside, 255, 0).astype(np.uint8)))
 
     @classmethod
-    def around(cls, box: Array, camera: Camera) -> Region:
-        """Around a box (4,) left, top, right, bottom, px."""
+    def around(cls, box: Array, camera: Camera, *, sketched: bool = False) -> Region:
+        """Around a box (4,) left, top, right, bottom, px; ``sketched``: of a sketch's cover."""
         more = _AROUND * max(box[2] - box[0], box[3] - box[1])
         left, top = np.maximum(np.floor(box[:2] - more + 0.5), 0).astype(int).tolist()
         right, bottom = np.ceil(box[2:] + more + 0.5).astype(int).tolist()
-        return cls((left, top, min(right, camera.width), min(bottom, camera.height)), box)
+        part = left, top, min(right, camera.width), min(bottom, camera.height)
+        return cls(part, box, sketched=sketched)
 
     @classmethod
     def at_place(cls, model: ViewModel, camera: Camera, pose: Pose) -> Region | None:
@@ -117,6 +120,14 @@ class Region:
         """The camera of the part."""
         left, top, right, bottom = self.part
         return camera.cropped(left, top, right - left, bottom - top)
+
+    @property
+    def told_box(self) -> Box | None:
+        """The box in the part's pixels that a user or a detector told, or a mask has."""
+        if self.box_px is None or self.sketched:
+            return None
+        left, top, right, bottom = (self.box_px - np.tile(self.part[:2], 2)).tolist()
+        return left, top, right, bottom
 
     def cut(self, picture: Picture) -> Picture:
         """The part of a picture (H, W)."""

@@ -11,7 +11,7 @@ import numpy as np
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.hypothesis import Hypothesis
-from rendezview.sensors.appearance.judge.found import NEAR_RAD, Found
+from rendezview.sensors.appearance.judge.found import HELD_FOR_WRONG, NEAR_RAD, Found
 from rendezview.sensors.appearance.observation import CLOSE_MARGIN, AppearanceObservation
 from rendezview.sensors.observation import Status
 
@@ -124,10 +124,26 @@ def refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObser
     )
 
 
-def contradicted(seen: AppearanceObservation, apart_rad: float) -> AppearanceObservation:
-    """The refused observation of a frame whose grey edges and sketch show two poses."""
-    apart = f"grey edges and the sketch show poses {np.rad2deg(apart_rad):.0f}° apart"
-    reason = f"{apart}: give a prior, or say where the target is (roi)"
+def contradiction(
+    given: Found, sketched: Found | None, symmetries: Sequence[Symmetry]
+) -> str | None:
+    """Why a sketch speaks against a pose of grey edges; None: it does not.
+
+    Among other things grey edges alone are no evidence: those have edges, too.
+    """
+    if sketched is None:
+        return "grey edges show a pose, and the sketch shows none"
+    apart_rad = angle_between(given.best.pose, sketched.best.pose, symmetries)
+    if apart_rad > NEAR_RAD:
+        return f"grey edges and the sketch show poses {np.rad2deg(apart_rad):.0f}° apart"
+    if sketched.confidence < HELD_FOR_WRONG:
+        return f"by its sketch the pose is right with a probability of {sketched.confidence:.2f}"
+    return None
+
+
+def contradicted(seen: AppearanceObservation, why: str) -> AppearanceObservation:
+    """The refused observation of a frame whose grey edges and sketch do not agree."""
+    reason = f"{why}: give a prior, or say where the target is (roi)"
     return replace(seen, status=Status.AMBIGUOUS, reason=reason)
 
 

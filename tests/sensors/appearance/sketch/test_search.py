@@ -28,14 +28,12 @@ from rendezview.sensors.appearance.judge.sketch_choice import (
 from rendezview.sensors.appearance.model.sketches import (
     EDGE,
     GRID,
-    MAPS,
     REACH,
     ViewSketches,
     centroid,
     on_grid,
 )
 from rendezview.sensors.appearance.search import sketch_search as search_module
-from rendezview.sensors.appearance.search.by_sketch import PartialViews
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch, _last, _lines
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
@@ -344,17 +342,3 @@ def test_the_fitted_file_names_every_feature_and_its_data():
     assert record["inflation"] >= 1.0
     assert min(record["merit"][name] for name in ("explained", "shading", "tones")) > 0.0
     assert record["provenance"]["frames_of_each"] >= 100
-
-
-def test_a_target_cut_by_the_frame_is_compared_with_what_the_frame_shows():
-    rng = np.random.default_rng(8)
-    maps = cv2.GaussianBlur(rng.random((GRID, GRID, 30 * MAPS)).astype(np.float32), (0, 0), 3.0)
-    maps = np.ascontiguousarray(maps.reshape(GRID, GRID, 30, MAPS).transpose(2, 3, 0, 1))
-    within = np.zeros((1, GRID, GRID), np.float32)
-    within[:, :, : GRID // 2 + 4] = 1.0
-    seen = maps[17:18] * within[:, None]
-    halves = (part.reshape(*part.shape[:-2], GRID // 2, 2, GRID // 2, 2).mean((-3, -1))
-              for part in (seen, within))  # fmt: skip
-    alike = PartialViews(maps).alike(*halves)
-    assert alike.shape == (1, 30)
-    assert int(np.argmax(alike)) == 17

@@ -39,6 +39,9 @@ _MOST_FEATURE = 0.3
 # Rad; error of a pose that grey edges have moved, or whose joint is at a wrong angle. Source:
 # experiment pose-joints (0.1)
 NEAR_RAD = np.deg2rad(8.0)
+# Probability of a pose on a sketch; with less, the search holds it for wrong.
+# Source: by construction
+HELD_FOR_WRONG = 0.5
 # Of the drawn look-alikes; a surer pose is no surer. Of .9, .95 and .99 it gives most right poses
 # and none wrong. Source: docs/notes/rivals.md
 _SUREST_SHARE = 0.95
@@ -141,7 +144,7 @@ class Found:
         if share == 1.0 == len(weighed):
             return self  # it has no rival, and nothing was drawn
         together = float(expit(logit(own) + logit(min(share, _SUREST_SHARE))))
-        if own < 0.5:
+        if own < HELD_FOR_WRONG:
             together = min(together, own)
         return replace(self, probability=together, weighed=tuple(weighed))
 

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from copy import copy
+from functools import cache
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.geometry.boxes import overlaps
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import exp
-from rendezview.sensors.appearance.edges.network import Sketch
+from rendezview.sensors.appearance.edges.network import Box, Sketch
 from rendezview.sensors.appearance.model.sketches import (
-    COVER,
-    CREASE,
-    EDGE,
-    GRID,
-    REACH,
     Float32s,
     ViewSketches,
     centroid,
@@ -26,22 +22,28 @@ from rendezview.sensors.appearance.model.sketches import (
     smoothed,
 )
 from rendezview.sensors.appearance.model.view_model import ViewModel
-
-_NOTHING = 1e-6  # keeps quotients finite. Source: by construction
+from rendezview.sensors.appearance.search.partial_views import (
+    AMONG_OTHERS,
+    NOTHING,
+    WEIGHTS,
+    PartialViews,
+    coarse_grids,
+    extents,
+)
 
 Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int64]
 
 _ROLLS = 40  # 9° apart; alignment converges from half of that. Source: spacing of the nodes' views
-# Weights of the correlations of each map. Source: experiment photo-accuracy
-_WEIGHTS = {COVER: 1.0, EDGE: 1.0, CREASE: 0.6}
 # Where the target leaves the frame: its whole size, of what is seen, and the shift of its centre
 # beyond the border, of the growth. Source: experiment photo-accuracy
 _CUT_SIZES = (1.0, 1.2, 1.45, 1.75, 2.1)
 _CUT_SHIFTS = (0.3, 0.7, 1.1)  # Source: experiment photo-accuracy
-# 0: views are judged by what the frame shows alone; 1: by all of them, as if nothing lay beyond.
-_BEYOND = 0.5  # Source: experiments photo-accuracy and sketch-confidence
-_COARSER = 2  # cells of the grid a cell where targets are cut. Source: by construction, its cost
+# A box that is known to a fifth: sizes of covers, of the root of its area, and places of their
+# centres, of its sides off its middle. Source: by construction, reach of the alignment
+_BOX_SIZES = (0.5, 0.6, 0.72, 0.86, 1.04)
+_BOX_SHIFTS = [(x, y) for x in (-0.15, 0.0, 0.15) for y in (-0.15, 0.0, 0.15)]
+_LEAST_OVERLAP = 0.5  # of a view's box and the given one. Source: by construction
 # Source: spacing of the nodes' views
 _SAME_RAD = np.deg2rad(7.0)  # rad; nearer views lead to the same pose
 _SORTED = 16384  # likeliest views and rolls that are looked through. Source: by construction
@@ -57,6 +59,7 @@ class SketchRetrieval:
         self._radius_m = model.target_radius_m
         self._vectors = _vectors(sketches.decoded())
         self._partial: PartialViews | None = None  # made for the first target that is cut
+        self._alone: tuple[PartialViews, Array] | None = None  # … whose box is known
 
     def with_camera(self, camera: Camera) -> SketchRetrieval:
         """The same for sketches of another camera's frames."""
@@ -71,8 +74,7 @@ class SketchRetrieval:
 
         ``near``: (3, 3) an attitude; only others ``within_rad`` of it are given, finer spaced.
         """
-        turns = 2.0 * np.pi * np.arange(_ROLLS) / _ROLLS
-        spins = np.array([exp(np.array([0.0, 0.0, turn])) for turn in turns])
+        turns, spins = _rolls()
         apart_rad = _SAME_RAD
         allowed: Bools | None = None
         if near is not None:
@@ -82,6 +84,43 @@ class SketchRetrieval:
             allowed = traces > 1.0 + 2.0 * np.cos(within_rad)
         placements = self._placements(sketch)
         alike = self._alike(sketch, placements, turns, allowed)
+        return self._likeliest(sketch, placements, alike, most, apart_rad)
+
+    def starts_in(self, sketch: Sketch, box: Box, most: int) -> tuple[Array, Array]:
+        """As ``starts``, of views that fill a box of the frame, right to a fifth.
+
+        What else stands in the box does not count.
+        """
+        if self._alone is None:
+            maps = self._sketches.decoded()
+            self._alone = PartialViews(maps, AMONG_OTHERS, alone=True), extents(maps, _ROLLS)
+        views, reach = self._alone
+        turns, _ = _rolls()
+        place = sketch.scale * np.array(box) + np.tile([sketch.left_px, sketch.top_px], 2)
+        middle, sides = 0.5 * (place[:2] + place[2:]), place[2:] - place[:2]
+        centres = [middle + np.array(shift) * sides for shift in _BOX_SHIFTS]
+        placements, alike = [], []
+        for share in _BOX_SIZES:
+            size = share * float(np.sqrt(sides.prod()))
+            there = [(centre, size) for centre in centres]
+            boxes = size * reach + np.tile(np.array(centres), 2)[:, None, None]
+            fits = overlaps(boxes, place) >= _LEAST_OVERLAP
+            some = np.flatnonzero(fits.any((0, 1)))
+            grids = coarse_grids(sketch.maps, there, turns)
+            found = np.full(fits.shape, -np.inf)
+            seen = views.alike(grids[:, :-1], grids[:, -1], some)
+            found[:, :, some] = seen.reshape(len(there), len(turns), -1)
+            found[~fits] = -np.inf
+            placements += there
+            alike.append(found)
+        return self._likeliest(sketch, placements, np.concatenate(alike), most, _SAME_RAD)
+
+    def _likeliest(
+        self, sketch: Sketch, placements: list[tuple[Array, float]], alike: Array, most: int,
+        apart_rad: float,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """The starts that are most alike, by (placements, rolls, views)."""
+        _, spins = _rolls()
         chosen = _distinct(alike, spins, self._sketches.rotation, most, apart_rad)
         which, roll, view = np.unravel_index(np.array(chosen, np.int64), alike.shape)
         middles = np.array([centre for centre, _ in placements])[which]
@@ -93,7 +132,7 @@ class SketchRetrieval:
 
     def likeness(self, sketch: Sketch) -> float:
         """Correlation of a sketch that shows a whole target alone with the likeliest view."""
-        turns = 2.0 * np.pi * np.arange(_ROLLS) / _ROLLS
+        turns, _ = _rolls()
         return float(self._alike(sketch, [centroid(cover_of(sketch.maps))], turns, None).max())
 
     def _placements(self, sketch: Sketch) -> list[tuple[Array, float]]:
@@ -122,8 +161,8 @@ class SketchRetrieval:
             return alike
         if sketch.is_cut:
             if self._partial is None:
-                self._partial = PartialViews(self._sketches.decoded())
-            grids = _partly(sketch.maps, placements, turns[rolls])
+                self._partial = PartialViews(self._sketches.decoded(), WEIGHTS, alone=False)
+            grids = coarse_grids(sketch.maps, placements, turns[rolls])
             found = self._partial.alike(grids[:, :-1], grids[:, -1])
         else:
             [(centre, size)] = placements
@@ -172,38 +211,11 @@ class SketchRetrieval:
         return np.asarray(rays / np.linalg.norm(rays, axis=1)[:, None])
 
 
-class PartialViews:
-    """All views, for correlation with sketches of which a part lies beyond the frame."""
-
-    def __init__(self, maps: Float32s) -> None:
-        """``maps``: (V, MAPS, GRID, GRID)."""
-        coarse = _coarser(maps)
-        planes = np.stack([coarse[:, k].reshape(len(coarse), -1).T for k in _WEIGHTS])
-        self._planes = np.ascontiguousarray(planes)  # (maps, cells, views)
-        self._squares = self._planes**2
-        self._spreads = planes.shape[1] * planes.var(1) + _NOTHING
-
-    def alike(self, maps: Float32s, within: Float32s) -> Float32s:
-        """(R, V) weighted correlations over what lies within the frame.
-
-        Args:
-            maps: (R, MAPS, h, w) of the sketch at each roll, coarse.
-            within: (R, h, w) share of the cells in the frame.
-        """
-        mask = np.clip(within, 0.0, 1.0).reshape(len(within), -1)
-        count = mask.sum(1, keepdims=True) + _NOTHING
-        alike = np.zeros((len(maps), self._planes.shape[2]), np.float32)
-        parts = zip(_WEIGHTS.items(), self._planes, self._squares, self._spreads, strict=True)
-        for (k, weight), planes, squares, whole in parts:
-            seen = maps[:, k].reshape(len(maps), -1)
-            seen = mask * (seen - (mask * seen).sum(1, keepdims=True) / count)
-            sums = mask @ planes
-            spread = np.maximum(mask @ squares - sums * sums / count, 0.0)
-            norm = np.sqrt((seen**2).sum(1, keepdims=True) * spread)
-            # What lies beyond the frame may be there: half way between asking for it and not.
-            shown = np.sqrt(np.minimum(spread / whole, 1.0)) ** _BEYOND
-            alike += np.float32(weight) * shown * (seen @ planes) / (norm + _NOTHING)
-        return alike
+@cache
+def _rolls() -> tuple[Array, Array]:
+    """(R,) turns of the picture, rad, and the rotations (R, 3, 3) of the camera."""
+    turns = 2.0 * np.pi * np.arange(_ROLLS) / _ROLLS
+    return turns, np.array([exp(np.array([0.0, 0.0, turn])) for turn in turns])
 
 
 def nearest_view(views: ViewSketches, ahead: Array) -> tuple[int, float]:
@@ -256,37 +268,12 @@ def _distinct(
     return kept
 
 
-def _coarser(maps: Float32s) -> Float32s:
-    """(…, GRID / n, GRID / n) means of n × n cells."""
-    n = _COARSER
-    *many, height, width = maps.shape
-    cells = maps.reshape(*many, height // n, n, width // n, n)
-    return np.asarray(cells.mean((-3, -1)), dtype=np.float32)
-
-
-def _partly(maps: Float32s, placements: list[tuple[Array, float]], turns: Array) -> Float32s:
-    """(P R, MAPS + 1, n, n) a sketch on the coarser grid at each place and turn, nothing beyond
-    the frame; the last map is the share of each cell that lies within."""
-    cells = GRID // _COARSER
-    planes = np.concatenate([maps, np.ones((1, *maps.shape[1:]), np.float32)])
-    means: dict[int, Float32s] = {}
-    grids = []
-    for centre, size in placements:
-        side = 2 * round(REACH * size / cells) + 1  # odd: the mean lies where it is read
-        if side not in means:  # over a cell; those half beyond the border are read, too
-            border = (side, side, side, side)
-            wider = [cv2.copyMakeBorder(p, *border, cv2.BORDER_CONSTANT) for p in planes]
-            means[side] = np.stack([np.asarray(cv2.blur(p, (side, side))) for p in wider])
-        grids.append(on_grid(means[side], centre + side, size, turns, cells))
-    return np.concatenate(grids)
-
-
 def _vectors(maps: Float32s) -> Float32s:
     """Maps (N, MAPS, GRID, GRID) as vectors (N, …) whose products are weighted correlations."""
     parts = []
-    for k, weight in _WEIGHTS.items():
+    for k, weight in WEIGHTS.items():
         planes = maps[:, k].reshape(len(maps), -1)
         planes = planes - planes.mean(1, keepdims=True)
-        norms = np.linalg.norm(planes, axis=1, keepdims=True) + _NOTHING
+        norms = np.linalg.norm(planes, axis=1, keepdims=True) + NOTHING
         parts.append(np.sqrt(weight) * planes / norms)
     return np.concatenate(parts, 1).astype(np.float32)

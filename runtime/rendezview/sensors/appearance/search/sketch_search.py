@@ -26,7 +26,7 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import CUT_SPREADS
 from rendezview.sensors.appearance.edges.contour_at import target_box
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
-from rendezview.sensors.appearance.edges.network import FINER, Sketch, Sketcher
+from rendezview.sensors.appearance.edges.network import FINER, Box, Sketch, Sketcher, around
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
 from rendezview.sensors.appearance.edges.sketch import (
     Maps,
@@ -104,6 +104,7 @@ class SketchSearch:
             raise ValueError("the model has no sketches")
         self.sketcher = sketcher
         self.bounds: tuple[Bound, ...] = ()  # of all poses
+        self.box: Box | None = None  # of the target, frame px, where it is known to a fifth
         self.retrieval = SketchRetrieval(model, model.sketches, camera)
         self._set_tables(model, camera, views)
 
@@ -134,10 +135,14 @@ class SketchSearch:
         ``sketch``: that of the frame, if it was drawn. ``turned``: the network sees the frame
         upside down.
         """
-        sketch = sketch or self.sketcher.find(frame, turned=turned)
-        if sketch is None:
-            return None
-        rotations, centres = self.retrieval.starts(sketch, _RETRIEVED)
+        if self.box is not None:
+            sketch = self.sketcher.look(frame, around(self.box), turned=turned)
+            rotations, centres = self.retrieval.starts_in(sketch, self.box, _RETRIEVED)
+        else:
+            sketch = sketch or self.sketcher.find(frame, turned=turned)
+            if sketch is None:
+                return None
+            rotations, centres = self.retrieval.starts(sketch, _RETRIEVED)
         reading = self.read(sketch, sky)
         poses = self._bounded(self.aligned(reading, rotations, centres))
         return self._closer(frame, sky, reading, poses, None, turned=turned)
