@@ -17,7 +17,7 @@ from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptio
 from rendezview.sensors.beacons.detect.discs import camera_doubts, camera_numbers
 from rendezview.sensors.beacons.detect.lens_scale import LensScale
 from rendezview.sensors.beacons.detect.rolling_shutter import at_middle_row
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SpotTable, X, recentre
+from rendezview.sensors.beacons.detect.spots import COLUMNS, COVER, SIGMA, SpotTable, X, recentre
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.match.judgement import least_facing
@@ -91,7 +91,7 @@ class WindowFit:
         self._background.hidden.widen(rows)
         which = np.flatnonzero(seen)
         cover, self.light[which] = self.compare(rows, which, track.pose, track)
-        rows[:, SIGMA] = np.hypot(rows[:, SIGMA], cover)
+        rows[:, SIGMA], rows[:, COVER] = np.hypot(rows[:, SIGMA], cover), cover
         if self.options.readout_s:
             step_s, height = time_s - track.time_s, self.camera.height
             at_middle_row(rows, track.places[seen], step_s, self.options.readout_s, height)
@@ -117,7 +117,7 @@ class WindowFit:
     def at_one_time(
         self, refined: Refined, table: Array, before: Array, step_s: float
     ) -> Refined | None:
-        """The pose of a table (N, 23) of a first find, whose reading before is (N, 23), too."""
+        """The pose of a table (N, 24) of a first find, whose reading before is (N, 24), too."""
         if not self.options.readout_s:
             return refined
         readout_s, height = self.options.readout_s, self.camera.height

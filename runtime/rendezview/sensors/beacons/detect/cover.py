@@ -58,7 +58,7 @@ def compare_spots(
     """Compare the spots of one reading with each other.
 
     Args:
-        rows: (K, 23) of the spot table.
+        rows: (K, 24) of the spot table.
         pattern: the reflectors; which: (K,) whose spots these are.
         pose: of the target, near enough for the shape of its discs.
         focal_px: of the camera; blur_px: σ of the optics and a pixel's width together.
@@ -83,7 +83,7 @@ def compare_spots(
 
 
 def uncovered_sizes(rows: Array, blur_px: float) -> Array:
-    """(K,) sizes of spots (K, 23), px, those that seem partly hidden as they would be whole.
+    """(K,) sizes of spots (K, 24), px, those that seem partly hidden as they would be whole.
 
     Before there is a pose the middle of all spots stands for the shape that tilt gives a disc.
     """

@@ -159,7 +159,7 @@ class Acquisition:
         return tuple(names)
 
     def table(self, spots: SpotTable, count: int) -> Array:
-        """(N, 23) the spot of each of so many reflectors, NaN where it has none."""
+        """(N, 24) the spot of each of so many reflectors, NaN where it has none."""
         table = np.full((count, COLUMNS), np.nan)
         table[self.reflectors] = spots.table[self.spot_indices]
         return table
