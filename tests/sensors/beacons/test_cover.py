@@ -185,6 +185,26 @@ def test_discs_that_lean_alike_are_covered_by_nothing(five):
         assert compare_spots(rows, five, np.arange(5), truth, 650.0, 0.75)[0][1] > 0.1
 
 
+def test_an_edge_below_the_limit_counts_the_more_the_nearer_the_spot_is_to_it(five):
+    rng = np.random.default_rng(9)
+    found, truth = reading(five, rng, {}, 8.0)
+    away = np.linalg.norm(
+        predict_spots(CAMERA, five, truth)[:, None] - found.spots.centroids_px, axis=2
+    )
+    rows = found.spots.table[away.argmin(axis=1)].copy()
+    claimed = []
+    for more in np.arange(0.0, 0.12, 0.0005):
+        changed = rows.copy()
+        changed[1, LONG_X] = np.median(rows[:, LONG_X]) + more
+        cover, unsure, _ = compare_spots(changed, five, np.arange(5), truth, 650.0, 0.75)
+        assert not (cover * unsure).any()  # one or the other
+        claimed.append(math.hypot(cover[1], unsure[1]))
+    assert claimed[0] < 0.1 * rows[1, SIGMA]
+    assert claimed[-1] > 8.0 * rows[1, SIGMA]
+    assert (np.diff(claimed) >= -1e-3 * rows[1, SIGMA]).all()
+    assert np.diff(claimed).max() < rows[1, SIGMA]  # no step
+
+
 def test_the_light_of_a_spot_tells_whether_it_is_its_reflector(five):
     rng = np.random.default_rng(4)
     found, truth = reading(five, rng, {})
@@ -201,23 +221,23 @@ def test_the_light_of_a_spot_tells_whether_it_is_its_reflector(five):
             changed, five, np.arange(5), truth, 650.0, 0.75, brightness=before, aged=ago
         )  # fmt: skip
 
-    cover, light = compared(SIZE, 1.0)
+    cover, _, light = compared(SIZE, 1.0)
     assert not cover.any()
     assert light.sum() < 5.0  # of ten numbers, with generous σ
     for column in (SIZE, AMPLITUDE):
-        cover, light = compared(column, 0.75)  # another light
+        cover, _, light = compared(column, 0.75)  # another light
         assert light[3] > 20.0
         assert not cover.any()
-        cover, light = compared(column, 1.3)  # another light over it: its place is uncertain
+        cover, _, light = compared(column, 1.3)  # another light over it: its place is uncertain
         assert light.sum() < 5.0
         assert np.flatnonzero(cover).tolist() == [3]
-    _, aged = compare_spots(
+    *_, aged = compare_spots(
         rows, five, np.arange(5), truth, 650.0, 0.75, brightness=0.8 * before[[0, 0, 0, 0, 0]],
         aged=np.full(5, 400),
     )  # fmt: skip
     assert aged.sum() < 5.0  # long ago tells little
     rows[3, SIGMA] = rows[3, SIZE]  # nor does a spot that hardly is one
-    assert compared(AMPLITUDE, 0.75)[1][3] < 1.0
+    assert compared(AMPLITUDE, 0.75)[2][3] < 1.0
 
 
 def test_middle_is_the_median_of_what_is_finite():

@@ -350,10 +350,10 @@ class Chooser:
         dropped: list[tuple[int, int]] = []
         while True:
             sigma = np.maximum(spots.sigma_px[where], 1e-3)
-            cover, _ = compare_spots(
+            cover, unsure, _ = compare_spots(
                 spots.table[where], pattern, which, pose, self.camera.fx, options.blur_px
             )
-            sigma = np.hypot(sigma, cover)
+            sigma = np.sqrt(sigma**2 + cover**2 + unsure**2)
             refined = refine(
                 self.camera, pattern, spots.table[where, :2], which, pose, sigma, options.blur_px,
                 saturated=bool((spots.saturated_px[where] > 1).all()),
