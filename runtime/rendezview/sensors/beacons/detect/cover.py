@@ -24,6 +24,8 @@ Ints = npt.NDArray[np.int64]
 # × x) × (1 + third × (1 − share)), x its elongation over the share of the disc in its size.
 # Source: plain simulator, 10 to 50 % hidden at 0.8 to 6 m, within 6 %; at 10 m a sixth too much
 _SHIFT = (1.25, 3.3, 0.65)
+# radii that an edge moves it at most. Source: by construction, two thirds hidden
+_FARTHEST = 0.6
 # of a spot's own elongation a Gaussian window of its size shows so much. Source: by construction
 _WINDOWED = 0.5
 # × the disc's share: σ of an elongation beside its neighbours', but for the noise.
@@ -109,12 +111,13 @@ def _compare(
     """Fill `compare_spots`' results, which are zeros before."""
     count = rows.shape[0]
     # Elongation, two numbers, ln(size), ln(brightness): each beside the middle of all.
-    beside, share = np.empty((4, count)), np.empty(count)
+    beside, share, half = np.empty((4, count)), np.empty(count), np.empty(count)
     for i in range(count):
         k, size = which[i], rows[i, SIZE]
         x, y, z = placed(rotation, translation, points, k)
         nx, ny, nz = turned(rotation, normals, k)
         radius = scale[i] * disc_radius(focal_px, x, y, z, nx, ny, nz, 0.5 * diameters[k])
+        half[i] = _FARTHEST * radius
         # Of a spot that is mostly blur, little of the shape is the disc's.
         share[i] = max(1.0 - (blur_px / size) ** 2, 0.01)
         xx, yy, xy = _shape(x / z, y / z, nx, ny, nz)
@@ -130,7 +133,9 @@ def _compare(
         off, hidden = math.hypot(beside[0, i], beside[1, i]), 0.0
         odd = (off / math.hypot(_ROUND_SIGMA * share[i], _NOISE * common)) ** 2
         if math.isfinite(odd):
-            moved = _moved(off, share[i], rows[i, SIZE]) / math.sqrt(2.0)  # either way
+            moved = min(_moved(off, share[i], rows[i, SIZE]), half[i]) / math.sqrt(
+                2.0
+            )  # either way
             if odd > _SURE**2:
                 hidden, cover[i] = off, moved
             else:

@@ -52,7 +52,8 @@ _GAIN = 1e-13  # of the cost: the end. Source: by construction, rounding
 _BENT = 10.0
 # of √2 σ of a spot: nearer, its second order is not tried. Source: by construction, a bound only
 _NEAREST = 1.0 / 64.0
-_EXACT = 1e-18  # χ²: the spots are fitted. Source: by construction, rounding
+# χ² of a step, likewise: of a pose that the spots hardly determine. Source: by construction, 1e-5 σ
+_SETTLED = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,9 +250,8 @@ def _converge(
                     copy_matrix_into(trial_r, rotation)
                     copy_matrix_into(trials, residuals)
                     copy_into(trial_t, shift)
-                    # Three spots are fitted exactly: a cost of almost zero ends the iteration too.
-                    small = (turn < _STEP and move < _STEP) or new < _EXACT
-                    done = small or abs(cost - new) <= _GAIN * cost
+                    small = turn < _STEP and move < _STEP
+                    done = small or abs(cost - new) <= max(_GAIN * cost, _SETTLED)
                     cost, accepted = new, True
                     damping *= DAMPING_DECAY
                     break
