@@ -94,6 +94,9 @@ def card(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write.")],
     diameter_mm: Annotated[float, typer.Option(help="Of the dots.")] = 16.0,
     paper: Annotated[Paper, typer.Option(help="Size of the page.")] = Paper.A4,
+    code: Annotated[
+        int, typer.Option(min=1, max=2, help="Which of two cards that are told apart.")
+    ] = 1,
 ) -> None:
     """Make a card of dots to print (PDF), with its target file.
 
@@ -103,7 +106,7 @@ def card(
     97 mm, ranges come out 3 % too long: `calibrate pattern --length` measures the dots.
     """
     make_folder(output)
-    write_card(output, 1e-3 * diameter_mm, paper)
+    write_card(output, 1e-3 * diameter_mm, paper, code)
     say(
         f"{output}/card.pdf, {output}/target.toml: print at 100 %, fold, then "
         f"rendezview reflectors {output}/target.toml 0 --camera webcam.yaml --invert"

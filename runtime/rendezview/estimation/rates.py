@@ -18,6 +18,11 @@ estimator; Bar-Shalom, Li & Kirubarajan, *Estimation with applications to tracki
 A camera's pointing jitter is noise of the poses that their covariances do not hold. It is estimated
 (`rendezview.estimation.pointing_jitter`) and added. Where the estimate grows, filters that trusted
 the first readings too much go through the last ones again.
+
+An error that hardly changes from reading to reading, as that of a spot over which an edge creeps,
+does not average down. It counts as white noise of the same spectral density: 2 τ / dt times the
+variance for a correlation time τ. Before it was noticed it was there, too: readings shortly before
+are widened alike.
 Frames and perturbations are those of `rendezview.estimation.motion`.
 """
 
@@ -40,6 +45,7 @@ from rendezview.estimation.rate_filters import (
     begin,
     step_bank,
 )
+from rendezview.estimation.slow_error import SlowError
 from rendezview.estimation.surprise import surprise
 from rendezview.geometry.pose import Array, Pose
 
@@ -116,20 +122,35 @@ class RateBank:
         self._scores = np.zeros((2, count))  # logarithms of likelihoods
         self._time_s: float | None = None
         self._jitter, self._trusted = PointingJitter(), 0.0  # rad² of the jitter held for true
+        self._slow = SlowError()
         self._readings: deque[tuple[float, Pose, Array]] = deque(maxlen=_KEPT)
 
     def clear(self) -> None:
         """Forget all readings, but not the camera's jitter."""
         self._time_s = None
         self._jitter.clear()
+        self._slow.clear()
         self._readings.clear()
 
-    def add(self, time_s: float, pose: Pose, covariance: Array) -> MotionRates | None:
-        """Take a reading in; None for the first."""
+    def add(
+        self, time_s: float, pose: Pose, covariance: Array, slow: Array | None = None
+    ) -> MotionRates | None:
+        """Take a reading in; None for the first.
+
+        ``slow`` (6, 6): the part of the covariance whose error hardly changes between readings.
+        """
         self._jitter.add(time_s, pose, covariance)
+        began = False
+        if slow is not None:
+            more, began = self._slow.add(time_s, slow)
+            covariance = covariance if more is None else covariance + more
+            if began:
+                widened = self._slow.widened(time_s, slow, self._readings)
+                self._readings = deque(widened, maxlen=_KEPT)
         self._readings.append((time_s, pose, covariance))
         across = self._jitter.variances[0]
-        if self._trusted <= _CHANGED * across and across <= _CHANGED * self._trusted:
+        steady = self._trusted <= _CHANGED * across and across <= _CHANGED * self._trusted
+        if steady and not began:
             return self._step(time_s, pose, covariance)
         self._trusted, self._time_s, found = across, None, None
         for reading in self._readings:

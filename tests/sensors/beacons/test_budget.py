@@ -177,17 +177,17 @@ def test_a_reading_says_its_errors_by_cause_and_what_is_not_known(paper_camera, 
     assert whole.budget["camera"].place_m > plain.budget["spots"].place_m
     np.testing.assert_allclose(whole.covariance - whole.common, whole.covariance - whole.common.T)
     record = whole.as_dict()
-    assert set(record["budget"]) == {"spots", "light", "camera", "places"}
+    assert set(record["budget"]) == {"spots", "light", "camera", "places", "cover"}
     assert np.array(record["common_covariance"]).shape == (6, 6)
     rows = budget_rows([plain.budget, whole.budget])
-    assert [row[0] for row in rows] == ["spots", "light", "camera", "places", "all"]
+    assert [row[0] for row in rows] == ["spots", "light", "camera", "places", "cover", "all"]
     # The rates of a target at rest do not suffer from an error that never changes.
     assert np.trace(whole.rates.covariance) < 1.5 * np.trace(plain.rates.covariance)
 
 
 def test_a_hundred_readings_leave_what_they_have_in_common():
     spots, camera = np.diag([1e-6] * 3 + [1e-6] * 3), np.diag([4e-6] * 3 + [9e-6, 9e-6, 9e-4])
-    shares = {"spots": spots, "camera": camera, "places": None}
+    shares = {"spots": spots, "camera": camera, "places": None, "cover": spots}
     common = common_of(shares)
     np.testing.assert_array_equal(common, camera)
     assert budget_of(shares)["camera"].turn_rad == pytest.approx(np.sqrt(12e-6))

@@ -26,6 +26,7 @@ from rendezview.sensors.beacons.detect.spots import (
     SIGMA,
     SIZE,
 )
+from rendezview.sensors.beacons.pose.refinement import refine
 
 PINHOLE = plain.Pinhole()
 CAMERA = Camera(512, 384, 650.0, 650.0, 255.5, 191.5)
@@ -105,9 +106,12 @@ def test_a_covered_spot_is_as_large_as_the_whole_one_and_others_keep_their_size(
 
 @pytest.mark.parametrize("range_m", [0.8, 3.0])
 def test_a_half_covered_disc_of_three_is_tracked_and_off_by_what_its_pose_claims(three, range_m):
-    """Its spot moves by up to 5 px, which the pose follows along a curve: 29 without that."""
+    """Its spot moves by up to 5 px, which the pose follows along a curve: 29 without that.
+
+    Its rates do not follow: NEES 4.8 and 7.5 where the readings' errors count as white noise.
+    """
     half_turn, looks = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)), plain.Look()
-    rng, values = np.random.default_rng(6), []
+    rng, values, of_rates = np.random.default_rng(6), [], []
     for _ in range(8):
         placed = plain.look_at(rng, PINHOLE, range_m, 0.5, min(80.0 + 163.0 / range_m, 187.0))
         sensor, which = ReflectorSensor(CAMERA, [three]), int(rng.integers(3))
@@ -122,8 +126,37 @@ def test_a_half_covered_disc_of_three_is_tracked_and_off_by_what_its_pose_claims
         turn = between(found.pose.rotation.copy(), near.rotation.copy())
         off = np.append(turn, found.pose.translation_m - near.translation_m)
         values.append(off @ np.linalg.solve(found.covariance, off))
+        rates = np.append(found.rates.turn_rad_s, found.rates.velocity_m_s)  # it is at rest
+        of_rates.append(rates @ np.linalg.solve(found.rates.covariance, rates))
     assert len(values) >= 7
     assert np.mean(values) < 9.0
+    assert np.mean(of_rates) < 3.0
+
+
+def test_the_second_order_of_a_spot_grows_with_the_fourth_power_of_its_error(three):
+    """Far off, no pose shows a spot: less is tried then, and nothing is left out."""
+    rng = np.random.default_rng(8)
+
+    def attitude(spots, pose, which, sigma_px):
+        sigmas = np.full(3, 0.014)
+        sigmas[which] = sigma_px
+        found = refine(CAMERA, three, spots, np.arange(3), pose, sigmas)
+        return None if found is None else np.trace(found.covariance[:3, :3])
+
+    counts = []
+    for range_m in (0.8, 1.5, 3.0, 6.0) * 4:
+        pose = Pose(*plain.look_at(rng, PINHOLE, range_m, 0.7, min(80.0 + 163.0 / range_m, 187.0)))
+        seen = predict_spots(CAMERA, three, pose), pose, int(rng.integers(3))
+        near, far = attitude(*seen, 0.06), attitude(*seen, 0.12)  # of first order
+        slope = (far - near) / (0.12**2 - 0.06**2)
+        bent = []
+        for sigma_px in (0.5, 4.0, 8.0):
+            whole = attitude(*seen, sigma_px)
+            if whole is not None:
+                bent.append((whole - near - slope * (sigma_px**2 - 0.06**2)) / sigma_px**4)
+        np.testing.assert_allclose(bent, bent[0], rtol=0.1)
+        counts.append(len(bent))
+    assert np.sum(counts) > 2.8 * len(counts)
 
 
 def test_round_spots_keep_their_sizes():
@@ -152,6 +185,26 @@ def test_discs_that_lean_alike_are_covered_by_nothing(five):
         assert compare_spots(rows, five, np.arange(5), truth, 650.0, 0.75)[0][1] > 0.1
 
 
+def test_an_edge_below_the_limit_counts_the_more_the_nearer_the_spot_is_to_it(five):
+    rng = np.random.default_rng(9)
+    found, truth = reading(five, rng, {}, 8.0)
+    away = np.linalg.norm(
+        predict_spots(CAMERA, five, truth)[:, None] - found.spots.centroids_px, axis=2
+    )
+    rows = found.spots.table[away.argmin(axis=1)].copy()
+    claimed = []
+    for more in np.arange(0.0, 0.12, 0.0005):
+        changed = rows.copy()
+        changed[1, LONG_X] = np.median(rows[:, LONG_X]) + more
+        cover, unsure, _ = compare_spots(changed, five, np.arange(5), truth, 650.0, 0.75)
+        assert not (cover * unsure).any()  # one or the other
+        claimed.append(math.hypot(cover[1], unsure[1]))
+    assert claimed[0] < 0.1 * rows[1, SIGMA]
+    assert claimed[-1] > 8.0 * rows[1, SIGMA]
+    assert (np.diff(claimed) >= -1e-3 * rows[1, SIGMA]).all()
+    assert np.diff(claimed).max() < rows[1, SIGMA]  # no step
+
+
 def test_the_light_of_a_spot_tells_whether_it_is_its_reflector(five):
     rng = np.random.default_rng(4)
     found, truth = reading(five, rng, {})
@@ -168,23 +221,23 @@ def test_the_light_of_a_spot_tells_whether_it_is_its_reflector(five):
             changed, five, np.arange(5), truth, 650.0, 0.75, brightness=before, aged=ago
         )  # fmt: skip
 
-    cover, light = compared(SIZE, 1.0)
+    cover, _, light = compared(SIZE, 1.0)
     assert not cover.any()
     assert light.sum() < 5.0  # of ten numbers, with generous σ
     for column in (SIZE, AMPLITUDE):
-        cover, light = compared(column, 0.75)  # another light
+        cover, _, light = compared(column, 0.75)  # another light
         assert light[3] > 20.0
         assert not cover.any()
-        cover, light = compared(column, 1.3)  # another light over it: its place is uncertain
+        cover, _, light = compared(column, 1.3)  # another light over it: its place is uncertain
         assert light.sum() < 5.0
         assert np.flatnonzero(cover).tolist() == [3]
-    _, aged = compare_spots(
+    *_, aged = compare_spots(
         rows, five, np.arange(5), truth, 650.0, 0.75, brightness=0.8 * before[[0, 0, 0, 0, 0]],
         aged=np.full(5, 400),
     )  # fmt: skip
     assert aged.sum() < 5.0  # long ago tells little
     rows[3, SIGMA] = rows[3, SIZE]  # nor does a spot that hardly is one
-    assert compared(AMPLITUDE, 0.75)[1][3] < 1.0
+    assert compared(AMPLITUDE, 0.75)[2][3] < 1.0
 
 
 def test_middle_is_the_median_of_what_is_finite():

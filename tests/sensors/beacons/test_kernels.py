@@ -30,6 +30,7 @@ from rendezview.sensors.beacons.detect.spots import (
     AREA,
     BINARY_X,
     COLUMNS,
+    COVER,
     PEAK,
     RIVALS,
     SIGMA,
@@ -44,7 +45,13 @@ from rendezview.sensors.beacons.detect.spots import (
 )
 from rendezview.sensors.beacons.match.matching import expect_spots, match_spots
 from rendezview.sensors.beacons.pose.refinement import Refined, adjust, solve_spots
-from rendezview.sensors.beacons.pose.shares import share_out, spot_slopes, whole_sigma
+from rendezview.sensors.beacons.pose.shares import (
+    CAUSES,
+    COVERED,
+    share_out,
+    spot_slopes,
+    whole_sigma,
+)
 from rendezview.sensors.beacons.rates import RateEstimator
 from rendezview.sensors.beacons.track import Branch, Track
 from rendezview.sensors.beacons.windows import (
@@ -143,10 +150,10 @@ def test_the_adjusted_pose_is_the_minimum_and_its_covariance_the_inverse_normal_
     sigma = rng.uniform(0.03, 0.08, 5)
     arms = five.positions_m - five.centre_m
     rotation, shift = np.array(truth.rotation), truth.apply(five.centre_m)
-    shares, residuals = np.empty((4, 6, 6)), np.empty((5, 2))
+    shares, residuals = np.empty((len(CAUSES), 6, 6)), np.empty((5, 2))
     used = adjust(
         lens, camera_doubts(paper_camera), arms, five.normals, five.discs, spots, sigma,
-        rotation, shift, shares, residuals,
+        np.zeros(5), rotation, shift, shares, residuals,
     )  # fmt: skip
     assert 0 < used < 30
     assert not shares[2:].any()
@@ -199,16 +206,18 @@ def test_shares_are_those_of_the_slopes_of_the_spots(five, paper_camera):
         np.testing.assert_allclose(own, slopes[i], rtol=1e-3, atol=0.1)
     weighted = slopes / sigma[:, None, None] ** 2
     inverse = np.linalg.inv(np.einsum("nai,naj->ij", weighted, slopes))
-    shares = np.empty((4, 6, 6))
-    shares[0] = inverse
+    shares = np.empty((len(CAUSES), 6, 6))
+    shares[0], cover = inverse, np.array([0.0, 0.01, 0.0, 0.0, 0.015])
     share_out(
-        lens, camera_doubts(paper_camera), arms, five.normals, discs, noise, sigma,
+        lens, camera_doubts(paper_camera), arms, five.normals, discs, noise, cover, sigma,
         rotation, shift, shares,
     )  # fmt: skip
-    by_noise = np.einsum("nai,n,naj->ij", weighted, noise**2, weighted)
+    by_noise = np.einsum("nai,n,naj->ij", weighted, noise**2 - cover**2, weighted)
+    by_cover = np.einsum("nai,n,naj->ij", weighted, cover**2, weighted)
     pulls = np.einsum("nai,nac,n->nic", weighted, slopes[:, :, 3:], sigmas_m)
     by_place = np.einsum("nic,njc->ij", pulls, pulls)
-    for share, pull in ((shares[0], by_noise), (shares[3], by_place)):
+    for cause, pull in ((0, by_noise), (3, by_place), (COVERED, by_cover)):
+        share = shares[cause]
         wanted = inverse @ pull @ inverse
         scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
         np.testing.assert_allclose(share / scale, wanted / scale, atol=2e-3)
@@ -219,6 +228,7 @@ def test_solve_spots_uses_the_named_rows_and_refuses_a_line(five, paper_camera):
     truth, lens = pose_of(SIX, five), camera_numbers(paper_camera, 0.75)
     table = np.full((5, COLUMNS), np.nan)
     table[:, [X, Y]], table[:, SIGMA] = predict_spots(paper_camera, five, truth), 0.02
+    table[:, COVER] = 0.0
     start = truth.perturbed([0.02, 0.01, -0.02, 0.01, 0.0, 0.02])
     arms = five.positions_m - five.centre_m
     for rows, good in (([0, 1, 4], True), ([0, 1, 2, 3], True), ([0, 2, 2], False)):
@@ -227,7 +237,7 @@ def test_solve_spots_uses_the_named_rows_and_refuses_a_line(five, paper_camera):
         used = solve_spots(
             lens, camera_doubts(paper_camera), arms, five.normals, five.discs, five.centre_m,
             table, which, 0.01, rotation, start.translation_m, translation,
-            np.empty((4, 6, 6)), np.empty((len(rows), 2)),
+            np.empty((len(CAUSES), 6, 6)), np.empty((len(rows), 2)),
         )  # fmt: skip
         assert (used > 0) == good
         if good:
@@ -303,7 +313,7 @@ def test_windows_find_the_spot_and_the_noise():
     assert window_noise(image, NO_DARK, expected, half) == pytest.approx(2.0, rel=0.3)
     last = Track.begun(0.0, Pose.identity(), 3, roll_known=True)
     last.brightness, last.unseen = np.array([1.0, 2.0, 3.0]), np.array([4, 5, 6])
-    refined = Refined(Pose.identity(), np.zeros((4, 6, 6)), np.zeros((0, 2)))
+    refined = Refined(Pose.identity(), np.zeros((len(CAUSES), 6, 6)), np.zeros((0, 2)))
     after = Track.after(last, 1.0, table, refined, 2.0, False, Branch.SURE, 5)
     assert after.unseen.tolist() == [0, 6, 7]
     assert after.brightness[1:].tolist() == [2.0, 3.0]

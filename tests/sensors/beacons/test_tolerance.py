@@ -7,8 +7,9 @@ import re
 import cv2
 import numpy as np
 import pytest
-from tests.plain_pictures import Look, Pinhole, discs, eight_bits, pair
+from tests.plain_pictures import Look, Pinhole, discs, eight_bits, look_at, pair
 
+from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.beacons import (
     LitDark,
@@ -130,6 +131,32 @@ def test_faint_stars_are_found_and_noise_is_not():
     spots = find_spots(LitDark(np.clip(np.rint(sky), 0, 255).astype(np.uint8))).centroids_px
     apart = np.linalg.norm(places[:, None] - spots[None], axis=2).min(axis=1)
     assert (apart < 1.0).mean() > 0.85  # some stand together
+
+
+@pytest.mark.parametrize("shown", [(1,), (2,), (1, 2)])
+def test_two_cards_of_unlike_dots_are_told_apart(tmp_path, pinhole, paper_camera, shown):
+    """Each is found where it is, and never the other in its place."""
+    cards = {}
+    for code in (1, 2):
+        (tmp_path / str(code)).mkdir()
+        write_card(tmp_path / str(code), 0.016, code=code)
+        (cards[code],) = patterns_of(Target.load(tmp_path / str(code)))
+    rng = np.random.default_rng(12)
+    for _ in range(4):
+        look, light, truths = Look(even=True), None, {}
+        for code in shown:
+            truth = Pose(*look_at(rng, pinhole, rng.uniform(1.0, 1.3), 0.4, 90.0))
+            aside = np.array([0.0, 0.16 * (2 * code - 3), truth.translation_m[2]])
+            truths[code] = Pose(truth.rotation, aside)  # one above the other
+            own = light_of(pinhole, cards[code], truths[code], look)
+            light = own if light is None else light + own
+        frames = LitDark(*pair(pinhole, light, look, rng))
+        for code, card in cards.items():
+            sensor = ReflectorSensor(paper_camera, [card])
+            reading = [sensor.update(0.1 * k, frames) for k in range(2)][-1]
+            assert (reading.pose is not None) == (code in truths), reading.reason
+            if reading.pose is not None:
+                assert reading.pose.angle_to(truths[code]) < 0.05
 
 
 @pytest.mark.parametrize(("paper", "wide_mm"), [(Paper.A4, 297.0), (Paper.LETTER, 279.4)])

@@ -10,7 +10,7 @@ import numpy as np
 
 from rendezview.geometry.pose import Array
 
-SPOTS = "spots"  # the only cause that differs from reading to reading
+SPOTS, _COVER = "spots", "cover"  # the causes that differ from reading to reading
 # What a user can give so that a cause is known. Source: by construction, a message
 _REMEDIES = {
     "camera": "the camera file has no intrinsics_covariance (calibrate camera writes it)",
@@ -41,7 +41,8 @@ def budget_of(shares: dict[str, Array | None]) -> Budget:
 
 def common_of(shares: dict[str, Array | None]) -> Array:
     """(6, 6) of all causes that are the same in all readings of a run."""
-    known = [share for cause, share in shares.items() if share is not None and cause != SPOTS]
+    own = (SPOTS, _COVER)
+    known = [share for cause, share in shares.items() if share is not None and cause not in own]
     return np.asarray(sum(known, np.zeros((6, 6))))
 
 

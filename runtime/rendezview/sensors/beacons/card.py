@@ -29,22 +29,30 @@ _WIDTH_MM = 90.0  # Source: by construction
 _OUTER_MM = 35.0  # of an outer dot from its end of the strip. Source: the middle of a flat
 _POINTS_PER_MM = 72.0 / 25.4  # Source: ISO 32000-1, the unit of PDF
 _ROUND = 0.5522847498  # of a circle's Bézier handles over its radius. Source: 4/3 (√2 − 1)
-# Name and diameter over the given one: a larger right dot tells which way up. Source: Book et al.
-_DOTS = (("left", 1.0), ("post", 1.0), ("right", 1.5))
+# By code the diameters of left, post and right over the given one: a larger right dot tells which
+# way up, as in Book et al., and the post which card it is. Source: by construction
+_DOTS = {1: (1.0, 1.0, 1.5), 2: (1.0, 1.5, 1.5)}
 
 
-def dots_m(diameter_m: float) -> list[tuple[str, tuple[float, float, float], float]]:
-    """Name, place and diameter of every dot of the folded card: x right, y up, z to the viewer."""
+def dots_m(diameter_m: float, code: int = 1) -> list[tuple[str, tuple[float, float, float], float]]:
+    """Name, place and diameter of every dot of the folded card: x right, y up, z to the viewer.
+
+    ``code``, 1 or 2, tells two cards apart.
+    """
     flat, height, top, _, _ = _PANELS_MM
     reach = 0.5 * top + flat - _OUTER_MM
     places = ((-reach, 0.0, 0.0), (0.0, 0.0, height), (reach, 0.0, 0.0))
     return [
         (name, (1e-3 * x, 1e-3 * y, 1e-3 * z), factor * diameter_m)
-        for (name, factor), (x, y, z) in zip(_DOTS, places, strict=True)
+        for name, factor, (x, y, z) in zip(
+            ("left", "post", "right"), _DOTS[code], places, strict=True
+        )
     ]
 
 
-def write_card(folder: Path, diameter_m: float = 0.016, paper: Paper = Paper.A4) -> None:
+def write_card(
+    folder: Path, diameter_m: float = 0.016, paper: Paper = Paper.A4, code: int = 1
+) -> None:
     """Write ``card.pdf`` and ``target.toml`` into a folder.
 
     Raises:
@@ -54,21 +62,24 @@ def write_card(folder: Path, diameter_m: float = 0.016, paper: Paper = Paper.A4)
     if not 4.0 <= diameter_mm <= 24.0:
         raise RendezviewError(f"a dot must be 4 to 24 mm wide, not {diameter_mm:g} mm")
     with atomic_write(folder / "card.pdf") as file:
-        file.write(_pdf(diameter_mm, _PAGES_MM[paper]))
+        file.write(_pdf(diameter_mm, _PAGES_MM[paper], _DOTS[code]))
+    name_of = "card" if code == 1 else f"card{code}"
     lines = [
-        'name = "card"',
+        f'name = "{name_of}"',
         'description = "a strip of three dots folded into a hat; printed from card.pdf"',
     ]
-    for name, place, wide in dots_m(diameter_m):
+    for name, place, wide in dots_m(diameter_m, code):
         lines += [
-            "", "[[reflectors]]", f'name = "{name}"', 'group = "card"',
+            "", "[[reflectors]]", f'name = "{name}"', f'group = "{name_of}"',
             f"position_m = [{', '.join(f'{value:.6g}' for value in place)}]",
             "normal = [0.0, 0.0, 1.0]", f"diameter_m = {wide:.6g}",
         ]  # fmt: skip
     atomic_write_text(folder / "target.toml", "\n".join(lines) + "\n")
 
 
-def _pdf(diameter_mm: float, page_mm: tuple[float, float]) -> bytes:
+def _pdf(
+    diameter_mm: float, page_mm: tuple[float, float], factors: tuple[float, float, float]
+) -> bytes:
     """One page: outline, fold lines, dots, a scale bar and a line of instructions."""
     left, bottom = 0.5 * (page_mm[0] - sum(_PANELS_MM)), 0.5 * (page_mm[1] - _WIDTH_MM)
     middle = 0.5 * page_mm[1]
@@ -81,7 +92,7 @@ def _pdf(diameter_mm: float, page_mm: tuple[float, float]) -> bytes:
         drawn.append(f"{at} {bottom} m {at} {bottom + _WIDTH_MM} l S")
     drawn.append("[] 0 d 0 g")
     places = (left + _OUTER_MM, 0.5 * page_mm[0], left + sum(_PANELS_MM) - _OUTER_MM)
-    for x, (_, factor) in zip(places, _DOTS, strict=True):
+    for x, factor in zip(places, factors, strict=True):
         drawn.append(_circle(x, middle, 0.5 * factor * diameter_mm))
     drawn.append(f"0.4 w {left} 40 m {left + 100.0} 40 l S")
     for x in (left, left + 100.0):

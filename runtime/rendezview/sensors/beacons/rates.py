@@ -78,11 +78,16 @@ class RateEstimator:
         limit -= float(light.sum())
         return limit < 0.0 or self._bank.surprise(time_s, pose, covariance, odds, limit) > limit
 
-    def add(self, time_s: float, pose: Pose, covariance: Array, face: Face) -> Rates | None:
-        """Take a reading in; None while there is only one. ``face``: of the six numbers."""
+    def add(
+        self, time_s: float, pose: Pose, covariance: Array, face: Face, slow: Array | None = None
+    ) -> Rates | None:
+        """Take a reading in; None while there is only one. ``face``: of the six numbers.
+
+        ``slow`` (6, 6): what of the covariance hardly changes between readings.
+        """
         if self._readings and time_s - self._last_s > _LONGEST_S:
             self.clear()
-        found, self._scatter = self._bank.add(time_s, pose, covariance), covariance
+        found, self._scatter = self._bank.add(time_s, pose, covariance, slow), covariance
         self._first_s = self._first_s if self._readings else time_s
         self._last_s = time_s
         self._readings += 1

@@ -128,7 +128,7 @@ class Track:
         cls, last: Track | None, time_s: float, table: Array, refined: Refined, noise: float,
         ambiguous: bool, branch: Branch, coast: int, light: Array | None = None,
     ) -> Track:  # fmt: skip
-        """The memory after a reading; ``table`` (N, 23): its spots, NaN where not visible."""
+        """The memory after a reading; ``table`` (N, 24): its spots, NaN where not visible."""
         count = len(table)
         since, dim = np.zeros(count, np.int64), np.full(count, np.nan)
         before, before_s = np.full((count, 2), np.nan), time_s

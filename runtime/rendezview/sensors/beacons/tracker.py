@@ -386,7 +386,7 @@ class ReflectorSensor:
         six = face.six_numbers(pose)
         rates = self._rates.last
         if doubt is not Doubt.OTHER:  # another spot tells nothing of the motion
-            rates = self._rates.add(time_s, pose, refined.scatter, face)
+            rates = self._rates.add(time_s, pose, refined.scatter, face, refined.slow)
         self._dots.take(pose, spots, names)
         shares = dict(zip(CAUSES, refined.shares, strict=True)) | self._unknown
         stage_ms["rates"] = 1e3 * (time.perf_counter() - begin)

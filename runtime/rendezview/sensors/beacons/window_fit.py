@@ -17,7 +17,7 @@ from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptio
 from rendezview.sensors.beacons.detect.discs import camera_doubts, camera_numbers
 from rendezview.sensors.beacons.detect.lens_scale import LensScale
 from rendezview.sensors.beacons.detect.rolling_shutter import at_middle_row
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SpotTable, X, recentre
+from rendezview.sensors.beacons.detect.spots import COLUMNS, COVER, SIGMA, SpotTable, X, recentre
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.match.judgement import least_facing
@@ -90,16 +90,18 @@ class WindowFit:
         recentre(rows, noise, threshold.centroid)
         self._background.hidden.widen(rows)
         which = np.flatnonzero(seen)
-        cover, self.light[which] = self.compare(rows, which, track.pose, track)
-        rows[:, SIGMA] = np.hypot(rows[:, SIGMA], cover)
+        cover, unsure, self.light[which] = self.compare(rows, which, track.pose, track)
+        rows[:, SIGMA], rows[:, COVER] = np.sqrt(rows[:, SIGMA] ** 2 + cover**2 + unsure**2), cover
         if self.options.readout_s:
             step_s, height = time_s - track.time_s, self.camera.height
             at_middle_row(rows, track.places[seen], step_s, self.options.readout_s, height)
         self.table[seen] = rows
         return noise
 
-    def compare(self, rows: Array, which: Ints, pose: Pose, track: Track) -> tuple[Array, Array]:
-        """`compare_spots` of this camera: σ by cover, px, and χ² of the light, (K,) both."""
+    def compare(
+        self, rows: Array, which: Ints, pose: Pose, track: Track
+    ) -> tuple[Array, Array, Array]:
+        """`compare_spots` of this camera."""
         return compare_spots(
             rows, self.constellation, which, pose, self.camera.fx, self._blur_px,
             self._lens_scale.at(rows[:, :2]), track.brightness, track.aged,
@@ -112,12 +114,12 @@ class WindowFit:
         if track is None:
             return np.zeros(len(found.reflectors))
         pose, rows = found.refined.camera_from_target, spots.table[found.spot_indices]
-        return self.compare(rows, found.reflectors, pose, track)[1]
+        return self.compare(rows, found.reflectors, pose, track)[2]
 
     def at_one_time(
         self, refined: Refined, table: Array, before: Array, step_s: float
     ) -> Refined | None:
-        """The pose of a table (N, 23) of a first find, whose reading before is (N, 23), too."""
+        """The pose of a table (N, 24) of a first find, whose reading before is (N, 24), too."""
         if not self.options.readout_s:
             return refined
         readout_s, height = self.options.readout_s, self.camera.height
@@ -146,7 +148,7 @@ class WindowFit:
                 table[k] = self.rival[k]
                 refined = self.solve(track.pose, table, seen)
                 if refined is not None:
-                    yield refined, self.compare(table[seen], seen, track.pose, track)[1]
+                    yield refined, self.compare(table[seen], seen, track.pose, track)[2]
 
     def without_strangers(
         self, start: Pose, refined: Refined, table: Array, seen: Ints

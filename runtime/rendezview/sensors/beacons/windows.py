@@ -61,8 +61,8 @@ def read_windows(
         level: (N,) threshold of the difference, grey.
         noise: of one pixel of the difference, grey.
         limits: largest |ln| of size over expected size, least shape (small over large axis).
-        table: (N, 23) rows of the spot table, filled where a spot is found.
-        rival: (N, 23) the second-best spot of each window, NaN where there is none.
+        table: (N, 24) rows of the spot table, filled where a spot is found.
+        rival: (N, 24) the second-best spot of each window, NaN where there is none.
         outcome: (N,) 0 window outside the picture, 1 nothing in it, 2 spots that are not a
             reflector, 3 visible.
     """

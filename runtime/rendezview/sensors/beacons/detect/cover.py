@@ -24,6 +24,8 @@ Ints = npt.NDArray[np.int64]
 # × x) × (1 + third × (1 − share)), x its elongation over the share of the disc in its size.
 # Source: plain simulator, 10 to 50 % hidden at 0.8 to 6 m, within 6 %; at 10 m a sixth too much
 _SHIFT = (1.25, 3.3, 0.65)
+# radii that an edge moves it at most. Source: by construction, two thirds hidden
+_FARTHEST = 0.6
 # of a spot's own elongation a Gaussian window of its size shows so much. Source: by construction
 _WINDOWED = 0.5
 # × the disc's share: σ of an elongation beside its neighbours', but for the noise.
@@ -31,7 +33,9 @@ _WINDOWED = 0.5
 _ROUND_SIGMA = 0.007
 # σ of an elongation over that of the place, in sizes; simulated 0.8
 _NOISE = 0.8  # Source: experiment reflector-nees --kind retro
-_SURE = 2.7  # σ; clean spots exceed it once in 200. Source: reflector-nees --kind retro
+# σ; clean spots exceed it once in 200. Below it an edge counts by the square of a round spot's
+# likelihood there over its own, which adds 6 % to a clean pose's σ at 10 m.
+_SURE = 2.7  # Source: reflector-nees --kind retro and "20 % covered", seeds 403 and 404
 # ln(size) that a covered disc loses: × its elongation, and × the square of that over the disc's
 # share. Source: plain simulator, 5 to 50 % hidden: within a quarter at 0.8 to 1.5 m, up to a half
 # too low at 3 to 6 m
@@ -54,11 +58,11 @@ def compare_spots(
     rows: Array, pattern: ReflectorPattern, which: Ints, pose: Pose, focal_px: float,
     blur_px: float, scale: Array | None = None, brightness: Array | None = None,
     aged: Ints | None = None,
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[Array, Array, Array]:  # fmt: skip
     """Compare the spots of one reading with each other.
 
     Args:
-        rows: (K, 23) of the spot table.
+        rows: (K, 24) of the spot table.
         pattern: the reflectors; which: (K,) whose spots these are.
         pose: of the target, near enough for the shape of its discs.
         focal_px: of the camera; blur_px: σ of the optics and a pixel's width together.
@@ -67,23 +71,24 @@ def compare_spots(
         aged: (N,) readings since then.
 
     Returns:
-        (K,) σ of each spot's place by what may hide a part of it, px, 0 where nothing does; and
-        (K,) χ² of its size and brightness. All 0 of fewer than three, or saturated, spots.
+        (K,) σ of each spot's place by what hides a part of it, px, 0 where nothing does; the same
+        by what may hide one unnoticed; χ² of its size and brightness. All 0 of fewer than three,
+        or saturated, spots.
     """
     known = np.full(len(pattern), np.nan) if brightness is None else brightness
     ago = np.zeros(len(pattern), np.int64) if aged is None else aged
     scale = np.ones(len(rows)) if scale is None else scale
-    cover, light = np.zeros(len(rows)), np.zeros(len(rows))
+    cover, unsure, light = np.zeros((3, len(rows)))
     _compare(
         np.ascontiguousarray(rows), pattern.positions_m, pattern.normals, pattern.diameters_m,
         np.asarray(which, np.int64), pose.rotation.copy(), pose.translation_m.copy(), focal_px,
-        blur_px, scale, known, ago, cover, light,
+        blur_px, scale, known, ago, cover, unsure, light,
     )  # fmt: skip
-    return cover, light
+    return cover, unsure, light
 
 
 def uncovered_sizes(rows: Array, blur_px: float) -> Array:
-    """(K,) sizes of spots (K, 23), px, those that seem partly hidden as they would be whole.
+    """(K,) sizes of spots (K, 24), px, those that seem partly hidden as they would be whole.
 
     Before there is a pose the middle of all spots stands for the shape that tilt gives a disc.
     """
@@ -101,17 +106,18 @@ def uncovered_sizes(rows: Array, blur_px: float) -> Array:
 def _compare(
     rows: Array, points: Array, normals: Array, diameters: Array, which: Ints, rotation: Array,
     translation: Array, focal_px: float, blur_px: float, scale: Array, brightness: Array,
-    aged: Ints, cover: Array, light: Array,
+    aged: Ints, cover: Array, unsure: Array, light: Array,
 ) -> None:  # fmt: skip
     """Fill `compare_spots`' results, which are zeros before."""
     count = rows.shape[0]
     # Elongation, two numbers, ln(size), ln(brightness): each beside the middle of all.
-    beside, share = np.empty((4, count)), np.empty(count)
+    beside, share, half = np.empty((4, count)), np.empty(count), np.empty(count)
     for i in range(count):
         k, size = which[i], rows[i, SIZE]
         x, y, z = placed(rotation, translation, points, k)
         nx, ny, nz = turned(rotation, normals, k)
         radius = scale[i] * disc_radius(focal_px, x, y, z, nx, ny, nz, 0.5 * diameters[k])
+        half[i] = _FARTHEST * radius
         # Of a spot that is mostly blur, little of the shape is the disc's.
         share[i] = max(1.0 - (blur_px / size) ** 2, 0.01)
         xx, yy, xy = _shape(x / z, y / z, nx, ny, nz)
@@ -125,9 +131,15 @@ def _compare(
     common = middle(rows[:, SIGMA].copy() / rows[:, SIZE])  # a strange spot's own may be larger
     for i in range(count):
         off, hidden = math.hypot(beside[0, i], beside[1, i]), 0.0
-        if off > _SURE * math.hypot(_ROUND_SIGMA * share[i], _NOISE * common):
-            hidden = off
-            cover[i] = _moved(off, share[i], rows[i, SIZE]) / math.sqrt(2.0)  # either way
+        odd = (off / math.hypot(_ROUND_SIGMA * share[i], _NOISE * common)) ** 2
+        if math.isfinite(odd):
+            moved = min(_moved(off, share[i], rows[i, SIZE]), half[i]) / math.sqrt(
+                2.0
+            )  # either way
+            if odd > _SURE**2:
+                hidden, cover[i] = off, moved
+            else:
+                unsure[i] = moved * math.exp(0.5 * (odd - _SURE**2))
         noise = (rows[i, SIGMA] / rows[i, SIZE]) ** 2
         smaller = _shrunk(hidden, share[i])
         spread = _SIZE_SIGMA**2 + (_QUARTER * smaller) ** 2 + noise

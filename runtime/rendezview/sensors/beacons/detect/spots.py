@@ -69,12 +69,13 @@ ROUGH = 19
 # Elongation of the moments under its window: (xx − yy, 2 xy) / (xx + yy); NaN where saturated.
 LONG_X, LONG_XY = 20, 21  # Source: by construction
 RIVALS = 22  # spots like it beside it, where a window was read. Source: by construction
-COLUMNS = 23  # Source: by construction
+COVER = 23  # px, the share of SIGMA by what lies over it. Source: by construction
+COLUMNS = 24  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpotTable:
-    """Spots of one picture; ``table`` (N, 23) as the compiled loops use it."""
+    """Spots of one picture; ``table`` (N, 24) as the compiled loops use it."""
 
     table: Array
     overfull: bool = False  # more than MOST_SPOTS were found, and dropped

@@ -38,6 +38,9 @@ class AcquisitionOptions:
     # Yaw and pitch against the line of sight. Source: Book et al. 1992, fig. 2, has ±40° on the
     # boresight.
     tilt_rad: float = math.radians(45.0)
+    # … where not all reflectors show a pose: the target may be steeper, and others then pass for
+    # it. Source: plain simulator, seeds 21 and 22, right to 75°
+    steepest_rad: float = math.radians(65.0)
     paper_hourglass: bool = False  # the lines of fig. 2 as printed, in place of the target's own
     nearest_m: float = 0.3  # m. Source: a chosen limit
     farthest_m: float = 150.0  # m. Source: a chosen limit
@@ -66,6 +69,7 @@ class AcquisitionOptions:
     # Small over large axis: a disc at 40° has 0.77, an edge far less. Source: by construction,
     # between the two
     least_shape: float = 0.55
+    steep_shape: float = 0.3  # … at steepest_rad. Source: likewise
     # χ² of three sizes and brightnesses. Source: by hand; uncritical halved or doubled
     score_limit: float = 18.0
     # χ² by which the best must win over other spots. Source: by hand; uncritical halved or doubled
@@ -94,6 +98,8 @@ class AcquisitionOptions:
     def __post_init__(self) -> None:
         if not 0.0 < self.tilt_rad < math.pi / 2:
             raise RendezviewError(f"tilt_rad must be between 0 and π/2, not {self.tilt_rad}")
+        if not self.steepest_rad < math.pi / 2:
+            raise RendezviewError(f"steepest_rad must be below π/2, not {self.steepest_rad}")
         if not 0.0 < self.nearest_m < self.farthest_m:
             raise RendezviewError(
                 f"nearest_m and farthest_m must rise from above 0: {self.nearest_m}, "
@@ -159,7 +165,7 @@ class Acquisition:
         return tuple(names)
 
     def table(self, spots: SpotTable, count: int) -> Array:
-        """(N, 23) the spot of each of so many reflectors, NaN where it has none."""
+        """(N, 24) the spot of each of so many reflectors, NaN where it has none."""
         table = np.full((count, COLUMNS), np.nan)
         table[self.reflectors] = spots.table[self.spot_indices]
         return table

@@ -37,6 +37,9 @@ _MOST_REFINED = 40  # Source: experiment reflector-hidden --seed 1
 # 8 m
 _SAME = 0.02
 _PRIOR = 0.35  # rad and share: the last pose chooses one this near. Source: by construction, 20°
+# Of so few spots of a target with more, a pose tilted further may be chance's. Source: experiment
+# reflector-hidden, seed 21
+_STEEP_RAD = math.radians(54.0)
 FEW = 4  # spots that hardly contradict wrong names. Source: by construction, 8 numbers for 6
 # χ² that a reflector costs which should be visible and is not, and at most so many of a group: it
 # may be covered as a whole. Source: by construction, −2 ln of 1 in 10; tested down to 1 in 3
@@ -130,11 +133,11 @@ class Chooser:
         if most == 3 and (
             float(others.sum()) * (best.score / options.score_limit) ** 2.5 > options.chance
         ):
-            return self._ambiguous(
-                best,
+            reason = (
                 f"{int(others.sum())} other sets of spots pass for the target too, so that the "
-                f"best (χ² {best.score:.1f}) may be chance: give a prior, or look again",
             )
+            reason += f"best (χ² {best.score:.1f}) may be chance: give a prior, or look again"
+            return self._ambiguous(best, reason)
         if redundant and most == 3 and prior is None:
             # Only three of more: a false spot may stand for a hidden reflector.
             strangers = self._strangers(spots, usable, best)
@@ -163,6 +166,9 @@ class Chooser:
                 "file, names or spots may be wrong; measure it, give its position_sigma_m, or show "
                 "more reflectors",
             )
+        if redundant and most <= FEW and prior is None and not self._faces(chosen, _STEEP_RAD):
+            reason = f"{most} spots show a steeply tilted target, or are chance: uncover more"
+            return self._ambiguous(best, f"{reason} reflectors, give a prior, or look again")
         groups = set(self._group_of[chosen.which].tolist())
         ambiguous = prior is None and len(groups) == 1 and len(self._turns[chosen.group]) > 1
         return Acquisition(
@@ -326,20 +332,20 @@ class Chooser:
             if count > 3:  # three have all their poses from P3P
                 mirrored = mirror(hypothesis.pose, pattern, names)
                 other = self._refined(spots, names, places, mirrored, group, score)
-                if other is not None and self._faces(other):
+                if other is not None and self._faces(other, 1.2 * self.options.tilt_rad):
                     made.append(other)
             made.sort(key=lambda h: -len(h.which))
         return made
 
-    def _faces(self, hypothesis: _Hypothesis) -> bool:
-        """Whether all reflectors of a hypothesis face the camera."""
+    def _faces(self, hypothesis: _Hypothesis, tilt_rad: float) -> bool:
+        """Whether all reflectors of a hypothesis face the camera, tilted by no more."""
         which, pattern, pose = hypothesis.which, self.constellation, hypothesis.pose
         return bool(
             least_facing(
                 pose.rotation.copy(), pose.translation_m.copy(),
                 pattern.positions_m[which], pattern.normals[which],
             )
-            > math.cos(1.2 * self.options.tilt_rad)
+            > math.cos(tilt_rad)
         )  # fmt: skip
 
     def _refined(
@@ -350,10 +356,10 @@ class Chooser:
         dropped: list[tuple[int, int]] = []
         while True:
             sigma = np.maximum(spots.sigma_px[where], 1e-3)
-            cover, _ = compare_spots(
+            cover, unsure, _ = compare_spots(
                 spots.table[where], pattern, which, pose, self.camera.fx, options.blur_px
             )
-            sigma = np.hypot(sigma, cover)
+            sigma = np.sqrt(sigma**2 + cover**2 + unsure**2)
             refined = refine(
                 self.camera, pattern, spots.table[where, :2], which, pose, sigma, options.blur_px,
                 saturated=bool((spots.saturated_px[where] > 1).all()),
@@ -389,8 +395,6 @@ class Chooser:
                 self.camera, self.constellation, spots.table[own, :2], rest, pose,
                 np.delete(sigma, k), self.options.blur_px,
             )  # fmt: skip
-            whitened = (
-                np.inf if trial is None else trial.residuals_px / np.delete(sigma, k)[:, None]
-            )
-            costs.append(float(np.sum(np.square(whitened))))
+            off = np.inf if trial is None else trial.residuals_px / np.delete(sigma, k)[:, None]
+            costs.append(float(np.sum(np.square(off))))
         return int(np.argmin(costs))

@@ -27,9 +27,10 @@ from rendezview.sensors.beacons.detect.discs import (
     project_disc,
     turned,
 )
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SATURATED, SIGMA, X, Y
+from rendezview.sensors.beacons.detect.spots import COLUMNS, COVER, SATURATED, SIGMA, X, Y
 from rendezview.sensors.beacons.pose.shares import (
     CAUSES,
+    COVERED,
     RIM_LAW,
     share_out,
     spot_slopes,
@@ -49,7 +50,10 @@ _GAIN = 1e-13  # of the cost: the end. Source: by construction, rounding
 # × the least σ of a spot, from which a spot's second order counts. Source: by construction, with
 # less it is below the others' noise
 _BENT = 10.0
-_EXACT = 1e-18  # χ²: the spots are fitted. Source: by construction, rounding
+# of √2 σ of a spot: nearer, its second order is not tried. Source: by construction, a bound only
+_NEAREST = 1.0 / 64.0
+# χ² of a step, likewise: of a pose that the spots hardly determine. Source: by construction, 1e-5 σ
+_SETTLED = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +61,7 @@ class Refined:
     """A pose adjusted to its spots."""
 
     camera_from_target: Pose
-    # (4, 6, 6) camera frame, (rotation vector, translation), left perturbation; one of each cause
+    # (5, 6, 6) camera frame, (rotation vector, translation), left perturbation; one of each cause
     shares: Array
     residuals_px: Array  # (K, 2) observed minus predicted
     covariance: Array = field(init=False)  # (6, 6) of all causes
@@ -67,8 +71,13 @@ class Refined:
 
     @property
     def scatter(self) -> Array:
-        """(6, 6) of what may differ between readings: spots and light, not camera and places."""
-        return np.asarray(self.shares[:2].sum(axis=0))
+        """(6, 6) of what may differ between readings: all but camera and places."""
+        return np.asarray(self.shares[0] + self.shares[1] + self.shares[COVERED])
+
+    @property
+    def slow(self) -> Array:
+        """(6, 6) of it that hardly changes from reading to reading: of what lies over spots."""
+        return np.asarray(self.shares[COVERED])
 
 
 def refine(
@@ -129,7 +138,7 @@ def loose_px(pattern: ReflectorPattern, refined: Refined, which: Ints, focal_px:
 @njit(cache=True, nogil=True, error_model="numpy")
 def adjust(
     lens: Array, doubts: Array, arms: Array, normals: Array, discs: Array, spots: Array,
-    noise: Array, rotation: Array, shift: Array, shares: Array, residuals: Array,
+    noise: Array, cover: Array, rotation: Array, shift: Array, shares: Array, residuals: Array,
 ) -> int:  # fmt: skip
     """Levenberg–Marquardt on the spots; changes ``rotation`` and ``shift`` (of the arms' origin).
 
@@ -143,10 +152,13 @@ def adjust(
     )
     if used < 0 or not invert(normal, lower, shares[0]):
         return -1
-    share_out(lens, doubts, arms, normals, discs, noise, sigma, rotation, shift, shares)
+    share_out(lens, doubts, arms, normals, discs, noise, cover, sigma, rotation, shift, shares)
     for i in range(len(noise)):
-        if noise[i] > _BENT * noise.min():
-            _bend(lens, arms, normals, diameters, spots, sigma, i, rotation, shift, shares[0])
+        cause = shares[COVERED if cover[i] > 0.0 else 0]
+        if noise[i] > _BENT * noise.min() and not _bend(
+            lens, arms, normals, diameters, spots, sigma, i, rotation, shift, cause
+        ):
+            return -1
     orthonormalise(rotation)
     return used
 
@@ -155,35 +167,54 @@ def adjust(
 def _bend(
     lens: Array, arms: Array, normals: Array, diameters: Array, spots: Array, sigma: Array,
     i: int, rotation: Array, shift: Array, covariance: Array,
-) -> None:  # fmt: skip
+) -> bool:  # fmt: skip
     """Add what is of second order in the error of spot ``i``, which is far larger than others.
 
     Half the sum of the steps that the pose makes where the spot is off by √2 σ one way and the
-    other; the mean of its square over four directions.
+    other; the mean of its square over four directions. Where there is no pose so far away, it is
+    the same of less, scaled; False where there is none near by.
     """
-    turned_r, moved_t, moved = np.empty((3, 3)), np.empty(3), spots.copy()
-    residuals, normal, lower = np.empty_like(spots), np.empty((6, 6)), np.empty((6, 6))
-    steps = np.empty(6)
+    way, steps = np.empty(2), np.empty(6)
     for k in range(4):
-        steps[:] = 0.0
-        for sign in (-1.0, 1.0):
-            far = sign * math.sqrt(2.0) * sigma[i]
-            moved[i, 0] = spots[i, 0] + far * math.cos(0.25 * k * math.pi)
-            moved[i, 1] = spots[i, 1] + far * math.sin(0.25 * k * math.pi)
-            copy_matrix_into(rotation, turned_r)
-            copy_into(shift, moved_t)
-            if _converge(
-                lens, arms, normals, diameters, moved, sigma, turned_r, moved_t, residuals, normal,
-                lower,
-            ) < 0:  # fmt: skip
-                return
-            turn = between(turned_r, rotation)
-            for a in range(3):
-                steps[a] += 0.5 * turn[a]
-                steps[3 + a] += 0.5 * (moved_t[a] - shift[a])
+        share = 1.0
+        while True:
+            far = share * math.sqrt(2.0) * sigma[i]
+            way[0], way[1] = far * math.cos(0.25 * k * math.pi), far * math.sin(0.25 * k * math.pi)
+            if _bent(lens, arms, normals, diameters, spots, sigma, i, rotation, shift, way, steps):
+                break
+            share *= 0.5
+            if share < _NEAREST:
+                return False
         for a in range(6):
             for b in range(6):
-                covariance[a, b] += 0.25 * steps[a] * steps[b]
+                covariance[a, b] += 0.25 * steps[a] * steps[b] / share**4
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bent(
+    lens: Array, arms: Array, normals: Array, diameters: Array, spots: Array, sigma: Array,
+    i: int, rotation: Array, shift: Array, way: Array, steps: Array,
+) -> bool:  # fmt: skip
+    """Fill half the sum (6,) of a pose's steps where spot ``i`` is off by ``way`` (2,) and −way."""
+    turned_r, moved_t, moved = np.empty((3, 3)), np.empty(3), spots.copy()
+    residuals, normal, lower = np.empty_like(spots), np.empty((6, 6)), np.empty((6, 6))
+    steps[:] = 0.0
+    for sign in (-1.0, 1.0):
+        moved[i, 0], moved[i, 1] = spots[i, 0] + sign * way[0], spots[i, 1] + sign * way[1]
+        copy_matrix_into(rotation, turned_r)
+        copy_into(shift, moved_t)
+        used = _converge(
+            lens, arms, normals, diameters, moved, sigma, turned_r, moved_t, residuals, normal,
+            lower,
+        )  # fmt: skip
+        if used < 0 or used >= _ITERATIONS:
+            return False
+        turn = between(turned_r, rotation)
+        for a in range(3):
+            steps[a] += 0.5 * turn[a]
+            steps[3 + a] += 0.5 * (moved_t[a] - shift[a])
+    return True
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -219,9 +250,8 @@ def _converge(
                     copy_matrix_into(trial_r, rotation)
                     copy_matrix_into(trials, residuals)
                     copy_into(trial_t, shift)
-                    # Three spots are fitted exactly: a cost of almost zero ends the iteration too.
-                    small = (turn < _STEP and move < _STEP) or new < _EXACT
-                    done = small or abs(cost - new) <= _GAIN * cost
+                    small = turn < _STEP and move < _STEP
+                    done = small or abs(cost - new) <= max(_GAIN * cost, _SETTLED)
                     cost, accepted = new, True
                     damping *= DAMPING_DECAY
                     break
@@ -267,7 +297,8 @@ def solve_spots(
     """
     count = seen.shape[0]
     some_arms, some_normals = np.empty((count, 3)), np.empty((count, 3))
-    some_discs, spots, sigma = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
+    some_discs, spots = np.empty((count, 2)), np.empty((count, 2))
+    sigma, cover = np.empty(count), np.empty(count)
     lens, clipped = lens.copy(), True
     for i in range(count):
         k = seen[i]
@@ -276,7 +307,7 @@ def solve_spots(
         for a in range(3):
             some_arms[i, a], some_normals[i, a] = arms[k, a], normals[k, a]
         spots[i, 0], spots[i, 1] = table[k, 0], table[k, 1]
-        sigma[i] = math.sqrt(table[k, SIGMA] ** 2 + floor_px**2)
+        sigma[i], cover[i] = math.sqrt(table[k, SIGMA] ** 2 + floor_px**2), table[k, COVER]
     if not _spans(some_arms):
         return -1
     if clipped:  # their middles are those of their rims
@@ -286,7 +317,7 @@ def solve_spots(
     shift[0], shift[1] = translation_before[0] + x, translation_before[1] + y
     shift[2] = translation_before[2] + z
     used = adjust(
-        lens, doubts, some_arms, some_normals, some_discs, spots, sigma,
+        lens, doubts, some_arms, some_normals, some_discs, spots, sigma, cover,
         rotation, shift, shares, residuals,
     )  # fmt: skip
     if used < 0 or used >= _ITERATIONS:

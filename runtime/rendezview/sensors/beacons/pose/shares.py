@@ -10,9 +10,10 @@ from numba import njit
 from rendezview.geometry.pose import Array
 from rendezview.sensors.beacons.detect.discs import LAW, project_disc, turned
 
-# Causes of a pose's error, in the order of its shares. All but the first are common to the readings
-# of a run: no average takes them away.
-CAUSES = ("spots", "light", "camera", "places")
+# Causes of a pose's error, in the order of its shares. All but the first and the last are common to
+# the readings of a run: no average takes them away.
+CAUSES = ("spots", "light", "camera", "places", "cover")
+COVERED = CAUSES.index("cover")
 # The law of rims of saturated discs, and its σ over that of the law of light: 0 in even light, 0.13
 # of a retro-reflector near by. Source: experiment reflector-nees, at 0.8 m
 RIM_LAW, _RIM_SHARE = 0.07, 0.12
@@ -33,7 +34,7 @@ def whole_sigma(
 @njit(cache=True, nogil=True, error_model="numpy")
 def share_out(
     lens: Array, doubts: Array, arms: Array, normals: Array, discs: Array, noise: Array,
-    sigma: Array, rotation: Array, shift: Array, shares: Array,
+    cover: Array, sigma: Array, rotation: Array, shift: Array, shares: Array,
 ) -> None:  # fmt: skip
     """Fill the covariance of each cause; ``shares[0]`` holds the inverse normal matrix, N⁻¹.
 
@@ -46,11 +47,13 @@ def share_out(
     for i in range(arms.shape[0]):
         spot_slopes(lens, arms, normals, diameters, rotation, shift, i, jacobian)
         weight = 1.0 / (sigma[i] * sigma[i])
-        spot, place = (weight * noise[i]) ** 2, (weight * discs[i, 1]) ** 2
+        hidden, place = (weight * cover[i]) ** 2, (weight * discs[i, 1]) ** 2
+        spot = (weight * noise[i]) ** 2 - hidden
         for a in range(6):
             for b in range(6):
                 for k in range(2):
                     pull[0, a, b] += spot * jacobian[k, a] * jacobian[k, b]
+                    pull[COVERED, a, b] += hidden * jacobian[k, a] * jacobian[k, b]
                     for m in range(2):  # a reflector's place moves its spot as the target's does
                         slope = 0.0
                         for c in range(3, 6):
