@@ -64,8 +64,7 @@ def find_symmetries(mesh: Mesh, seed: int = 0) -> tuple[Symmetry, ...]:
         if _is_continuous(surface, axis):
             return _continuous(surface, axis)
         candidates = _about(surface, axis)
-    turns = _exact(_closed(surface, candidates))
-    return _placed(_generators(turns), surface)
+    return _placed(_found(surface, candidates), surface)
 
 
 def described(symmetries: Sequence[Symmetry]) -> str:
@@ -180,31 +179,30 @@ def _is_new(turn: Array, known: list[Array], apart_rad: float) -> bool:
     return bool(cosines.max() < np.cos(apart_rad))
 
 
-def _closed(surface: TurnedSurface, candidates: Iterable[Array]) -> list[Array]:
-    """Those turns that hold and all their products, the identity first."""
+def _found(surface: TurnedSurface, candidates: Iterable[Array]) -> list[Symmetry]:
+    """Symmetries that generate those turns that hold, and their products."""
     held: list[Array] = []
     for turn in candidates:
         if _is_new(turn, [np.eye(3), *held], _SAME_RAD) and _holds(surface, turn):
             held.append(turn)
-    group = _generated(surface, held, all_hold=False)
-    if group is not None:
-        return group
+    group = _generated(surface, held, _MOST_TURNS)
+    found = None if group is None else _generators(_exact(group))
+    if found is not None:
+        return found
     # A body that is nearly round: many small turns hold, but not their powers.
     group = [np.eye(3)]
     for turn in held:
         if _is_new(turn, group, _SAME_RAD):
-            group = _generated(surface, [*group[1:], turn], all_hold=True) or group
-    return group
+            group = _generated(surface, [*group[1:], turn], 0) or group
+    return _generators(_exact(group)) or []
 
 
-def _generated(
-    surface: TurnedSurface, turns: list[Array], *, all_hold: bool
-) -> list[Array] | None:
+def _generated(surface: TurnedSurface, turns: list[Array], may_fail: int) -> list[Array] | None:
     """Turns with their products that hold, the identity first; None: more than a body can have.
 
-    ``all_hold``: None as well where a product does not hold.
+    ``may_fail``: so many products may not hold; None with more.
     """
-    group = [np.eye(3), *turns]
+    group, failed = [np.eye(3), *turns], 0
     for turn in group:  # grows while it is walked
         for other in list(group):
             product = turn @ other
@@ -215,9 +213,9 @@ def _generated(
                 continue
             if _holds(surface, product):
                 group.append(product)
-            elif all_hold:
-                return None
-            if len(group) > _MOST_TURNS:
+            else:
+                failed += 1
+            if failed > may_fail or len(group) > _MOST_TURNS:
                 return None
     return group
 
@@ -238,12 +236,20 @@ def _exact(turns: list[Array]) -> list[Array]:
     return list(group)
 
 
-def _generators(turns: list[Array]) -> list[Symmetry]:
-    """Few symmetries that generate the turns (3, 3), those by the smallest angles first."""
+def _generators(turns: list[Array]) -> list[Symmetry] | None:
+    """Few symmetries that generate the turns (3, 3), those by the smallest angles first.
+
+    None: they never come round, and are no group.
+    """
     found: list[Symmetry] = []
+    known = [np.eye(3)]
     for turn in sorted(turns[1:], key=lambda turn: round(rotation_angle(turn), 6)):
-        if not _is_new(turn, discrete_turns(found), _SAME_RAD):
+        if not _is_new(turn, known, _SAME_RAD):
             continue
         vector = Rotation.from_matrix(turn).as_rotvec()
         found.append(Symmetry("discrete", _forwards(vector), rotation_angle(turn)))
+        try:
+            known = discrete_turns(found)
+        except ValueError:
+            return None
     return found
