@@ -11,7 +11,7 @@ EXPERIMENTS = {
         "recognition-accuracy": ("recognition.accuracy", "active nodes and views, held-out frames"),
         "pose-frames": ("pose.frames", "draws the frames for pose-accuracy with Mitsuba"),
         "pose-accuracy": ("pose.accuracy", "first poses and tracked poses on these frames"),
-        "pose-confidence": ("pose.confidence", "fits confidence and covariance to logs"),
+        "pose-confidence": ("pose.confidence", "whether it holds on random craft"),
         "photo-accuracy": ("pose.photo_accuracy", "poses from photographs in SPEED+'s form"),
         "sketch-confidence": ("pose.sketch_confidence", "fits the choice among poses of sketches"),
     },

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,8 +15,6 @@ from rendezview import Pose, Recognizer, ViewModel, open_sequence
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
 from rendezview.sensors.appearance import AppearanceObservation
-from rendezview.sensors.appearance.judge.found import Found
-from rendezview.sensors.appearance.sky import Sky
 from rendezview_ground.evaluate.assessment import pose_error, second_earlier
 from rendezview_ground.learn.jobs.open_executor import open_executor
 
@@ -29,10 +26,11 @@ Record = dict[str, Any]
 
 
 def compared(observation: AppearanceObservation, truth: Pose, model: ViewModel) -> Record:
-    """One answer beside the truth, with all features that may separate right from wrong."""
+    """One answer beside the truth."""
     record: Record = {"ms": sum(observation.stage_ms.values())}
     if observation.found is not None:
-        record |= features_of(observation.found, truth, model)
+        best = observation.found.best.pose
+        record["best_deg"] = float(np.rad2deg(angle_between(best, truth, model.symmetries)))
     error = pose_error(observation, truth, model)
     if error is not None:
         record |= {
@@ -43,15 +41,6 @@ def compared(observation: AppearanceObservation, truth: Pose, model: ViewModel) 
     return record
 
 
-def features_of(found: Found, truth: Pose, model: ViewModel) -> Record:
-    """What confidence is computed from, and how far off the best pose is."""
-    return {
-        "features": found.features.tolist(),
-        "looked": found.best.shading is not None,
-        "best_deg": float(np.rad2deg(angle_between(found.best.pose, truth, model.symmetries))),
-    }
-
-
 def both_searches(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -> list[Record]:
     """The first pose without a prior, and the tracked one."""
     first = recognizer.recognize(image)
@@ -60,22 +49,7 @@ def both_searches(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose
     return [{"mode": mode} | compared(o, truth, recognizer.model) for mode, o in modes.items()]
 
 
-def single_searches(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -> list[Record]:
-    """The pose next to a prior if nothing else is tried, without a look at the surface and with."""
-    assert recognizer.search is not None
-    refiner, sky = recognizer.search.refiner, Sky.of(image)
-    refined = refiner.refine(image, sky, prior)
-    if refined is None:
-        return []
-    shade = recognizer.search.levels.whole.shading.of(image, sky, refined.pose)
-    shadings = (None, None if shade is None else shade.agreement)
-    looks = [Found(replace(refined, shading=s), 1.0, sky.dark, True) for s in shadings]
-    return [{"mode": "lone"} | features_of(look, truth, recognizer.model) for look in looks]
-
-
-def on_scene(
-    frames: Path, models: Path, target: str, condition: str, seed: int, log: bool
-) -> list[Record]:
+def on_scene(frames: Path, models: Path, target: str, condition: str, seed: int) -> list[Record]:
     """Both looks at every frame of one scene."""
     model = ViewModel.load(models / f"{target}.rvm")
     records, recognizer = [], None
@@ -84,11 +58,8 @@ def on_scene(
         assert truth is not None
         recognizer = recognizer or Recognizer(model, frame.camera)
         image = frame.read()
-        rngs = [np.random.default_rng([seed, k, *more]) for more in ((), (0,), (1,), (2,))]
-        first, *others = (second_earlier(truth, model.centre_m, rng) for rng in rngs)
-        looks = both_searches(recognizer, image, truth, first)
-        for prior in others if log else ():
-            looks += single_searches(recognizer, image, truth, prior)
+        prior = second_earlier(truth, model.centre_m, np.random.default_rng([seed, k]))
+        looks = both_searches(recognizer, image, truth, prior)
         about = {"target": target, "condition": condition, "frame": k}
         records += [about | look for look in looks]
     return records
@@ -124,12 +95,11 @@ def run(
     twice: without a prior, and from the true pose of a second earlier: off by up to 5° about a
     random axis, 3 % of range and 1 % of range across. An answer more than 5° off (the least over
     the target's symmetries) is wrong. The normalised error squared is that of the right answers.
-    The log also has, as "lone", the poses next to three more priors of each frame.
     """
     scenes = sorted((p.parent.parent.name, p.parent.name) for p in frames.glob("*/*/scene_gt.json"))
     started = time.perf_counter()
     with open_executor(JOBS, None, processes=True) as workers:
-        tasks = [(*scene, seed, log is not None) for scene in scenes]
+        tasks = [(*scene, seed) for scene in scenes]
         parts = dict(workers.results(on_scene, (frames.resolve(), models.resolve()), tasks))
     records = [record for k in sorted(parts) for record in parts[k]]
     if log is not None:

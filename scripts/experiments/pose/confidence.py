@@ -1,100 +1,165 @@
-"""Confidence and covariance of a pose, fitted to logs of ``pose-accuracy``."""
+"""Whether the confidence of poses holds on craft that no fit has seen."""
 
 from __future__ import annotations
 
-import json
-from itertools import product
+import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import cv2
 import numpy as np
-from scipy.optimize import minimize
-from sklearn.linear_model import LogisticRegression
+from joblib import Parallel, delayed
+from scipy.spatial.transform import Rotation
 
-from rendezview.sensors.appearance.model.error_model import ErrorModel, inflation_features
+from experiments.frame import kept, show, table_of, unit
+from experiments.pose.frames import one_frame
+from experiments.pose.sketch_confidence import frame as hard_light
+from rendezview import Camera, Pose, Recognizer, TrainingOptions, ViewModel
+from rendezview.geometry.pose import Array
+from rendezview.geometry.symmetry import angle_between
+from rendezview_ground.learn.job import train
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.mesh.symmetries import find_symmetries
+from rendezview_ground.simulate import MitsubaOptions
+from rendezview_ground.simulate.command import default_camera
+from rendezview_ground.simulate.near_symmetric_craft import any_near_symmetric
+from rendezview_ground.simulate.random_craft import any_craft
 
-WRONG_DEG, LEAST = 5.0, 0.6  # of a wrong pose; confidence of a pose that is given
-_DARK = 7  # the feature that marks dark skies
-_WEIGHT_OF_WRONG = 5.0  # a wrong answer costs more than one that is not given
+RIGHT_DEG, WRONG_DEG = 5.0, 10.0
+PRIOR_DEG, PRIOR_RANGE = 14.0, 0.05  # errors of a prior, at most; the recognizer is given 20°
+ALIKE = 4  # every so many craft nearly maps onto itself
+BINS = np.linspace(0.0, 1.0, 11)
+# Next to no trees: they order the starts of a search. All frames lie beyond the farthest shell.
+OPTIONS = TrainingOptions(
+    perturbed_views=100, held_out_views=20, min_samples_split=10_000, forest_trees=0,
+    contour_radii=(3.0,), contour_resolution_px=480,
+)  # fmt: skip
+FAST = MitsubaOptions(samples=16)
+# Condition, renderer (None: our own), and which materials. Of another craft every pose is wrong.
+KINDS = (
+    ("low", None, "its own"), ("high", FAST, "its own"), ("earth", None, "its own"),
+    ("high", FAST, "others"), ("high", None, "its own"), ("low", FAST, "its own"),
+    ("earth", FAST, "its own"), ("hard light", None, "its own"), ("high", FAST, "another craft"),
+)  # fmt: skip
+OTHER = 1000  # is added to the number of a craft for another one
+
+Rows = dict[str, Array]
 
 
-def fitted(features: np.ndarray, right: np.ndarray, looked: np.ndarray) -> np.ndarray:
-    """(2, 2, 11) coefficients: without the last feature and with it, bright and dark skies."""
-    tables = []
-    for look in (False, True):
-        rows = []
-        for dark in (False, True):
-            these = ((features[:, _DARK] > 0.5) == dark) & (looked | (not look))
-            weight = np.where(right[these], 1.0, _WEIGHT_OF_WRONG)
-            known = features[these] * np.append(np.ones(features.shape[1] - 1), float(look))
-            model = LogisticRegression(C=10.0, max_iter=10_000, fit_intercept=False)
-            rows.append(model.fit(known, right[these], sample_weight=weight).coef_[0])
-        tables.append(rows)
-    return np.array(tables)
+def craft(k: int, seed: int) -> Mesh:
+    """The k-th random craft; every fourth nearly maps onto itself."""
+    made = any_near_symmetric if k % ALIKE == 0 else any_craft
+    return made(np.random.default_rng([902, seed, k]))
 
 
-def probability(coefficients: np.ndarray, features: np.ndarray, looked: np.ndarray) -> np.ndarray:
-    """(N,) of right poses."""
-    rows = coefficients[looked.astype(int), (features[:, _DARK] > 0.5).astype(int)]
-    return 1.0 / (1.0 + np.exp(-np.einsum("ij,ij->i", features, rows)))
+def picture(number: int, camera: Camera, k: int, seed: int) -> tuple[Any, Camera, Pose | None]:
+    """The k-th frame of a craft, its camera, and the craft's pose; None: it shows another one."""
+    condition, mitsuba, materials = KINDS[k % len(KINDS)]
+    stream, other = [seed, number, k], materials == "another craft"
+    mesh = craft(number + OTHER * other, seed)
+    if condition == "hard light":
+        return hard_light(mesh, np.random.default_rng(stream))
+    image, pose = one_frame(
+        mesh, camera, condition, stream, unknown=materials == "others", mitsuba=mitsuba
+    )
+    return image, camera, None if other else pose
 
 
-def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients of log κ², on top of those of the logs, and the NEES that remain."""
-    right = [r for r in records if r.get("rotation_deg", 180.0) < WRONG_DEG]
-    features = np.array([inflation_features(*np.array(r["features"])[[1, 3, 7]]) for r in right])
-    nees = np.array([r["nees"] for r in right])
+def off(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Pose:
+    """A prior."""
+    turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(0.0, PRIOR_DEG)) * unit(rng)).as_matrix()
+    rotation, centre = turn @ truth.rotation, truth.apply(centre_m)
+    centre = centre + PRIOR_RANGE * np.linalg.norm(centre) * unit(rng)
+    return Pose(rotation, centre - rotation @ centre_m)
 
-    def unlikely(theta: np.ndarray) -> float:
-        log = features @ theta
-        return float(np.sum(6.0 * log + nees * np.exp(-log)) + 0.1 * theta[1:] @ theta[1:])
 
-    theta = minimize(unlikely, np.array([1.5, 0.0, 0.0, 0.0]), method="Nelder-Mead",
-                     options={"maxiter": 20_000, "maxfev": 20_000}).x  # fmt: skip
-    return theta, nees * np.exp(-features @ theta)
+def rows_of(number: int, seed: int, frames: int, folder: Path) -> Rows:
+    """The answers for the frames of one craft: a row each, without a prior and with one."""
+    cv2.setNumThreads(1)
+    mesh, path, camera = craft(number, seed), folder / f"{number}.rvm", default_camera()
+    train(mesh, path, name=path.stem, options=OPTIONS, jobs=1, symmetries=find_symmetries(mesh))
+    model, rows = ViewModel.load(path), []
+    for k in range(frames):
+        image, its_camera, truth = picture(number, camera, k, seed)
+        recognizer = Recognizer(model, its_camera)
+        priors: list[Pose | None] = [None]
+        if truth is not None:
+            priors.append(off(truth, model.centre_m, np.random.default_rng([seed, number, k, 1])))
+        for prior in priors:
+            seen = recognizer.recognize(image, prior)
+            if seen.found is None:
+                rows.append([np.nan, 180.0, False, prior is not None, False, truth is None])
+                continue
+            best, error_deg = seen.pose or seen.found.best.pose, 180.0
+            if truth is not None:
+                error_deg = float(np.rad2deg(angle_between(best, truth, model.symmetries)))
+            rows.append([
+                seen.found.confidence, error_deg, seen.pose is not None, prior is not None,
+                seen.found.on_sketch, truth is None,
+            ])  # fmt: skip
+    path.unlink()
+    print(f"craft {number}", flush=True)
+    names = ("confidence", "error_deg", "given", "prior", "on_sketch", "another")
+    return dict(zip(names, np.array(rows, dtype=np.float64).T, strict=True))
+
+
+def losses(confidence: Array, right: Array) -> Array:
+    """(N,) log losses."""
+    return -np.log(np.clip(np.where(right, confidence, 1.0 - confidence), 1e-4, 1.0))
 
 
 def run(
-    logs: list[Path], *, output: Annotated[Path | None, "JSON file of the coefficients"] = None
-) -> None:
-    """Fit confidence and covariance of a pose to logs of pose-accuracy.
+    *, craft_count: int = 40, frames: Annotated[int, "of each craft"] = 18, seed: int = 5,
+    rows: Annotated[Path | None, "folder that keeps the answers for each craft"] = None,
+) -> None:  # fmt: skip
+    """How often poses of random craft are right, by their confidence, given or not.
 
-    Prints, with each target left out in turn, how many answers would be given and wrong. --output
-    writes the coefficients as edges/error_model.json has them, where training and models without
-    their own read them. The logs must come from models that carry the packaged coefficients or
-    none.
+    Half of the frames are drawn by Mitsuba, half by our own renderer: black sky with the Sun at
+    0–70°, the Earth behind, materials unlike the mesh, hard light, and another craft, of which no
+    pose is right. A quarter of the craft nearly map onto themselves. A pose is right if it is less
+    than 5° off, wrong if it is more than 10° off. A prior is up to 14° off.
     """
-    records = [json.loads(line) for log in logs for line in log.read_text().splitlines()]
-    chosen = [r for r in records if "features" in r]
-    features = np.array([r["features"] for r in chosen])
-    right = np.array([r["best_deg"] < WRONG_DEG for r in chosen])
-    looked = np.array([r["looked"] for r in chosen])
-    target = np.array([r["target"] for r in chosen])
-    held_out = np.zeros(len(chosen))
-    for name in np.unique(target):
-        others, these = target != name, target == name
-        coefficients = fitted(features[others], right[others], looked[others])
-        held_out[these] = probability(coefficients, features[these], looked[these])
-    theta, rest = inflation(records)
-    print("inflation", np.round(theta, 2).tolist())
-    answers = [r for r in records if r.get("rotation_deg", 180.0) < WRONG_DEG]
-    conditions = sorted({r["condition"] for r in records})
-    for condition in conditions:
-        part = rest[[r["condition"] == condition for r in answers]]
-        print(f"NEES {condition}: mean {part.mean():.1f}, median {np.median(part):.1f}")
-    log_odds = np.round(fitted(features, right, looked), 2)
-    print("coefficients", log_odds.tolist())
-    if output is not None:
-        low = rest[[r["condition"] == "low" for r in answers]]
-        if len(low):  # raised until the normalised error squared averages six there
-            theta[0] += np.log(low.mean() / 6.0)
-        provenance = {"command": "pose-confidence", "logs": [p.name for p in logs]}
-        inflation_now = np.round(ErrorModel.packaged().log_inflation + theta, 2)
-        made = ErrorModel(log_odds, inflation_now, provenance)
-        output.write_text(json.dumps(made.record(), indent=2) + "\n", encoding="utf-8")
-    for mode, condition in product(("first", "tracked"), conditions):
-        these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])
-        total = sum((r["mode"], r["condition"]) == (mode, condition) for r in records)
-        given = these & (held_out >= LEAST)
-        good, bad = (np.sum(given & which) / total for which in (right, ~right))
-        print(f"{mode} {condition}: right {good:.1%}, wrong {bad:.1%}")
+    with tempfile.TemporaryDirectory() as folder, Parallel(n_jobs=-1) as parallel:
+        keep = Path(folder) if rows is None else rows
+        keep.mkdir(exist_ok=True)
+        each = parallel(
+            delayed(kept)(keep / f"{k}.npz", partial(rows_of, k, seed, frames, Path(folder)))
+            for k in range(craft_count)
+        )
+    number = np.repeat(np.arange(len(each)), [len(one["given"]) for one in each])
+    confidence, error_deg, given, prior, on_sketch, another = (
+        np.concatenate([one[name] for one in each])
+        for name in ("confidence", "error_deg", "given", "prior", "on_sketch", "another")
+    )
+    right, given, found = error_deg < RIGHT_DEG, given > 0.5, np.isfinite(confidence)
+    wrong = given & (error_deg > WRONG_DEG)
+    kinds = {
+        "no prior": prior < 0.5,
+        "no prior, grey edges": (prior < 0.5) & (on_sketch < 0.5),
+        "no prior, sketch": (prior < 0.5) & (on_sketch > 0.5),
+        "prior": prior > 0.5,
+    }
+    columns = "frames | n | right | wrong | given of another craft | log loss | worst craft"
+    answers = table_of("answers", columns)
+    reliability = table_of("poses; mean confidence, share right", ("confidence", *kinds))
+    cells: list[list[str]] = [[] for _ in BINS[1:]]
+    for name, kind in kinds.items():
+        these = kind & found
+        loss, at = losses(confidence[these], right[these]), number[these]
+        shown = kind & (another < 0.5)
+        answers.add_row(
+            name, str(shown.sum()), str((shown & given & right).sum()), str((shown & wrong).sum()),
+            f"{(kind & given & (another > 0.5)).sum()} of {(kind & (another > 0.5)).sum()}",
+            f"{loss.mean():.3f}", f"{max(loss[at == k].mean() for k in np.unique(at)):.2f}",
+        )  # fmt: skip
+        bins = np.digitize(confidence, BINS[1:-1])
+        for k, row in enumerate(cells):
+            those = these & (bins == k)
+            means = (f"{values[those].mean():.2f}" for values in (confidence, right))
+            row.append(f"{those.sum()}; {', '.join(means)}" if those.any() else "")
+    for k, row in enumerate(cells):
+        reliability.add_row(f"{BINS[k]:.1f}–{BINS[k + 1]:.1f}", *row)
+    show(answers, reliability, width=120)
+    for k in np.unique(number[wrong]):
+        print(f"craft {k}: wrong {np.round(confidence[wrong & (number == k)], 2).tolist()}")

@@ -28,6 +28,7 @@ from rendezview_ground.simulate.near_symmetric_craft import CRAFT
 RADIUS_PX = (100.0, 220.0)
 MARGIN_PX = 6.0
 PHASE_DEG = {"low": (0.0, 30.0), "high": (30.0, 70.0), "earth": (0.0, 60.0)}  # by condition
+MITSUBA = MitsubaOptions()
 PATCHES, ALBEDO, FOIL, ROUGHNESS = 12, (0.05, 0.9), (0.0, 0.6), (0.1, 0.5)  # of unknown materials
 
 
@@ -55,9 +56,13 @@ def repainted(mesh: Mesh, rng: np.random.Generator) -> tuple[Mesh, MitsubaOption
 
 
 def one_frame(
-    mesh: Mesh, camera: Camera, condition: str, seed: list[int], *, unknown: bool = False
-) -> tuple[np.ndarray, Pose]:
-    """A picture under a condition, and its pose; ``unknown``: of unknown materials."""
+    mesh: Mesh, camera: Camera, condition: str, seed: list[int], *, unknown: bool = False,
+    mitsuba: MitsubaOptions | None = MITSUBA,
+) -> tuple[np.ndarray, Pose]:  # fmt: skip
+    """A picture under a condition, and its pose; ``unknown``: of unknown materials.
+
+    ``mitsuba``: None for our own renderer.
+    """
     rng = np.random.default_rng(seed)
     pose = random_pose(mesh, camera, rng)
     phase = math.radians(rng.uniform(*PHASE_DEG[condition]))
@@ -67,9 +72,9 @@ def one_frame(
     off = math.radians(rng.uniform(0.0, 70.0))
     around = rng.uniform(0.0, 2.0 * math.pi)
     below = (math.sin(off) * math.cos(around), math.sin(off) * math.sin(around), math.cos(off))
-    mitsuba = MitsubaOptions()
     if unknown:
-        mesh, mitsuba = repainted(mesh, np.random.default_rng([*seed, 1]))
+        mesh, foil = repainted(mesh, np.random.default_rng([*seed, 1]))
+        mitsuba = mitsuba and replace(foil, samples=mitsuba.samples)
     options = SceneOptions(
         sky_frame="camera", earth=earth, earth_direction_sky=below, mitsuba=mitsuba
     )

@@ -200,7 +200,7 @@ def _found(surface: TurnedSurface, candidates: Iterable[Array]) -> list[Symmetry
 def _generated(surface: TurnedSurface, turns: list[Array], may_fail: int) -> list[Array] | None:
     """Turns with their products that hold, the identity first; None: more than a body can have.
 
-    ``may_fail``: so many products may not hold; None with more.
+    ``may_fail``: so many products may not hold, or only near others; None with more.
     """
     group, failed = [np.eye(3), *turns], 0
     for turn in group:  # grows while it is walked
@@ -209,9 +209,7 @@ def _generated(surface: TurnedSurface, turns: list[Array], may_fail: int) -> lis
             if not _is_new(product, group, _SAME_RAD):
                 continue
             product = surface.polished(product)
-            if not _is_new(product, group, _SAME_RAD):
-                continue
-            if _holds(surface, product):
+            if _is_new(product, group, _SAME_RAD) and _holds(surface, product):
                 group.append(product)
             else:
                 failed += 1

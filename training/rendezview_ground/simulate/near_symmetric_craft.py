@@ -1,4 +1,4 @@
-"""Two craft that nearly map onto themselves, for frames in which poses look alike."""
+"""Craft that nearly map onto themselves, for frames in which poses look alike."""
 
 from __future__ import annotations
 
@@ -29,9 +29,7 @@ def four_panels() -> Mesh:
     """A box with a cross of panels, 5.4 m across; an antenna, a boom and a box tell its sides."""
     panels = [box((2.0, 0.9, 0.05), transform=_at(1.7, 0.0, 0.2)) for _ in range(4)]
     for k, panel in enumerate(panels):
-        turn = np.eye(4)
-        turn[:3, :3] = Rotation.from_euler("z", 90.0 * k, degrees=True).as_matrix()
-        panel.apply_transform(turn)
+        panel.apply_transform(_turned("z", 90.0 * k))
     return _joined([
         box((1.2, 1.2, 1.5)),
         *panels,
@@ -42,12 +40,48 @@ def four_panels() -> Mesh:
     ])  # fmt: skip
 
 
+def any_near_symmetric(rng: np.random.Generator) -> Mesh:
+    """A random drum or box with 2 to 12 like sides or panels; small parts tell them apart."""
+    sides, height = int(rng.choice([2, 3, 4, 6, 8, 12])), rng.uniform(0.6, 2.4)
+    body = box((1.3, 1.3, height))
+    if rng.random() < 0.5:
+        body = cylinder(1.0, height, sections=max(sides, 4))
+    parts = [body]
+    if sides <= 4 or rng.random() < 0.4:
+        length, chord, up = rng.uniform(0.8, 2.2), rng.uniform(0.4, 1.0), rng.uniform(-0.4, 0.4)
+        tilt_deg = 90.0 * rng.integers(2)
+        for k in range(min(sides, 6)):
+            panel = box((length, chord, 0.05))
+            panel.apply_transform(_turned("x", tilt_deg))
+            panel.apply_translation((1.0 + 0.5 * length, 0.0, up * height))
+            panel.apply_transform(_turned("z", 360.0 * k / min(sides, 6)))
+            parts.append(panel)
+    for _ in range(int(rng.integers(1, 4))):
+        size, angle = rng.uniform(0.12, 0.45, 3), rng.uniform(0.0, 2.0 * np.pi)
+        up = rng.uniform(-0.45, 0.45) * height
+        parts.append(box(size, transform=_at(np.cos(angle), np.sin(angle), up)))
+    if rng.random() < 0.6:
+        parts.append(cone(0.4, 0.4, sections=24, transform=_at(0.0, 0.0, -0.5 * height - 0.35)))
+    if rng.random() < 0.6:
+        x, y = rng.uniform(-0.6, 0.6, 2)
+        length = rng.uniform(0.4, 1.0)
+        mast = cylinder(0.06, length, sections=12, transform=_at(x, y, 0.5 * height + 0.4))
+        parts.append(mast)
+    return _joined(parts)
+
+
 CRAFT: dict[str, Callable[[], Mesh]] = {"twelve-sides": twelve_sides, "four-panels": four_panels}
 
 
 def _at(x: float, y: float, z: float) -> np.ndarray:
     transform = np.eye(4)
     transform[:3, 3] = x, y, z
+    return transform
+
+
+def _turned(axis: str, angle_deg: float) -> np.ndarray:
+    transform = np.eye(4)
+    transform[:3, :3] = Rotation.from_euler(axis, angle_deg, degrees=True).as_matrix()
     return transform
 
 

@@ -6,7 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
+from tests.ground.mesh.mesh_samples import grey_mesh
 from tests.sensors.appearance.judge.near_symmetric import twelve_sides
 
 from rendezview.geometry.camera import Camera
@@ -55,10 +57,12 @@ def seen(rotation: Rotation, range_m: float = 6.0) -> Pose:
 SIDE = seen(Rotation.from_euler("xyz", [70.0, 15.0, 20.0], degrees=True))
 
 
-def picture(mesh: Mesh, pose: Pose, sun: np.ndarray = SUN, noise: float = 2.0) -> Picture:
+def picture(
+    mesh: Mesh, pose: Pose, sun: np.ndarray = SUN, noise: float = 2.0, camera: Camera = CAMERA
+) -> Picture:
     """A frame (H, W) by the simulator's own shading, with noise."""
     options = ShadingOptions(samples=3, specular=0.0, ambient=0.1, earthshine=0.0)
-    radiance = render(mesh, CAMERA, pose, sun, options).radiance
+    radiance = render(mesh, camera, pose, sun, options).radiance
     grey = 8.0 + 200.0 * radiance / radiance.max()
     grey += np.random.default_rng(4).normal(0.0, noise, grey.shape)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
@@ -89,6 +93,33 @@ def test_the_true_pose_under_the_true_sun_explains_the_frame(model: ViewModel, d
     best = min(turned.under(sun).cost for sun in suns)
     assert right.under(SUN).cost < 40.0
     assert best > 1.5 * right.under(SUN).cost
+
+
+def test_a_small_part_of_a_craft_with_long_wings_tells_its_ends_apart(
+    tiny_model: ViewModel,
+) -> None:
+    wing = trimesh.creation.box((9.0, 0.35, 0.03))
+    nozzle = trimesh.creation.annulus(0.18, 0.27, 0.12)
+    nozzle.apply_translation((0.0, 0.0, 0.55))
+    craft = grey_mesh([trimesh.creation.cylinder(0.42, 1.0, sections=8), wing, nozzle])
+    geometry = view_geometry(craft, TrainingOptions(), None)
+    centre_m, radius_m = craft.bounding_sphere
+    model = dataclasses.replace(
+        tiny_model, centre_m=centre_m, target_radius_m=radius_m,
+        shape=carried_shape(craft, geometry, seed=0),
+    )  # fmt: skip
+    camera = Camera.from_fov(480, 480, np.deg2rad(40.0))
+    pose = seen(Rotation.from_euler("xyz", [-30.0, 25.0, 60.0], degrees=True), 15.0)
+    turn = Rotation.from_euler("x", 180.0, degrees=True).as_matrix()
+    frame = picture(craft, pose, camera=camera)
+    evidence = DrawnEvidence(model.shape, model, camera)
+    window = evidence.window(frame, Sky.of(frame), pose)
+    other = Pose(pose.rotation @ turn, pose.translation_m)
+    drawn = [evidence.drawn(window, one) for one in (pose, other)]
+    assert all(one is not None for one in drawn)
+    window = window.beside(drawn)
+    right, turned = (dataclasses.replace(one, window=window).under(SUN).cost for one in drawn)
+    assert turned > 2.0 * right  # 1.3 where the craft is drawn half as large
 
 
 def test_a_sun_that_is_known_is_used(model: ViewModel, drum: Mesh) -> None:

@@ -30,8 +30,8 @@ from rendezview.sensors.appearance.sky import Sky
 
 Float32s = npt.NDArray[np.float32]
 
-# Of the target as it is drawn, at most. Source: docs/notes/rivals.md, 90 is no better
-_RADIUS_PX = 60.0
+# Of the target as it is drawn, at most. Source: docs/notes/rivals.md
+_RADIUS_PX = 120.0
 # Half a side of the drawn part. Source: by construction, all of it and a border
 _WINDOW_RADII, _WINDOW_MORE_PX = 1.25, 6.0
 # Side of the shadow map, and half of it. Source: by construction, its pixel is one of the picture

@@ -2,7 +2,7 @@
 
 Two small regressions: log odds that a pose is right to 5°, and log of the factor by which the
 covariance of independent edges is multiplied. Their coefficients are data with provenance
-(``error_model.json``, written by ``experiments pose-confidence``). A view model may carry its own.
+(``error_model.json``, fitted in version 0.1). A view model may carry its own.
 """
 
 from __future__ import annotations
