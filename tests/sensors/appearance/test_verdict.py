@@ -13,7 +13,7 @@ from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.search.starts import within
-from rendezview.sensors.appearance.verdict import Near
+from rendezview.sensors.appearance.verdict import Near, contradiction
 
 
 def turned(angle_deg: float) -> Pose:
@@ -100,3 +100,18 @@ def test_poses_that_a_symmetry_makes_one_agree():
     weighed = (beside(turned(180.0), 0.9), beside(turned(90.0), 0.1))
     assert sketched(turned(0.0), 0.7).beside(weighed, (half,)).confidence > 0.9
     assert sketched(turned(0.0), 0.7).beside(weighed, ()).confidence == 0.0
+
+
+@pytest.mark.parametrize(
+    ("other", "says"),
+    [
+        (None, "none"),
+        (found(turned(60.0), probability=0.9), "40° apart"),
+        (found(turned(21.0), probability=0.49), "probability of 0.49"),
+        (found(turned(21.0), probability=0.51), None),
+    ],
+)
+def test_among_other_things_edges_need_a_sketch_that_holds_the_pose_for_right(other, says):
+    why = contradiction(found(turned(20.0)), other, ())
+    assert (why is None) == (says is None)
+    assert says is None or says in why

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -50,6 +50,28 @@ _SORTED = 16384  # likeliest views and rolls that are looked through. Source: by
 _BLOCK = 512  # of them are compared with each other at once. Source: its cost
 
 
+class _Tables:
+    """What only some targets need of the views, made for the first of them."""
+
+    def __init__(self, sketches: ViewSketches) -> None:
+        self._sketches = sketches
+
+    @cached_property
+    def cut(self) -> PartialViews:
+        """Beside targets that the frame cuts."""
+        return PartialViews(self._sketches.decoded(), WEIGHTS, alone=False)
+
+    @cached_property
+    def alone(self) -> PartialViews:
+        """Beside targets whose box is known."""
+        return PartialViews(self._sketches.decoded(), AMONG_OTHERS, alone=True)
+
+    @cached_property
+    def extents(self) -> Array:
+        """(rolls, V, 4) of ``extents``."""
+        return extents(self._sketches.decoded(), _ROLLS)
+
+
 class SketchRetrieval:
     """Starting poses for a sketch, by correlation with every view at every roll."""
 
@@ -58,8 +80,7 @@ class SketchRetrieval:
         self._camera = camera
         self._radius_m = model.target_radius_m
         self._vectors = _vectors(sketches.decoded())
-        self._partial: PartialViews | None = None  # made for the first target that is cut
-        self._alone: tuple[PartialViews, Array] | None = None  # … whose box is known
+        self._tables = _Tables(sketches)
 
     def with_camera(self, camera: Camera) -> SketchRetrieval:
         """The same for sketches of another camera's frames."""
@@ -91,10 +112,7 @@ class SketchRetrieval:
 
         What else stands in the box does not count.
         """
-        if self._alone is None:
-            maps = self._sketches.decoded()
-            self._alone = PartialViews(maps, AMONG_OTHERS, alone=True), extents(maps, _ROLLS)
-        views, reach = self._alone
+        views, reach = self._tables.alone, self._tables.extents
         turns, _ = _rolls()
         place = sketch.scale * np.array(box) + np.tile([sketch.left_px, sketch.top_px], 2)
         middle, sides = 0.5 * (place[:2] + place[2:]), place[2:] - place[:2]
@@ -160,10 +178,8 @@ class SketchRetrieval:
         if not len(rolls):
             return alike
         if sketch.is_cut:
-            if self._partial is None:
-                self._partial = PartialViews(self._sketches.decoded(), WEIGHTS, alone=False)
             grids = coarse_grids(sketch.maps, placements, turns[rolls])
-            found = self._partial.alike(grids[:, :-1], grids[:, -1])
+            found = self._tables.cut.alike(grids[:, :-1], grids[:, -1])
         else:
             [(centre, size)] = placements
             grids = on_grid(smoothed(sketch.maps, size), centre, size, turns[rolls])
@@ -244,7 +260,9 @@ def _distinct(
         spins: (R, 3, 3), and ``views``: (V, 3, 3), whose product is the attitude.
     """
     flat = alike.ravel()
-    likely = np.argpartition(-flat, min(_SORTED, len(flat) - 1))[:_SORTED]
+    likely = np.flatnonzero(flat > -np.inf)
+    if len(likely) > _SORTED:
+        likely = likely[np.argpartition(-flat[likely], _SORTED)[:_SORTED]]
     order = likely[np.argsort(-flat[likely], kind="stable")]
     least = 1.0 + 2.0 * np.cos(apart_rad)  # trace of the rotation between two
     kept: list[int] = []
@@ -253,9 +271,9 @@ def _distinct(
         block = order[start : start + _BLOCK]
         _, roll, view = np.unravel_index(block, alike.shape)
         turned = (spins[roll] @ views[view]).reshape(-1, 9)
-        free = flat[block] > -np.inf
+        free = np.ones(len(block), bool)
         if kept:
-            free &= (turned @ known[: len(kept)].T).max(1) <= least
+            free = (turned @ known[: len(kept)].T).max(1) <= least
         apart = turned @ turned.T <= least
         while len(kept) < most and free.any():
             k = int(np.argmax(free))
@@ -263,7 +281,7 @@ def _distinct(
             kept.append(int(block[k]))
             free &= apart[k]
             free[k] = False
-        if len(kept) == most or not np.isfinite(flat[block[-1]]):
+        if len(kept) == most:
             break
     return kept
 

@@ -19,8 +19,8 @@ from rendezview.sensors.appearance.model.sketches import (
 
 # Weights of the correlations of each map. Source: experiment photo-accuracy
 WEIGHTS = {COVER: 1.0, EDGE: 1.0, CREASE: 0.6}
-# The same of what stands among other things, whose covers run together. Of 0, 0.5 and 1 the best
-# on drawn rooms. Source: docs/notes/photographs.md
+# The same of what stands among other things, whose covers run together. Without covers fewer poses
+# are right. Source: drawn rooms and photographs (docs/notes/photographs.md)
 AMONG_OTHERS = WEIGHTS | {COVER: 0.5}
 # 0: views are judged by what the frame shows alone; 1: by all of them, as if nothing lay beyond.
 _BEYOND = 0.5  # Source: experiments photo-accuracy and sketch-confidence
