@@ -39,9 +39,10 @@ _ROLLS = 40  # 9° apart; alignment converges from half of that. Source: spacing
 # beyond the border, of the growth. Source: experiment photo-accuracy
 _CUT_SIZES = (1.0, 1.2, 1.45, 1.75, 2.1)
 _CUT_SHIFTS = (0.3, 0.7, 1.1)  # Source: experiment photo-accuracy
-# A box that is known to a fifth: sizes of covers, of the root of its area, and places of their
-# centres, of its sides off its middle. Source: by construction, reach of the alignment
-_BOX_SIZES = (0.5, 0.6, 0.72, 0.86, 1.04)
+# A box that is known to a fifth: sizes of covers, of the root of its area.
+_BOX_SIZES = (0.5, 0.6, 0.72, 0.86, 1.04)  # Source: by construction, what views fill of boxes
+# Places of their centres, of its sides, off its middle.
+# Source: drawn rooms; five of them lose a tenth of the right poses
 _BOX_SHIFTS = [(x, y) for x in (-0.15, 0.0, 0.15) for y in (-0.15, 0.0, 0.15)]
 _LEAST_OVERLAP = 0.5  # of a view's box and the given one. Source: by construction
 # Source: spacing of the nodes' views
