@@ -52,15 +52,22 @@ def proxied(start_service, tmp_path_factory) -> Iterator[tuple[str, Path, Served
     process.stdin.write(text)
     process.stdin.close()
     root = folder / "caddy" / "pki" / "authorities" / "local" / "root.crt"
-    wait_until(lambda: process.poll() is not None or (root.exists() and _listens(ports[0])))
+    wait_until(lambda: process.poll() is not None or _serves(ports[0], root))
     assert process.poll() is None
     yield f"https://localhost:{ports[0]}", root, served
     process.terminate()
     process.wait(MOST_S)
 
 
-def _listens(port: int) -> bool:
-    with contextlib.suppress(OSError), socket.create_connection(("localhost", port), 1.0):
+def _serves(port: int, root: Path) -> bool:
+    """Whether there is a certificate yet; the port is open before."""
+    if not root.exists():
+        return False
+    with (
+        contextlib.suppress(OSError),  # ssl.SSLError is one
+        socket.create_connection(("localhost", port), 1.0) as plain,
+        ssl.create_default_context(cafile=root).wrap_socket(plain, server_hostname="localhost"),
+    ):
         return True
     return False
 
