@@ -96,7 +96,7 @@ class SketchRetrieval:
 
         ``near``: (3, 3) an attitude; only others ``within_rad`` of it are given, finer spaced.
         """
-        turns, spins = _rolls()
+        _, spins = _rolls()
         apart_rad = _SAME_RAD
         allowed: Bools | None = None
         if near is not None:
@@ -105,7 +105,7 @@ class SketchRetrieval:
             traces = np.einsum("rij,vjk,ik->rv", spins, self._sketches.rotation, seen)
             allowed = traces > 1.0 + 2.0 * np.cos(within_rad)
         placements = self._placements(sketch)
-        alike = self._alike(sketch, placements, turns, allowed)
+        alike = self._alike(sketch, placements, allowed)
         return self._likeliest(sketch, placements, alike, most, apart_rad)
 
     def starts_in(self, sketch: Sketch, box: Box, most: int) -> tuple[Array, Array]:
@@ -151,8 +151,7 @@ class SketchRetrieval:
 
     def likeness(self, sketch: Sketch) -> float:
         """Correlation of a sketch that shows a whole target alone with the likeliest view."""
-        turns, _ = _rolls()
-        return float(self._alike(sketch, [centroid(cover_of(sketch.maps))], turns, None).max())
+        return float(self._alike(sketch, [centroid(cover_of(sketch.maps))], None).max())
 
     def _placements(self, sketch: Sketch) -> list[tuple[Array, float]]:
         """Centre and size (root of the area) of the cover, px; guesses of both where it is cut."""
@@ -169,11 +168,11 @@ class SketchRetrieval:
         self,
         sketch: Sketch,
         placements: list[tuple[Array, float]],
-        turns: Array,
         allowed: Bools | None,
     ) -> Array:
         """(placements, rolls, views) correlation of views at rolls with the sketch; −∞ if not
         allowed."""
+        turns, _ = _rolls()
         rolls = np.arange(len(turns)) if allowed is None else np.flatnonzero(allowed.any(1))
         alike = np.full((len(placements), len(turns), len(self._vectors)), -np.inf)
         if not len(rolls):

@@ -42,12 +42,13 @@ class PartialViews:
     def __init__(self, maps: Float32s, weights: dict[int, float], *, alone: bool) -> None:
         """``maps``: (V, MAPS, GRID, GRID)."""
         coarse, self._weights = _coarser(maps), weights
-        area = np.ones(coarse[:, COVER].shape, np.float32)
+        # (cells, views), or (cells, 1) where it is the same of all views.
+        self._area = np.ones((coarse[0, COVER].size, 1), np.float32)
         if alone:
             covers = (coarse[:, COVER] > _COVERED).astype(np.uint8)
-            area[:] = [cv2.dilate(cover, np.ones((3, 3), np.uint8)) for cover in covers]
-        self._area = _as_columns(area)  # (cells, views)
-        self._planes = [_as_columns(area * coarse[:, k]) for k in weights]
+            around = [cv2.dilate(cover, np.ones((3, 3), np.uint8)) for cover in covers]
+            self._area = _as_columns(np.array(around, np.float32))
+        self._planes = [self._area * _as_columns(coarse[:, k]) for k in weights]
         self._squares = [self._area * planes**2 for planes in self._planes]
         count = self._area.sum(0)
         self._whole = [
@@ -67,18 +68,21 @@ class PartialViews:
         mask = np.clip(within, 0.0, 1.0).reshape(len(within), -1)
         if mask.min() == 1.0:
             mask = mask[:1]  # all sums of the views are the same then
-        area = np.ascontiguousarray(self._area[:, chosen])
+        area = self._area if some is None else np.ascontiguousarray(self._area[:, some])
         count = mask @ area + NOTHING
-        alike = np.zeros((len(maps), area.shape[1]), np.float32)
+        alike = np.zeros((len(maps), self._whole[0][chosen].size), np.float32)
         parts = zip(self._weights.items(), self._planes, self._squares, self._whole, strict=True)
         for (k, weight), *tables, whole_of_all in parts:
             planes, squares = (np.ascontiguousarray(table[:, chosen]) for table in tables)
             whole = whole_of_all[chosen]
-            seen = mask * maps[:, k].reshape(len(maps), -1)
+            plain = maps[:, k].reshape(len(maps), -1)
+            seen = mask * plain
             seen_sum, sums = seen @ area, mask @ planes
             spread = np.maximum(mask @ squares - sums * sums / count, 0.0)
-            power = (seen * maps[:, k].reshape(len(maps), -1)) @ area
-            power = np.maximum(power - seen_sum * seen_sum / count, 0.0) + _FAINT**2 * count
+            power = (
+                np.maximum((seen * plain) @ area - seen_sum * seen_sum / count, 0.0)
+                + _FAINT**2 * count
+            )
             # What lies beyond the frame may be there: half way between asking for it and not.
             shown = np.sqrt(np.minimum(spread / whole, 1.0)) ** _BEYOND
             together = seen @ planes - seen_sum * sums / count

@@ -133,9 +133,8 @@ def _compare(
         off, hidden = math.hypot(beside[0, i], beside[1, i]), 0.0
         odd = (off / math.hypot(_ROUND_SIGMA * share[i], _NOISE * common)) ** 2
         if math.isfinite(odd):
-            moved = min(_moved(off, share[i], rows[i, SIZE]), half[i]) / math.sqrt(
-                2.0
-            )  # either way
+            moved = min(_moved(off, share[i], rows[i, SIZE]), half[i])
+            moved /= math.sqrt(2.0)  # either way
             if odd > _SURE**2:
                 hidden, cover[i] = off, moved
             else:
