@@ -32,6 +32,8 @@ _EVERY = 4  # px, of the pixels whose scatter is measured. Source: by constructi
 _DARKEST, _DARKEST_SIGMA = 0.025, 1.96  # share of the darkest, σ. Source: normal distribution
 _LEAST_NOISE = 0.5  # grey. Source: by construction, rounding that the filter does not average
 _NO_DARK = np.zeros((0, 0), np.uint8)  # Source: by construction
+# Of two peaks, the level between them at which they are two. Source: Rayleigh's criterion
+_RESOLVED = 0.735
 
 
 class Opening(StrEnum):
@@ -279,10 +281,8 @@ def spot_mask(frames: LitDark, level: float, options: ThresholdOptions) -> Grey:
     difference = frames.lit if frames.dark is None else cv2.subtract(frames.lit, frames.dark)
     mask = cv2.threshold(difference, level, 255, cv2.THRESH_BINARY)[1]
     drop_glare(mask, frames, options)
-    if options.opening is Opening.NONE:
-        return np.asarray(mask, dtype=np.uint8)
     left, top, width, height = cv2.boundingRect(mask)
-    if width and height:
+    if options.opening is not Opening.NONE and width and height:
         # Only where there is anything; the rim about it is dark, as all the rest.
         rows, columns = (
             slice(max(top - 2, 0), top + height + 2),
@@ -292,3 +292,57 @@ def spot_mask(frames: LitDark, level: float, options: ThresholdOptions) -> Grey:
         part = cv2.erode(mask[rows, columns], kernel, anchor=erode_at)
         mask[rows, columns] = cv2.dilate(part, kernel, anchor=dilate_at)
     return np.asarray(mask, dtype=np.uint8)
+
+
+def _sides() -> npt.NDArray[np.int64]:
+    """(N, 4) two pixels (x, y, x, y) within 2 px of one, on a line past its middle."""
+    one = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), axis=-1).reshape(-1, 2)
+    first, second = np.triu_indices(len(one), 1)
+    a, b = one[first], one[second]
+    passes = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) < 0.5 * np.hypot(*(a - b).T)
+    return np.asarray(np.column_stack([a, b])[passes & ((a * b).sum(axis=1) < 0)])
+
+
+_SIDES = _sides()  # Source: by construction
+
+
+def cut_valleys(mask: Grey, frames: LitDark, level: float) -> int:
+    """Zero the pixels of a mask (H, W) between lights of the difference; how many there are."""
+    flat = mask.reshape(-1)
+    words = flat[: flat.size - flat.size % 8].view(np.uint64)
+    return int(_cut_valleys(flat, words, frames.lit, frames.dark_or_nothing, level))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cut_valleys(
+    flat: Grey, words: npt.NDArray[np.uint64], lit: Grey, dark: Grey, level: float
+) -> int:
+    """A pixel of a valley has brighter ones within two pixels on opposite sides.
+
+    By the threshold, and by what Rayleigh asks of two points of light.
+    """
+    height, width = lit.shape
+    cut = 0
+    for w in range(words.shape[0] + 1):
+        if w < words.shape[0] and words[w] == 0:
+            continue
+        for at in range(8 * w, min(8 * w + 8, flat.shape[0])):
+            if flat[at] == 0:
+                continue
+            y, x = at // width, at % width
+            here = float(lit[y, x]) - float(dark[y, x])
+            for k in range(_SIDES.shape[0]):
+                sides = np.inf
+                for i in range(0, 4, 2):
+                    u, v = x + _SIDES[k, i], y + _SIDES[k, i + 1]
+                    if 0 <= v < height and 0 <= u < width:
+                        sides = min(sides, float(lit[v, u]) - float(dark[v, u]))
+                    else:
+                        sides = 0.0
+                    if here >= min(_RESOLVED * sides, sides - level):
+                        break
+                else:
+                    flat[at] = 0
+                    cut += 1
+                    break
+    return cut

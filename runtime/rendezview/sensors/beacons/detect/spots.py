@@ -24,12 +24,14 @@ from rendezview.estimation.spot_centroid import (
     saturated_error,
 )
 from rendezview.geometry.pose import Array
+from rendezview.sensors.beacons.detect.blended import parted
 from rendezview.sensors.beacons.detect.difference import (
     Centroid,
     Grey,
     LitDark,
     ThresholdOptions,
     background_of,
+    cut_valleys,
     drop_glare,
     faint_mask,
     noise_grey,
@@ -43,6 +45,7 @@ _FEWEST = 3  # spots that can be a target. Source: by construction
 _RISES = 10  # of the threshold, each by a half: up to 38 times. Source: by construction
 # σ between two centroids of one spot: further apart, something overlaps it. Source: reflector-nees
 _OVERLAP = 4.0
+_SEVERAL = 0.75  # small over large axis: one that is longer may be several. Source: by construction
 # share of a spot's size: moved further, it may not be the spot. Source: reflector-nees --seed 101
 _DOMINATED = 0.1
 # px by which a saturated spot's light passes the threshold beyond its disc. Source: by
@@ -71,6 +74,12 @@ LONG_X, LONG_XY = 20, 21  # Source: by construction
 RIVALS = 22  # spots like it beside it, where a window was read. Source: by construction
 COVER = 23  # px, the share of SIGMA by what lies over it. Source: by construction
 COLUMNS = 24  # Source: by construction
+_LOW, _HIGH = np.array([LEFT, TOP]), np.array([RIGHT, BOTTOM])  # Source: by construction
+_GAUSSIAN = np.array([X, Y, SIZE, AMPLITUDE])  # Source: by construction
+_RECORDED = {
+    "x_px": X, "y_px": Y, "area_px": AREA, "peak_grey": PEAK, "size_px": SIZE,
+    "saturated_px": SATURATED, "sigma_px": SIGMA,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,51 +124,76 @@ class SpotTable:
 
     def records(self) -> list[dict[str, float]]:
         """One mapping a spot, as a log has them."""
-        return [
-            {
-                "x_px": float(row[X]),
-                "y_px": float(row[Y]),
-                "area_px": int(row[AREA]),
-                "peak_grey": float(row[PEAK]),
-                "size_px": float(row[SIZE]),
-                "saturated_px": int(row[SATURATED]),
-                "sigma_px": float(row[SIGMA]),
-            }
-            for row in self.table
-        ]
+        kinds = {AREA: int, SATURATED: int}
+        columns = _RECORDED.items()
+        return [{k: kinds.get(n, float)(row[n]) for k, n in columns} for row in self.table]
 
 
 def find_spots(
-    frames: LitDark,
-    options: ThresholdOptions | None = None,
-    centroid: Centroid | None = None,
-    *,
-    faint: bool = False,
-) -> SpotTable:
-    """All spots of a picture, in the order in which a scan meets them.
+    frames: LitDark, options: ThresholdOptions | None = None, centroid: Centroid | None = None,
+    *, faint: bool = False,
+) -> SpotTable:  # fmt: skip
+    """All spots of a picture; those that run together are last.
 
     ``centroid`` wins over that of the options. ``faint``: look for spots below the threshold of
     single pixels too, as is done where fewer than three are above it.
     """
-    chosen = options or ThresholdOptions()
-    noise = noise_grey(frames)
+    chosen, noise = options or ThresholdOptions(), noise_grey(frames)
     table = np.zeros((MOST_SPOTS, COLUMNS))
     if frames.dark is None and chosen.lower_grey is None:
         count = _label_faint(frames.lit, noise, chosen, table)
     else:
         level = threshold_of(chosen, noise, frames)
         dark, count = frames.dark_or_nothing, 0
+        mask = spot_mask(frames, level, chosen)
         if not faint or chosen.lower_grey is not None:
-            count = _label(spot_mask(frames, level, chosen), frames.lit, dark, level, table)
+            count = _label(mask.copy(), frames.lit, dark, level, table)
         if 0 <= count < _FEWEST and chosen.lower_grey is None:
-            mask = faint_mask(frames.lit, dark, noise, chosen.faint_factor)
-            drop_glare(mask, frames, chosen)
-            count = _label(mask, frames.lit, dark, noise, table)
+            low = faint_mask(frames.lit, dark, noise, chosen.faint_factor)
+            drop_glare(low, frames, chosen)
+            others = np.zeros_like(table)
+            more = _label(low.copy(), frames.lit, dark, noise, others)
+            if not 0 <= more <= count:  # some are too faint for single pixels
+                count, table, mask = more, others, low
     overfull = count < 0
     found = table[: MOST_SPOTS if overfull else count]
     place(frames.lit, frames.dark_or_nothing, found, noise)
+    if frames.dark is not None and not overfull:
+        found = _parted(frames, mask, found, noise, level)
     recentre(found, noise, centroid or chosen.centroid)
     return SpotTable(found, overfull)
+
+
+def _parted(frames: LitDark, mask: Grey, table: Array, noise: float, level: float) -> Array:
+    """The rows (N, 24), with several for spots that run together, if a fit of all explains them.
+
+    ``mask`` (H, W) is that of the rows, and lost. Where fewer than three are found, a long one
+    may be several.
+    """
+    dark, starts, owners = frames.dark_or_nothing, table, np.arange(len(table))
+    if cut_valleys(mask, frames, level):
+        pieces = np.zeros((MOST_SPOTS, COLUMNS))
+        pieces = pieces[: max(_label(mask, frames.lit, dark, level, pieces), 0)]
+        place(frames.lit, dark, pieces, noise)
+        inside = pieces[:, None, _LOW] >= table[:, _LOW]
+        inside &= pieces[:, None, _HIGH] <= table[:, _HIGH]
+        owner = inside.all(axis=2).argmax(axis=1)
+        several = np.bincount(owner, minlength=len(table))[owner] > 1
+        whole = ~np.isin(owners, owner[several])
+        starts = np.vstack([table[whole], pieces[several]])
+        owners = np.concatenate([owners[whole], owner[several]])
+    clear = (starts[:, SATURATED] <= 1.0) & (starts[:, AMPLITUDE] > 0.0)
+    starts, owners = starts[clear], owners[clear]
+    half = 0.5 * (starts[:, _HIGH] - starts[:, _LOW]).max(axis=1, initial=0.0)
+    long = (starts[:, SHAPE] < _SEVERAL) & (len(table) < _FEWEST)
+    numbers, kept, parts = starts[:, _GAUSSIAN], np.ones(len(table), np.bool_), []
+    for group, found, errors in parted((frames.lit, dark), numbers, half, long, noise, level):
+        kept[owners[group]] = False
+        rows = starts[np.resize(group, len(found))]
+        rows[:, _GAUSSIAN], rows[:, SIGMA] = found, errors
+        rows[:, SHAPE], rows[:, LONG_X], rows[:, LONG_XY] = 1.0, 0.0, 0.0
+        parts.append(rows)
+    return np.vstack([table[kept], *parts]) if parts else table
 
 
 def _label_faint(lit: Grey, noise: float, options: ThresholdOptions, table: Array) -> int:
@@ -177,8 +211,7 @@ def _label_faint(lit: Grey, noise: float, options: ThresholdOptions, table: Arra
 
 def _label(mask: Grey, lit: Grey, dark: Grey, level: float, table: Array) -> int:
     flat = mask.reshape(-1)
-    whole = flat.size - flat.size % 8
-    words = flat[:whole].view(np.uint64)
+    words = flat[: flat.size - flat.size % 8].view(np.uint64)
     stack = np.empty(max(flat.size, 1), np.int32)
     return int(_label_loop(mask, words, lit, dark, level, stack, table))
 
