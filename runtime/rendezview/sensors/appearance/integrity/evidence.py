@@ -11,7 +11,8 @@ import numpy as np
 
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.judge.found import NEAR_RAD, Found
+from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.sketch_choice import NEAR_RAD
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
 
@@ -50,7 +51,6 @@ class Evidence:
     overshoot: float  # of bright outlines beyond the silhouette
     dark: bool  # the sky is
     shading: float  # agreement of bright and dark; NaN: not computed
-    votes: float  # log odds of the forest; NaN: not asked
     trees: float  # weights of the active nodes about the pose
     margin: float  # merit above the rival's
     rival_rad: float  # angle to the rival; NaN: there is none
@@ -103,7 +103,6 @@ class Evidence:
             overshoot=best.overshoot,
             dark=found.dark,
             shading=np.nan if best.shading is None else best.shading,
-            votes=np.nan if found.votes is None else found.votes,
             trees=float(observation.weights.sum()),
             margin=found.margin,
             rival_rad=rival_rad,

@@ -17,7 +17,6 @@ from rendezview.sensors.appearance.judge.found import Found, merit
 from rendezview.sensors.appearance.judge.level import Level
 from rendezview.sensors.appearance.judge.rivals import MERIT_WEIGHT, edge_scores
 from rendezview.sensors.appearance.judge.sketch_choice import sketch_merit
-from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
 from rendezview.sensors.appearance.sky import Sky
@@ -41,30 +40,28 @@ class Candidates:
     retrieval: Retrieval
     image: Picture
     sky: Sky
-    bodies: list[Outlines]
-    forest_scores: ForestScores | None = None
+    outlines: Outlines | None
     prior: bool = False  # the search starts from a prior
     bounds: tuple[Bound, ...] = ()  # of all poses
     _all: list[Hypothesis] = field(default_factory=list)
 
-    def add(self, refined: Iterable[Hypothesis | None]) -> bool:
-        """Take more poses, those within the bounds; whether there are any, within or not."""
-        found = [one for one in refined if one is not None]
-        may_be = (one for one in found if all(bound(one.pose) for bound in self.bounds))
-        self._all += [replace(one, overshoot=self._overshoot(one)) for one in may_be]
-        return bool(found)
+    def add(self, refined: Iterable[Hypothesis | None]) -> None:
+        """Take more poses, those within the bounds."""
+        for one in refined:
+            if one is not None and all(bound(one.pose) for bound in self.bounds):
+                self._all.append(replace(one, overshoot=self._overshoot(one)))
 
-    def refine(self, poses: Iterable[Pose], *, closely: bool = False, least: float = 0.0) -> bool:
+    def refine(self, poses: Iterable[Pose], *, closely: bool = False, least: float = 0.0) -> None:
         """Add the poses next to some that fit the edges; see ``Refiner.refine``."""
         image, sky, refine = self.image, self.sky, self.level.refiner.refine
-        return self.add(refine(image, sky, one, closely=closely, least=least) for one in poses)
+        self.add(refine(image, sky, one, closely=closely, least=least) for one in poses)
 
     def refine_best(
         self, rotations: Array, centres: Array, keep: int, *, least: float = 0.0
-    ) -> bool:
+    ) -> None:
         """Add the best of some starting poses, aligned; see ``Refiner.best``."""
         image, sky, best = self.image, self.sky, self.level.refiner.best
-        return self.add(best(image, sky, rotations, centres, keep, least=least))
+        self.add(best(image, sky, rotations, centres, keep, least=least))
 
     @property
     def most_inliers(self) -> Hypothesis | None:
@@ -137,7 +134,6 @@ class Candidates:
             self.sky.dark,
             self.prior,
             self._all[chosen.rivals[0]] if chosen.rivals else None,
-            self._votes(best),
             error_model=self.level.refiner.error_model,
         )
 
@@ -154,17 +150,8 @@ class Candidates:
         kept = {led[i][0] for i in firsts}
         return np.array([k for k in order if asked[k].on_sketch is None or int(k) in kept])
 
-    def _votes(self, one: Hypothesis) -> float | None:
-        """Log odds of the forest, of the outline that gives most; None before a bright sky."""
-        if self.forest_scores is None or not self.sky.dark:
-            return None
-        rotation = one.pose.rotation[None]
-        scores = [float(self.forest_scores.scores(b.signature, rotation)[0]) for b in self.bodies]
-        return max(scores, default=None)
-
     def _overshoot(self, one: Hypothesis) -> float:
-        """The largest of any outline; 0 before a bright sky, where outlines are uncertain."""
-        if not self.sky.dark:
+        """0 before a bright sky, where outlines are uncertain."""
+        if not self.sky.dark or self.outlines is None:
             return 0.0
-        pose = one.pose
-        return max((self.retrieval.overshoot(b.rays, pose) for b in self.bodies), default=0.0)
+        return self.retrieval.overshoot(self.outlines.rays, one.pose)

@@ -13,7 +13,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.hypothesis import Aligned, Hypothesis
 from rendezview.sensors.appearance.judge.sketch_choice import (
-    RIVAL_RAD,
+    NEAR_RAD,
     Passes,
     opinion_features,
     packaged,
@@ -36,9 +36,6 @@ _SHADING_WEIGHT = 0.4  # of a correlation
 # Of overshoot and of margin in the regression, which saturate there. Source: fixed with the fit of
 # error_model.json
 _MOST_FEATURE = 0.3
-# Rad; error of a pose that grey edges have moved, or whose joint is at a wrong angle. Source:
-# experiment pose-joints (0.1)
-NEAR_RAD = np.deg2rad(8.0)
 # Probability of a pose on a sketch; with less, the search holds it for wrong.
 # Source: by construction
 HELD_FOR_WRONG = 0.5
@@ -57,7 +54,6 @@ class Found:
     dark: bool  # the sky is dark
     prior: bool  # found near a prior
     rival: Hypothesis | None = None
-    votes: float | None = None  # log odds of the outline's forest about it; None: not asked
     single: bool = False  # only the pose next to the prior was tried
     weighed: tuple[Hypothesis, ...] = ()  # beside its look-alikes, likeliest first; (): not asked
     error_model: ErrorModel = field(default_factory=ErrorModel.packaged)
@@ -123,7 +119,7 @@ class Found:
 
     def with_opinion(self, second: Found, symmetries: Sequence[Symmetry]) -> Found:
         """The more confident of two choices on sketches, with the probability that both give."""
-        agree = bool(angle_between(self.best.pose, second.best.pose, symmetries) < RIVAL_RAD)
+        agree = bool(angle_between(self.best.pose, second.best.pose, symmetries) < NEAR_RAD)
         first, second = sorted((self, second), key=lambda one: -one.confidence)
         opinions = opinion_features(first.confidence, second.confidence, agree=agree)
         return replace(first, probability=float(expit(opinions @ packaged().opinions)))
