@@ -26,9 +26,9 @@ Indices = npt.NDArray[np.intp]
 # merit behind the best; shading is computed for poses closer than this. Source: by hand, seeds of
 # docs/notes/refinement.md
 _IN_DOUBT = 0.35
-# rad; a pose further away is another answer, as in the experiments. Source: the limit of a wrong
-# pose there
-_RIVAL_RAD = np.deg2rad(5.0)
+# rad; a pose, or the angle of a joint, further away is another answer, as in the experiments.
+# Source: the limit of a wrong pose there
+RIVAL_RAD = np.deg2rad(5.0)
 _MOST_RIVALS = 16  # that are drawn, of most merit. Source: by construction, a bound of time
 
 
@@ -140,13 +140,13 @@ class Candidates:
     def _same(self, k: int, known: int) -> bool:
         """Whether two poses are one answer."""
         a, b = self._all[k].pose, self._all[known].pose
-        return bool(angle_between(a, b, self.level.refiner.model.symmetries) <= _RIVAL_RAD)
+        return bool(angle_between(a, b, self.level.refiner.model.symmetries) <= RIVAL_RAD)
 
     def _one_each(self, order: Indices, asked: list[Hypothesis]) -> Indices:
         """Of the poses that a sketch leads to the same pose the first."""
         led = [(int(k), one.pose) for k in order if (one := asked[k].on_sketch) is not None]
         symmetries = self.level.refiner.model.symmetries
-        firsts = first_of_each((pose for _, pose in led), _RIVAL_RAD, symmetries)
+        firsts = first_of_each((pose for _, pose in led), RIVAL_RAD, symmetries)
         kept = {led[i][0] for i in firsts}
         return np.array([k for k in order if asked[k].on_sketch is None or int(k) in kept])
 

@@ -35,7 +35,7 @@ _LEAST_RESIDUAL_PX = 0.05
 _SHADING_WEIGHT = 0.4  # of a correlation
 # Of overshoot and of margin in the regression, which saturate there. Source: fixed with the fit of
 # error_model.json
-_MOST_FEATURE = 0.3
+MOST_FEATURE = 0.3
 # Probability of a pose on a sketch; with less, the search holds it for wrong.
 # Source: by construction
 HELD_FOR_WRONG = 0.5
@@ -98,8 +98,8 @@ class Found:
                 best.outline,
                 best.inner,
                 best.residual_px,
-                min(best.overshoot, _MOST_FEATURE),
-                min(max(self.margin, 0.0), _MOST_FEATURE),
+                min(best.overshoot, MOST_FEATURE),
+                min(max(self.margin, 0.0), MOST_FEATURE),
                 best.visible,
                 float(self.dark),
                 float(self.prior),

@@ -39,10 +39,8 @@ from rendezview.sensors.appearance.sky import Sky
 _CONFIDENT = 0.98  # probability; such a pose needs no further search, nor its shading
 _CONFIRMED = 0.9  # the same after a search. Source: as of a restart, TrackerOptions
 _REFINED_BRIEFLY = 2  # Source: experiment pose-joints (0.1)
-# Inlier ratio of the likeliest starts' best pose: below 0.3, no half turn of it has been right in
-# 120 frames of Mitsuba. Source: docs/notes/photographs.md
-_WORTH_TURNING = 0.2
-# The same after coarse alignment: of 252 right poses of Mitsuba none had less. Source: the same
+# Inlier ratio after coarse alignment, before a sketch: of 252 right poses of Mitsuba none had less.
+# Source: docs/notes/photographs.md
 _WORTH_REFINING = 0.15
 # Inlier ratio of a look-alike after the coarse stages, behind the best pose's: of 300 that come
 # within 0.15 of its merit, 1 % are farther behind. Source: docs/notes/rivals.md
@@ -132,7 +130,7 @@ class PoseSearch:
     ) -> Found | None:
         """``anywhere`` at the level of the candidates."""
         beside_sketch = give_up > 0.0  # it is better at what is hard here
-        least, worth = (_WORTH_REFINING, _WORTH_TURNING) if beside_sketch else (0.0, 0.0)
+        least = _WORTH_REFINING if beside_sketch else 0.0
         options = self.options
         most = options.retrieved_first if brief or beside_sketch else options.retrieved
         rotations, centres = self._retrieval.of(signature, most, candidates.sky.sun_camera)
@@ -141,7 +139,7 @@ class PoseSearch:
         if brief:
             return candidates.choose()
         best = candidates.most_inliers
-        if best is not None and best.inlier_ratio >= worth:
+        if best is not None:
             self._half_turned(candidates, best.pose, best.inlier_ratio)
         found = candidates.choose()
         if found is None or found.confidence < give_up:
