@@ -75,6 +75,7 @@ def evidence(time_s: float = 0.0, **changes: Any) -> Evidence:
         overshoot=0.0,
         dark=True,
         shading=np.nan,
+        votes=np.nan,
         trees=3.0,
         margin=1.0,
         rival_rad=np.nan,

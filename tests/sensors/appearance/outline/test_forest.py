@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.geodesic import angle_between, cosine_within
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.model.forest import (
     BINS,
     LEAF,
@@ -139,6 +140,36 @@ def test_the_forest_of_a_view_prefers_its_own_attitude(refining_model):
     assert np.mean(right) > 0.9
 
 
+def test_silencing_the_forest_costs_work(refining_model, bumpy_mesh, camera, draw, monkeypatch):
+    """What the forest says decides how many poses are aligned, and in which order."""
+    aligned: list[int] = []
+    first: list[np.ndarray] = []
+    best = Refiner.best
+
+    def counted(self, image, sky, rotations, centres, *args, **options):
+        aligned.append(len(rotations))
+        first.append(rotations[0].copy())
+        return best(self, image, sky, rotations, centres, *args, **options)
+
+    monkeypatch.setattr(Refiner, "best", counted)
+    work, orders = {}, {}
+    for name, model in (("learned", refining_model), ("silenced", silenced(refining_model))):
+        recognizer = Recognizer(model, camera, sketch=False)
+        aligned.clear()
+        starts = []
+        for k in range(8):
+            rng = np.random.default_rng([3, k])
+            rotation = Rotation.random(random_state=rng).as_matrix()
+            centre = np.array([0.0, 0.0, 8.0])
+            pose = Pose(rotation, centre - rotation @ refining_model.centre_m)
+            first.clear()
+            recognizer.recognize(draw(bumpy_mesh, pose, camera, rng))
+            starts.append(first[0])
+        work[name], orders[name] = sum(aligned), np.array(starts)
+    assert work["learned"] < 0.8 * work["silenced"]
+    assert not np.allclose(orders["learned"], orders["silenced"])
+
+
 def test_a_model_without_a_forest_works(refining_model, tmp_path, camera, draw, bumpy_mesh):
     path = tmp_path / "old.rvm"
     replace(refining_model, score_forest=None).save(path)
@@ -147,6 +178,7 @@ def test_a_model_without_a_forest_works(refining_model, tmp_path, camera, draw, 
     pose = Pose(np.eye(3), np.array([0.0, 0.0, 8.0]))
     observation = Recognizer(old, camera).recognize(draw(bumpy_mesh, pose, camera))
     assert observation.found is not None
+    assert observation.found.votes is None
 
 
 def test_alone_a_pose_that_the_forest_doubts_is_not_given(refining_model, bumpy_mesh, camera, draw):

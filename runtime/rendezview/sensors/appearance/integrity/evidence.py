@@ -51,6 +51,7 @@ class Evidence:
     overshoot: float  # of bright outlines beyond the silhouette
     dark: bool  # the sky is
     shading: float  # agreement of bright and dark; NaN: not computed
+    votes: float  # log odds of the forest; NaN: not asked
     trees: float  # weights of the active nodes about the pose
     margin: float  # merit above the rival's
     rival_rad: float  # angle to the rival; NaN: there is none
@@ -103,6 +104,7 @@ class Evidence:
             overshoot=best.overshoot,
             dark=found.dark,
             shading=np.nan if best.shading is None else best.shading,
+            votes=np.nan if found.votes is None else found.votes,
             trees=float(observation.weights.sum()),
             margin=found.margin,
             rival_rad=rival_rad,

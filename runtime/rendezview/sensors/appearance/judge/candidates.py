@@ -17,6 +17,7 @@ from rendezview.sensors.appearance.judge.found import Found, merit
 from rendezview.sensors.appearance.judge.level import Level
 from rendezview.sensors.appearance.judge.rivals import MERIT_WEIGHT, edge_scores
 from rendezview.sensors.appearance.judge.sketch_choice import sketch_merit
+from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
 from rendezview.sensors.appearance.sky import Sky
@@ -41,6 +42,7 @@ class Candidates:
     image: Picture
     sky: Sky
     outlines: Outlines | None
+    forest_scores: ForestScores | None = None
     prior: bool = False  # the search starts from a prior
     bounds: tuple[Bound, ...] = ()  # of all poses
     _all: list[Hypothesis] = field(default_factory=list)
@@ -134,6 +136,7 @@ class Candidates:
             self.sky.dark,
             self.prior,
             self._all[chosen.rivals[0]] if chosen.rivals else None,
+            self._votes(best),
             error_model=self.level.refiner.error_model,
         )
 
@@ -149,6 +152,13 @@ class Candidates:
         firsts = first_of_each((pose for _, pose in led), RIVAL_RAD, symmetries)
         kept = {led[i][0] for i in firsts}
         return np.array([k for k in order if asked[k].on_sketch is None or int(k) in kept])
+
+    def _votes(self, one: Hypothesis) -> float | None:
+        """Log odds of the forest; None before a bright sky."""
+        if self.forest_scores is None or self.outlines is None or not self.sky.dark:
+            return None
+        rotation = one.pose.rotation[None]
+        return float(self.forest_scores.scores(self.outlines.signature, rotation)[0])
 
     def _overshoot(self, one: Hypothesis) -> float:
         """0 before a bright sky, where outlines are uncertain."""

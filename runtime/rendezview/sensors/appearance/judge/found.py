@@ -54,6 +54,7 @@ class Found:
     dark: bool  # the sky is dark
     prior: bool  # found near a prior
     rival: Hypothesis | None = None
+    votes: float | None = None  # log odds of the outline's forest about it; None: not asked
     single: bool = False  # only the pose next to the prior was tried
     weighed: tuple[Hypothesis, ...] = ()  # beside its look-alikes, likeliest first; (): not asked
     error_model: ErrorModel = field(default_factory=ErrorModel.packaged)

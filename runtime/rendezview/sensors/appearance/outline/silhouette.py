@@ -246,10 +246,11 @@ def silhouette_of_mask(
     """The silhouette that a mask (H, W) shows, 255 on the target.
 
     Args:
-        mask: drawn, without noise.
+        mask: of a drawing, or of a sketch.
         options: which of its pieces belong together; ``None``: all of them.
     """
-    borders, area_px = outer_borders(mask), float(np.count_nonzero(mask))
+    borders = outer_borders(mask if options is None else without_specks(mask))
+    area_px = float(np.count_nonzero(mask))
     if options is not None:
         if not borders:
             return Missing(Status.EMPTY, "nothing that looks like a spacecraft stands out")

@@ -17,7 +17,7 @@ from rendezview.sensors.appearance.outline.retrieval import Retrieval
 _STARTS = 60  # most similar silhouettes, whole and sunlit. Source: that of the search on edges
 _STARTS_NEAR = 1000  # before those far from a prior are left out. Source: by construction
 _BESIDE_RAD = np.deg2rad(5.0)  # rad; of a view beyond the prior's error. Source: views' spacing
-_VOTES_WORTH = 0.3  # of the log of the rank by similarity. Source: tree-ablation (0.1), seed 4101
+VOTES_WORTH = 0.3  # of the log of the rank by similarity. Source: tree-ablation (0.1), seed 4101
 _LEAST_VOTES = -0.5  # log odds about the pose. Source: experiment tree-ablation (0.1), seed 4101
 # The same near a prior, which leaves fewer other views to tell from.
 _LEAST_VOTES_NEAR = 0.5  # Source: experiment recognition-accuracy, seed 77
@@ -63,7 +63,7 @@ class VotedPose:
         scores = self._forest_scores.scores(signature, rotations)
         # Whole and sunlit silhouettes come in turns.
         rank = np.log1p(np.arange(len(rotations)) // 2)
-        best = int(np.argmax(_VOTES_WORTH * scores - rank))
+        best = int(np.argmax(VOTES_WORTH * scores - rank))
         rotation = self._averaged(signature, rotations[best])
         votes = float(self._forest_scores.scores(signature, rotation[None])[0])
         cosines = 0.5 * (np.einsum("kij,ij->k", rotations, rotations[best]) - 1.0)

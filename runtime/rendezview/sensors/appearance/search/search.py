@@ -21,9 +21,10 @@ from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.hypothesis import Bound
 from rendezview.sensors.appearance.judge.candidates import Candidates
 from rendezview.sensors.appearance.judge.found import Found
-from rendezview.sensors.appearance.model.signature import Outlines, Signature
+from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
+from rendezview.sensors.appearance.outline.voted import VOTES_WORTH
 from rendezview.sensors.appearance.search.levels import Levels
 from rendezview.sensors.appearance.search.starts import (
     half_turns,
@@ -38,7 +39,11 @@ from rendezview.sensors.appearance.sky import Sky
 # Source: commit 7a5ba6e, experiment pose-accuracy
 _CONFIDENT = 0.98  # probability; such a pose needs no further search, nor its shading
 _CONFIRMED = 0.9  # the same after a search. Source: as of a restart, TrackerOptions
-_REFINED_BRIEFLY = 2  # Source: experiment pose-joints (0.1)
+_REFINED_OF_VOTED = 2  # Source: experiment tree-ablation (0.1), seed 4101
+# Log odds of the nodes about a pose: a forest that knows nothing gives −2.2, the share of a node's
+# views among its samples. Source: experiment tree-ablation (0.1), seed 4101
+_LEAST_VOTES = -2.0
+_LEAST_LEAD = 0.5  # log odds above every half turn. Source: tree-ablation (0.1), seed 4101
 # Inlier ratio after coarse alignment, before a sketch: of 252 right poses of Mitsuba none had less.
 # Source: docs/notes/photographs.md
 _WORTH_REFINING = 0.15
@@ -62,6 +67,9 @@ class SearchOptions:
     # Views and rolls that are aligned without a prior. Source: by hand, seeds of
     # docs/notes/refinement.md
     retrieved: int = 60
+    # With a forest: the likeliest are aligned first, and two of them refined. Where edges and the
+    # forest agree on a pose, nothing else is tried. Source: tree-ablation (0.1), seed 4101
+    voted_first: int = 8
     retrieved_first: int = 20  # the same where a sketch comes next. Source: commit cb7137c
     refined: int = 6  # of them that are refined. Source: by hand, seeds of docs/notes/refinement.md
     # The same near a prior. Source: by hand, seeds of docs/notes/refinement.md
@@ -81,6 +89,7 @@ class PoseSearch:
         self.levels = Levels(model, camera)
         self.bounds: tuple[Bound, ...] = ()  # of all poses
         self._retrieval = Retrieval(model)
+        self._forest_scores = model.forest_scores()  # None: the model has no forest
         self._half_turns, self._quarter_turns = half_turns(model), quarter_turns(model)
 
     def with_camera(self, camera: Camera, *bounds: Bound) -> PoseSearch:
@@ -103,7 +112,10 @@ class PoseSearch:
         range_m = self.levels.range_m(size) if isinstance(size, Pose) else size
         level, image, sky = self.levels.at(image, sky, range_m)
         bounds = self.bounds if prior is None else (*self.bounds, prior)
-        return Candidates(level, self._retrieval, image, sky, outlines, prior is not None, bounds)
+        scores = self._forest_scores if prior is None else None
+        return Candidates(
+            level, self._retrieval, image, sky, outlines, scores, prior is not None, bounds
+        )
 
     def anywhere(
         self, image: Picture, sky: Sky, outlines: Outlines, *, brief: bool = False,
@@ -122,20 +134,23 @@ class PoseSearch:
         times = self.levels.whole.camera.width // candidates.level.camera.width
         if times > 1:  # the outlines are finer than the picture
             candidates.outlines = Outlines([r[::times].copy() for r in outlines.rays], signature)
-        found = self._from_outlines(candidates, signature, brief, give_up)
+        found = self._from_outlines(candidates, candidates.outlines or outlines, brief, give_up)
         return self.levels.finished(found, image, sky)
 
     def _from_outlines(
-        self, candidates: Candidates, signature: Signature, brief: bool, give_up: float
+        self, candidates: Candidates, outlines: Outlines, brief: bool, give_up: float
     ) -> Found | None:
         """``anywhere`` at the level of the candidates."""
-        beside_sketch = give_up > 0.0  # it is better at what is hard here
+        options, beside_sketch = self.options, give_up > 0.0  # it is better at what is hard here
         least = _WORTH_REFINING if beside_sketch else 0.0
-        options = self.options
+        rotations, centres = self._voted(outlines, options.retrieved, candidates.sky)
+        if self._forest_scores is not None and candidates.sky.dark:
+            agreed = self._agreed(candidates, outlines, rotations, centres, least)
+            if agreed is not None:
+                return self._beside_look_alikes(candidates, agreed)
         most = options.retrieved_first if brief or beside_sketch else options.retrieved
-        rotations, centres = self._retrieval.of(signature, most, candidates.sky.sun_camera)
-        keep = _REFINED_BRIEFLY if brief else options.refined
-        candidates.refine_best(rotations, centres, keep, least=least)
+        keep = _REFINED_OF_VOTED if brief else options.refined
+        candidates.refine_best(rotations[:most], centres[:most], keep, least=least)
         if brief:
             return candidates.choose()
         best = candidates.most_inliers
@@ -168,6 +183,35 @@ class PoseSearch:
         # Grey edges have no hold there: it has their least merit.
         candidates.add([replace(sketched.best, outline=0.0, inner=0.0)])
         return candidates.weighed(sketched.aligned)
+
+    def _voted(self, outlines: Outlines, most: int, sky: Sky) -> tuple[Array, Array]:
+        """Starting poses in the order of similarity and votes together, likeliest first."""
+        signature = outlines.signature
+        rotations, centres = self._retrieval.of(signature, most, sky.sun_camera)
+        if self._forest_scores is None:
+            return rotations, centres
+        # Whole and sunlit silhouettes come in turns.
+        rank = np.log1p(np.arange(len(rotations)) // 2)
+        votes = VOTES_WORTH * self._forest_scores.scores(signature, rotations)
+        order = np.argsort(rank - votes, kind="stable")
+        return rotations[order], centres[order]
+
+    def _agreed(
+        self, candidates: Candidates, outlines: Outlines, rotations: Array, centres: Array,
+        least: float,
+    ) -> Found | None:  # fmt: skip
+        """The pose on which edges and forest agree, from the likeliest starts; None without one."""
+        assert self._forest_scores is not None
+        first = slice(0, self.options.voted_first)
+        starts = rotations[first].copy(), centres[first].copy()
+        candidates.refine_best(*starts, _REFINED_OF_VOTED, least=least)
+        found = candidates.choose()
+        if found is None or found.confidence < _CONFIDENT or found.votes is None:
+            return None
+        turned = found.best.pose.rotation @ self._half_turns
+        other = float(np.max(self._forest_scores.scores(outlines.signature, turned)))
+        leads = found.votes >= _LEAST_VOTES and found.votes - other >= _LEAST_LEAD
+        return found if leads else None
 
     def at(
         self, image: Picture, sky: Sky, prior: Pose, error_rad: float,
