@@ -10,12 +10,12 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 from joblib import Parallel, delayed
-from scipy.spatial.transform import Rotation
 
 from experiments.frame import kept, show, table_of, unit
 from experiments.pose.frames import one_frame
 from experiments.pose.sketch_confidence import frame as hard_light
 from rendezview import Camera, Pose, Recognizer, TrainingOptions, ViewModel
+from rendezview.estimation.motion import extrapolate
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
 from rendezview_ground.learn.job import train
@@ -68,10 +68,9 @@ def picture(number: int, camera: Camera, k: int, seed: int) -> tuple[Any, Camera
 
 def off(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Pose:
     """A prior."""
-    turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(0.0, PRIOR_DEG)) * unit(rng)).as_matrix()
-    rotation, centre = turn @ truth.rotation, truth.apply(centre_m)
-    centre = centre + PRIOR_RANGE * np.linalg.norm(centre) * unit(rng)
-    return Pose(rotation, centre - rotation @ centre_m)
+    turn = np.deg2rad(rng.uniform(0.0, PRIOR_DEG)) * unit(rng)
+    move = PRIOR_RANGE * np.linalg.norm(truth.apply(centre_m)) * unit(rng)
+    return extrapolate(truth, np.append(turn, move), 1.0, centre_m)
 
 
 def rows_of(number: int, seed: int, frames: int, folder: Path) -> Rows:

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from experiments.frame import error_of, nees, show, table_of, two
 from rendezview import Camera, Pose, Recognizer, ViewModel, open_sequence
 from rendezview.calibration.as_built import ShapeEstimator, strained
+from rendezview.estimation.motion import extrapolate
 
 RIGHT_DEG, WRONG_DEG, CLOSE_DEG = 5.0, 10.0, 2.0
 PRIOR_DEG, PRIOR_SHARE = 5.0, 0.02  # errors of the priors
@@ -21,9 +21,8 @@ PRIOR_DEG, PRIOR_SHARE = 5.0, 0.02  # errors of the priors
 def near(pose: Pose, rng: np.random.Generator) -> Pose:
     """A pose off in a random direction: PRIOR_DEG, and PRIOR_SHARE of the distance."""
     turn, move = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
-    rotation = Rotation.from_rotvec(np.deg2rad(PRIOR_DEG) * turn).as_matrix() @ pose.rotation
     far = np.linalg.norm(pose.translation_m)
-    return Pose(rotation, pose.translation_m + PRIOR_SHARE * far * move)
+    return extrapolate(pose, np.append(np.deg2rad(PRIOR_DEG) * turn, PRIOR_SHARE * far * move), 1.0)
 
 
 def look(recognizer: Recognizer, picture: np.ndarray, truth: Pose, prior: Pose | None) -> dict:

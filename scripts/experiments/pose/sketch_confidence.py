@@ -25,6 +25,7 @@ from sklearn.linear_model import LogisticRegression
 
 from experiments.frame import error_of, nees
 from rendezview import Camera, Pose, Recognizer, TrainingOptions, ViewModel, load_mesh
+from rendezview.estimation.motion import extrapolate
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.judge import sketch_choice
@@ -140,15 +141,14 @@ def look(path: Path, mesh: Mesh, target: int, seed: int, k: int) -> list[Searche
     if search is None:
         raise SystemExit("the model has no sketches: train it again")
     turn, move = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
-    turned = Rotation.from_rotvec(np.deg2rad(rng.uniform(0.0, PRIOR_DEG)) * turn).as_matrix()
-    centre = truth.apply(model.centre_m)
-    start = turned @ truth.rotation
-    place = centre + PRIOR_SHARE * np.linalg.norm(centre) * move - start @ model.centre_m
+    turn = np.deg2rad(rng.uniform(0.0, PRIOR_DEG)) * turn
+    move = PRIOR_SHARE * np.linalg.norm(truth.apply(model.centre_m)) * move
+    prior = extrapolate(truth, np.append(turn, move), 1.0, model.centre_m)
     first = _searched(search, picture, truth, None, target)
     if first is not None:
         second = _searched(search, picture, truth, None, target, turned=True)
         first = replace(first, second=second)
-    near = _searched(search, picture, truth, Pose(start, place), target)
+    near = _searched(search, picture, truth, prior, target)
     return [one for one in (first, near) if one is not None]
 
 
@@ -250,7 +250,7 @@ def with_second_opinions(
         low, high = sorted((first[k], second[k]))
         which.append(k)
         features.append(
-            sketch_choice.opinion_features(high, low, agree=bool(apart < sketch_choice.RIVAL_RAD))
+            sketch_choice.opinion_features(high, low, agree=bool(apart < sketch_choice.NEAR_RAD))
         )
         if second[k] > first[k]:  # the second one is more confident
             good[k], wrong[k] = one.second.right(other), one.second.error_deg(other) > WRONG_DEG

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rendezview.sensors.appearance.outline import bright_sky, silhouette
+from rendezview.sensors.appearance.outline import silhouette
 from rendezview.sensors.appearance.outline.silhouette import (
     Cleaning,
     Missing,
@@ -105,13 +105,11 @@ def test_the_body_of_a_speckled_frame_is_found():
     assert found.area_px == pytest.approx(np.pi * DISC[1] ** 2, rel=0.01)
 
 
-def test_of_odds_that_are_speckled_few_blobs_are_traced(monkeypatch):
-    class Noise:
-        def log_odds(self, image: np.ndarray) -> np.ndarray:
-            return np.random.default_rng(2).normal(-1.0, 1.5, image.shape).astype(np.float32)
-
-    odds = Noise().log_odds(speckled())
-    traced = traced_by(bright_sky, monkeypatch)
-    body = bright_sky._body(odds, 1.5)
+def test_of_a_sketch_that_is_speckled_few_blobs_are_traced(monkeypatch):
+    odds = np.random.default_rng(2).normal(-1.0, 1.5, SIZE)
+    traced = traced_by(silhouette, monkeypatch)
+    body = silhouette.silhouette_of_mask(
+        np.where(odds > 0.5, 255, 0).astype(np.uint8), SilhouetteOptions()
+    )
     assert max(traced) <= MOST_BLOBS
     assert isinstance(body, Missing)

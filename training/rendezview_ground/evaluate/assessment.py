@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
+from rendezview.estimation.motion import extrapolate
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import nearest_alike
@@ -140,12 +141,10 @@ def second_earlier(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Po
     """A prior off by at most 5°, and by 3 % of the range along and 1 % across the line of sight."""
     axis = rng.normal(size=3)
     turn = axis / np.linalg.norm(axis) * rng.uniform(0.0, _PRIOR_RAD)
-    rotation = Rotation.from_rotvec(turn).as_matrix() @ truth.rotation
     centre = truth.apply(centre_m)
-    range_m = float(np.linalg.norm(centre))
-    centre = centre * (1.0 + rng.uniform(-_PRIOR_RANGE, _PRIOR_RANGE))
-    centre[:2] += rng.uniform(-_PRIOR_BEARING, _PRIOR_BEARING, 2) * range_m
-    return Pose(rotation, centre - rotation @ centre_m)
+    move = centre * rng.uniform(-_PRIOR_RANGE, _PRIOR_RANGE)
+    move[:2] += rng.uniform(-_PRIOR_BEARING, _PRIOR_BEARING, 2) * np.linalg.norm(centre)
+    return extrapolate(truth, np.append(turn, move), 1.0, centre_m)
 
 
 def assess(
@@ -278,10 +277,9 @@ class _Scene:
     def before(self, model: ViewModel, rng: np.random.Generator) -> Pose:
         """The pose of the frame before: turned by 5° about a random axis, and farther away."""
         axis = rng.normal(size=3)
-        turn = Rotation.from_rotvec(_STEP_RAD * axis / np.linalg.norm(axis)).as_matrix()
-        rotation = turn @ self.pose.rotation
-        centre = (1.0 + _STEP_RANGE) * self.pose.apply(model.centre_m)
-        return Pose(rotation, centre - rotation @ model.centre_m)
+        turn = _STEP_RAD * axis / np.linalg.norm(axis)
+        move = _STEP_RANGE * self.pose.apply(model.centre_m)
+        return extrapolate(self.pose, np.append(turn, move), 1.0, model.centre_m)
 
     def conditions(self, model: ViewModel) -> list[float]:
         """Direction, range, phase, Earth: a column of `Conditions`."""

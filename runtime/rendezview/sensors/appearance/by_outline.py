@@ -19,11 +19,10 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contour_at import target_box
-from rendezview.sensors.appearance.edges.network import Sketch, Sketcher
+from rendezview.sensors.appearance.edges.network import Sketch, Sketcher, around
 from rendezview.sensors.appearance.model.signature import Outlines, Signature
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation, StageClock
-from rendezview.sensors.appearance.outline.bright_sky import find_bodies
 from rendezview.sensors.appearance.outline.cut_out import CutOut
 from rendezview.sensors.appearance.outline.interpolation import Interpolator
 from rendezview.sensors.appearance.outline.placement import node_points, place
@@ -52,8 +51,8 @@ _AREA_PX = 640 * 480
 class Traced:
     """The silhouette of the target in a frame, or the reason for none."""
 
-    silhouette: Silhouette | None  # the likeliest, if there are several
-    outlines: list[Outlines]  # of each silhouette that encloses an area
+    silhouette: Silhouette | None
+    outlines: Outlines | None  # of a silhouette that encloses an area
     missing: Missing | None = None
     sketch: Sketch | None = None  # before a bright sky
 
@@ -90,7 +89,7 @@ class OutlineRecognition:
     def trace(
         self, frame: Picture, prior: Pose | None, clock: StageClock, *, bright_sky: bool
     ) -> Traced:
-        """Silhouettes and their signatures; several silhouettes before a bright sky.
+        """The silhouette and its signature.
 
         Args:
             frame: (H, W) of the camera's size.
@@ -98,40 +97,45 @@ class OutlineRecognition:
             clock: counts the stages ``silhouette`` and ``signature``.
             bright_sky: whether a sketch shows the target.
         """
-        bodies: list[Silhouette] | Missing | None = None
+        body: Silhouette | Missing | None = None
         sketch: Sketch | None = None
         region = self._region
         if region is not None and region.mask is not None:
-            told = silhouette_of_mask(region.mask)
-            bodies = told if isinstance(told, Missing) else [told]
+            body = silhouette_of_mask(region.mask)
         elif bright_sky:
-            sketch, bodies = self._sketched(frame, prior)
-        if bodies is None or isinstance(bodies, Missing):
+            sketch, body = self._sketched(frame, prior)
+        if body is None or isinstance(body, Missing):
             expected_px = None
             if region is not None and region.place_px is not None:
                 expected_px = region.place_px - region.part[:2]
             if prior is not None:
                 centre = prior.apply(self.model.centre_m)
                 expected_px = self.camera.project(centre) if centre[2] > 0.0 else None
-            found = find_silhouette(frame, self.silhouette_options, expected_px)
-            bodies = found if isinstance(found, Missing) else [found]
+            body = find_silhouette(frame, self.silhouette_options, expected_px)
         clock.lap("silhouette")
-        return replace(self._traced(bodies, clock), sketch=sketch)
+        return replace(self._traced(body, clock), sketch=sketch)
 
     def _sketched(
         self, frame: Picture, prior: Pose | None
-    ) -> tuple[Sketch | None, list[Silhouette] | Missing | None]:
-        """The sketch of a frame, and the bodies on it; None: it shows none.
+    ) -> tuple[Sketch | None, Silhouette | Missing | None]:
+        """The sketch of a frame, and the body on it; None: it shows none.
 
-        Without a prior, they are those of a finer one.
+        Without a prior, it is that of a finer one.
         """
+        region = self._region
         if prior is not None:
             sketch = finer = self.sketcher.near(frame, target_box(self.model, self.camera, prior))
         else:
-            sketch = finer = self.sketcher.find(frame)
+            box = None if region is None else region.told_box
+            look = self.sketcher.look
+            sketch = self.sketcher.find(frame) if box is None else look(frame, around(box))
             finer = None if sketch is None else self.sketcher.closer(frame, sketch)
         times = max(1, math.isqrt(frame.size // _AREA_PX))
-        return sketch, None if finer is None else find_bodies(finer.odds(frame.shape, times), times)
+        if finer is None:
+            return sketch, None
+        mask = np.where(finer.odds(frame.shape, times) > 0.0, 255, 0).astype(np.uint8)
+        body = silhouette_of_mask(mask, self.silhouette_options)
+        return sketch, body if isinstance(body, Missing) else body.enlarged(times)
 
     def seen(self, traced: Traced, pose: Pose, clock: StageClock) -> AppearanceObservation:
         """An outline in which the trees look at a pose when asked; see `read`."""
@@ -163,30 +167,26 @@ class OutlineRecognition:
         options = self._options_of_means if cut.times > 1 else self.silhouette_options
         found = find_silhouette(cut.picture, options, cut.centre_px)
         clock.lap("silhouette")
-        return self._traced(found if isinstance(found, Missing) else [cut.in_frame(found)], clock)
+        return self._traced(found if isinstance(found, Missing) else cut.in_frame(found), clock)
 
-    def _traced(self, bodies: list[Silhouette] | Missing, clock: StageClock) -> Traced:
-        if isinstance(bodies, Missing):
-            return Traced(None, [], bodies)
-        outlines = []
-        for body in bodies:
-            every = self.camera.rays(np.concatenate(body.outlines_px))
-            ends = list(accumulate(map(len, body.outlines_px), initial=0))
-            rays = [every[start:end] for start, end in pairwise(ends)]
-            signature = Signature.of_outlines(rays, self.model.bins, self.model.smooth_bins)
-            if signature is not None:
-                outlines.append(Outlines(rays, signature))
+    def _traced(self, body: Silhouette | Missing, clock: StageClock) -> Traced:
+        if isinstance(body, Missing):
+            return Traced(None, None, body)
+        every = self.camera.rays(np.concatenate(body.outlines_px))
+        ends = list(accumulate(map(len, body.outlines_px), initial=0))
+        rays = [every[start:end] for start, end in pairwise(ends)]
+        signature = Signature.of_outlines(rays, self.model.bins, self.model.smooth_bins)
         clock.lap("signature")
-        return Traced(bodies[0], outlines)
+        return Traced(body, None if signature is None else Outlines(rays, signature))
 
     def read(self, traced: Traced, pose: Pose, clock: StageClock) -> OutlineReading:
         """Active nodes about a pose that needs no search, camera_from_target.
 
         They have points unless the outline is unlike the view that they agree on.
         """
-        if not traced.outlines:
+        if traced.outlines is None:
             return OutlineReading(traced.silhouette)
-        signature = traced.outlines[0].signature
+        signature = traced.outlines.signature
         match = self.matcher.at(signature, pose)
         reading = OutlineReading(traced.silhouette, signature)
         if match is not None:
@@ -208,7 +208,7 @@ class OutlineRecognition:
         *,
         alone: bool = False,
     ) -> AppearanceObservation:
-        """Active nodes of the likeliest silhouette, and the coarse pose they vote for.
+        """Active nodes of the silhouette, and the coarse pose they vote for.
 
         Args:
             traced: what `trace` has found.
@@ -228,9 +228,9 @@ class OutlineRecognition:
             return AppearanceObservation(status, reason, outline=outline, stage_ms=stage_ms)
 
         reading = OutlineReading(traced.silhouette)
-        if not traced.outlines:
+        if traced.outlines is None:
             return seen(Status.SMALL, "the silhouette encloses no area", reading)
-        signature = traced.outlines[0].signature
+        signature = traced.outlines.signature
         reading = replace(reading, signature=signature)
         # A target off the boresight shows the side that its own line of sight meets.
         centred = None if prior is None else signature.centred_from_camera @ prior.rotation

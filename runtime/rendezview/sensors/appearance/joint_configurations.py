@@ -13,12 +13,11 @@ from rendezview.geometry.joint import Joint, apart
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
 from rendezview.sensors.appearance.hypothesis import Hypothesis
+from rendezview.sensors.appearance.judge.candidates import RIVAL_RAD
 from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
-# Rad; a pose or an angle further away is another answer. Source: as in the experiments
-_OTHER_RAD = np.deg2rad(5.0)
 _AS_GOOD = 0.03  # merit; poses that differ by less fit as well. Source: pose-joints (0.1)
 # Rad, of an angle, where its edges are looked for again. Source: pose-joints (0.1)
 _ASIDE_RAD = np.deg2rad([-9.0, -6.0, -3.0, 3.0, 6.0, 9.0])
@@ -62,7 +61,7 @@ def _spread(found: Found, others: Sequence[Found], joints: Sequence[Joint]) -> H
         other = one.best
         if other.angles_rad is None or found.merit - one.merit > _AS_GOOD:
             continue
-        if best.pose.angle_to(other.pose) > _OTHER_RAD:
+        if best.pose.angle_to(other.pose) > RIVAL_RAD:
             continue
         moved = rates_between(best.pose, other.pose, 1.0)
         away = np.concatenate([moved, apart(joints, other.angles_rad, best.angles_rad)])
@@ -85,9 +84,9 @@ def around(joints: Sequence[Joint], angles_rad: Array) -> list[Array]:
 def _another(a: Found, b: Found, model: ViewModel) -> bool:
     """Whether two configurations give different answers."""
     one, other = a.best, b.best
-    if angle_between(one.pose, other.pose, model.symmetries) > _OTHER_RAD:
+    if angle_between(one.pose, other.pose, model.symmetries) > RIVAL_RAD:
         return True
     if one.angles_rad is None or other.angles_rad is None:
         return False
     angles = apart(model.joints, one.angles_rad, other.angles_rad)
-    return bool(np.abs(angles).max() > _OTHER_RAD)
+    return bool(np.abs(angles).max() > RIVAL_RAD)

@@ -16,8 +16,9 @@ from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
-from rendezview.sensors.appearance.judge.found import NEAR_RAD, Found
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.rivals import Rivals
+from rendezview.sensors.appearance.judge.sketch_choice import NEAR_RAD
 from rendezview.sensors.appearance.model.joint_angles import JointAngles
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import (
@@ -154,7 +155,7 @@ class PoseFinder:
         """Without a prior: by the outline, then on a sketch."""
         traced = self.outline.trace(frame, None, clock, bright_sky=not sky.dark)
         found, sketched = None, None
-        if traced.outlines:
+        if traced.outlines is not None:
             give_up = 0.0 if self.sketch is None else _LEAST_CONFIDENT
             found = search.anywhere(frame, sky, traced.outlines, give_up=give_up)
             clock.lap("refine")
@@ -182,7 +183,9 @@ class PoseFinder:
         if given is not None and doubt is None:
             return self._given(self.outline.seen(traced, given.best.pose, clock), given)
         seen = refused(self.outline.recognize(traced, None, None, clock), surer)
-        return seen if doubt is None else contradicted(seen, doubt)
+        if doubt is None or self.region is None:
+            return seen
+        return contradicted(seen, doubt, boxed=not self.region.is_open)
 
     def _among_others(self, seen: AppearanceObservation, request: Request) -> AppearanceObservation:
         """The pose of the body that is the target, where a frame is full of other things.
@@ -211,7 +214,7 @@ class PoseFinder:
         if choice is None:
             return seen
         if choice.rivals:
-            reason = f"{len(given)} bodies look like the target: say where it is (roi)"
+            reason = f"{len(given)} bodies look like the target: give a box around it (roi)"
             return replace(seen, status=Status.RIVALS, reason=reason)
         best = given[choice.best][0]
         best.stage_ms.clear()

@@ -18,7 +18,7 @@ from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
 from rendezview.sensors.appearance.integrity.evidence import Second
 from rendezview.sensors.appearance.joint_configurations import around, best_of
-from rendezview.sensors.appearance.judge.found import NEAR_RAD
+from rendezview.sensors.appearance.judge.sketch_choice import NEAR_RAD
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation, StageClock
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
@@ -239,7 +239,7 @@ def _likely(
         assert one.search is not None
         one.search.levels.start_at(one.model.angles_rad)
         found = None
-        if traced.outlines:
+        if traced.outlines is not None:
             found = one.search.anywhere(frame, sky, traced.outlines, brief=True)
         merits.append(-np.inf if found is None else found.merit)
         observations.append(AppearanceObservation(Status.LOST, found=found))

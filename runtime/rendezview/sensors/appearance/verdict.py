@@ -11,7 +11,8 @@ import numpy as np
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.hypothesis import Hypothesis
-from rendezview.sensors.appearance.judge.found import HELD_FOR_WRONG, NEAR_RAD, Found
+from rendezview.sensors.appearance.judge.found import HELD_FOR_WRONG, Found
+from rendezview.sensors.appearance.judge.sketch_choice import NEAR_RAD
 from rendezview.sensors.appearance.observation import CLOSE_MARGIN, AppearanceObservation
 from rendezview.sensors.observation import Status
 
@@ -141,10 +142,13 @@ def contradiction(
     return None
 
 
-def contradicted(seen: AppearanceObservation, why: str) -> AppearanceObservation:
-    """The refused observation of a frame whose grey edges and sketch do not agree."""
-    reason = f"{why}: give a prior, or say where the target is (roi)"
-    return replace(seen, status=Status.AMBIGUOUS, reason=reason)
+def contradicted(seen: AppearanceObservation, why: str, *, boxed: bool) -> AppearanceObservation:
+    """The refused observation of a frame whose grey edges and sketch do not agree.
+
+    ``boxed``: the box of the target is known already.
+    """
+    also = "" if boxed else ", or a box around the target (roi)"
+    return replace(seen, status=Status.AMBIGUOUS, reason=f"{why}: give a prior{also}")
 
 
 def unconfirmed(seen: AppearanceObservation) -> AppearanceObservation:

@@ -37,7 +37,7 @@ def test_a_proposal_that_is_half_a_turn_off_leads_to_the_pose(
     search = PoseSearch(refining_model, camera)
     frame = draw(bumpy_mesh, truth, camera)
     wrong = turned(truth, half_turns(refining_model)[axis], refining_model.centre_m)
-    found = search.proposed(frame, Sky.of(frame), [wrong], [])
+    found = search.proposed(frame, Sky.of(frame), [wrong], None)
     assert found is not None
     assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
     assert not found.prior  # the proposal is no evidence of its own
@@ -50,9 +50,9 @@ def test_half_turns_are_left_out_where_the_witness_has_ruled_them_out(
     search = PoseSearch(refining_model, camera)
     frame = draw(bumpy_mesh, truth, camera)
     wrong = turned(truth, half_turns(refining_model)[0], refining_model.centre_m)
-    found = search.proposed(frame, Sky.of(frame), [wrong], [], half_turns=False)
+    found = search.proposed(frame, Sky.of(frame), [wrong], None, half_turns=False)
     assert found is None or found.best.pose.angle_to(truth) > np.deg2rad(90.0)
-    right = search.proposed(frame, Sky.of(frame), [truth], [], half_turns=False)
+    right = search.proposed(frame, Sky.of(frame), [truth], None, half_turns=False)
     assert right is not None
     assert right.best.pose.angle_to(truth) < np.deg2rad(0.5)
 
@@ -98,7 +98,7 @@ def test_of_several_proposals_the_edges_choose(refining_model, bumpy_mesh, camer
     aside = Pose(truth.rotation, truth.translation_m).perturbed([0.03, -0.02, 0.02, 0.0, 0.0, 0.0])
     quarter = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     other = turned(truth, quarter, refining_model.centre_m)
-    found = search.proposed(frame, Sky.of(frame), [other, aside], [])
+    found = search.proposed(frame, Sky.of(frame), [other, aside], None)
     assert found is not None
     assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
 
@@ -106,7 +106,7 @@ def test_of_several_proposals_the_edges_choose(refining_model, bumpy_mesh, camer
 def test_an_empty_frame_bears_no_proposal_out(refining_model, camera, truth):
     frame = np.random.default_rng(1).normal(8.0, 2.0, (camera.height, camera.width))
     frame = np.clip(frame, 0, 255).astype(np.uint8)
-    found = PoseSearch(refining_model, camera).proposed(frame, Sky.of(frame), [truth], [])
+    found = PoseSearch(refining_model, camera).proposed(frame, Sky.of(frame), [truth], None)
     assert found is None or found.confidence < 0.5
 
 

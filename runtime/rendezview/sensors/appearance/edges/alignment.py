@@ -50,7 +50,7 @@ class Stage(NamedTuple):
 ) = range(len(Stage._fields))  # fmt: skip
 
 CLOSE_PX = 1.5  # px; spread of a refined pose's inliers … Source: fixed with error_model.json
-LOOSE_PX = 3.0  # px; … and of a roughly aligned one's. Source: by construction, twice that
+LOOSE_PX = 2.0 * CLOSE_PX  # px; … and of a roughly aligned one's. Source: by construction
 _LOOSE_STRIDE = 2  # one point in two is enough to judge that. Source: by construction
 AGREEING = 0.53  # of the spread: it counts exp(−½). Source: fixed with error_model.json
 _INNER_SHARE = 0.5  # of inner edges in the loose ratio. Source: by hand, docs/notes/refinement.md
@@ -171,6 +171,11 @@ def _add_information(edges: Array, cut: float, matrix: Array, spread: Array) -> 
                 matrix[a, b] += row[a] * edges[j, b]
                 spread[a, b] += row[a] * w * edges[j, b]
     return squares / weights
+
+
+def nothing_known(radius_m: float) -> Array:
+    """(6,) information of about a radian and a target radius: what no edge shows stays finite."""
+    return np.asarray(1e-4 * np.array([1.0] * 3 + [radius_m**-2] * 3))
 
 
 def to_origin(arm: Array) -> Array:

@@ -36,7 +36,7 @@ _LEAST_SAMPLES, _MOST_SAMPLES = 40, 300
 _COARSELY = 3
 # Of the level of the bright samples: what diffuse shading leaves unexplained. Source: by hand,
 # seeds of docs/notes/refinement.md
-_TOLERANCE = 0.1
+TOLERANCE = 0.1
 # Of the levels: that of the bright samples. Source: by hand, seeds of docs/notes/refinement.md
 BRIGHT_PERCENTILE = 80
 # Least cosine between the Sun and the direction to the camera. Source: by construction, phase
@@ -88,7 +88,7 @@ def fit_light(
     for a in range(3):
         away[a] = centre[a] / range_m
     normals = facing_normals(palette, rotation, away)
-    tolerance = _TOLERANCE * quantile(levels, 0.01 * BRIGHT_PERCENTILE) + frame[0]
+    tolerance = TOLERANCE * quantile(levels, 0.01 * BRIGHT_PERCENTILE) + frame[0]
     known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
     if known:
         copy_into(frame[3:6], sun)

@@ -27,6 +27,7 @@ from rendezview.sensors.appearance.edges.alignment import (
     align_each,
     covariance_of,
     inlier_ratios,
+    nothing_known,
 )
 from rendezview.sensors.appearance.edges.articulation import (
     LEAST_SUPPORT,
@@ -137,8 +138,7 @@ class Refiner:
         most = int(self._stages[:, VIEWS].max())
         self._rows = most * contours.kind.shape[2]  # of the measurements
         self._strain = model.shape_uncertainty + _VIEW_STRAIN**2 * np.eye(6)
-        # Information of about a radian and a target radius: what no edge shows stays finite.
-        self._nothing_known = 1e-4 * np.array([1.0] * 3 + [self._radius_m**-2] * 3)
+        self._nothing_known = nothing_known(self._radius_m)
 
     def refine(
         self, image: Picture, sky: Sky, start: Pose, *, closely: bool = False, least: float = 0.0

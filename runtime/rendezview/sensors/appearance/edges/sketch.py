@@ -17,8 +17,10 @@ from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import orthonormalise
 from rendezview.sensors.appearance.edges.alignment import (
     CUT_SPREADS,
+    Stage,
     covariance_of,
     nearest_views,
+    nothing_known,
     take_step,
 )
 from rendezview.sensors.appearance.edges.predicted import (
@@ -57,11 +59,9 @@ _STEP_PX = 3.0  # sketch px to either side of an outline, where the cover is rea
 _LEAST_CONTRAST = 0.15  # of the cover, added: where the cover is wrong an edge still counts
 # Source: a tenth of an edge's error, by construction
 _STOP_PX = 0.05  # sketch px; a shorter step is the last
-_HELD = 1e-3  # damping, share of the information. Source: as edges/alignment.py
+_HELD = float(Stage._field_defaults["damping"])  # share of the information
 # Source: experiment photo-accuracy
 _LEAST_SIGMA_PX = 0.3  # sketch px; one σ of an edge in the best of cases
-# Information of about a radian and a target radius. Source: as edges/refinement.py
-_NOTHING_KNOWN = 1e-4
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -296,7 +296,7 @@ def pose_covariance(
     measure_sketch(
         maps, lens, views, rotation, centre, int(stage[0]), spread, 1, float(stage[4]), edges
     )
-    loose = _NOTHING_KNOWN * np.array([1.0] * 3 + [views.radius_m**-2] * 3)
+    loose = nothing_known(views.radius_m)
     cut = CUT_SPREADS * spread
     covariance, residual = covariance_of(edges, cut, _LEAST_SIGMA_PX, loose, arm)
     strained = StrainMoves.of(edges, cut, loose, rotation, centre).covariance(arm, strain)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rendezview.sensors.appearance.edges.alignment import Stage
+from rendezview.sensors.appearance.edges.alignment import CUT_SPREADS, SPREAD, Stage
 
 # Many starting poses are aligned roughly. Source: pose-accuracy, seeds 1, 88, 99, 123
 ROUGH = np.array([Stage(20, 9, 2, smooth_px=4, room_px=4, stride=4)])
@@ -22,8 +22,8 @@ FINE = np.array(
     ]
 )
 COARSE_STAGES = 1  # of the stages above, before a pose is given up. Source: docs/notes/rivals.md
-CUT_PX = 1.25  # px; 2.5 spreads of the last stage. Source: by construction
+CUT_PX = CUT_SPREADS * FINE[-1, SPREAD]  # px. Source: by construction, of the last stage
 # Where the craft may differ from its mesh, no edge is in place to half a pixel. Source: commit
 # 5cde9da
 INEXACT = FINE[:-1]
-INEXACT_CUT_PX = 3.0  # px; 2.5 spreads of its last stage. Source: by construction
+INEXACT_CUT_PX = CUT_SPREADS * INEXACT[-1, SPREAD]  # px. Source: by construction, the same

@@ -11,7 +11,8 @@ import numpy as np
 
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.judge.found import NEAR_RAD, Found
+from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.sketch_choice import NEAR_RAD
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from rendezview.estimation.protection import Overbound
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.integrity.evidence import Evidence, Second
+from rendezview.sensors.appearance.judge.found import MOST_FEATURE
 
 PACKAGED = Path(__file__).with_name("integrity.json")
 
@@ -38,7 +39,6 @@ SPREAD_FEATURES = (*FRAME_FEATURES, "log_sigma")
 _LEAST_SHARE = 1e-6  # rad or of the range; no deviation is smaller. Source: by construction
 _MOST_ODDS = 8.0  # of the log odds of a confidence. Source: by construction
 _LEAST_RESIDUAL_PX = 0.03  # px; a smaller one is no better. Source: by construction
-_MOST_OVERSHOOT, _MOST_MARGIN = 0.3, 0.3  # merit. Source: as in the confidence of edges
 _MOST_YEARS = 20.0  # frames; an older track is no better. Source: length of the fit's sequences
 SAME_RAD = math.radians(10.0)  # rad; two estimators agree. Source: a sketch's error, photo-accuracy
 
@@ -165,7 +165,7 @@ def frame_features(evidence: Evidence) -> Array:
     rival = (
         0.0
         if math.isnan(e.rival_rad)
-        else 1.0 - min(max(e.margin, 0.0), _MOST_MARGIN) / _MOST_MARGIN
+        else 1.0 - min(max(e.margin, 0.0), MOST_FEATURE) / MOST_FEATURE
     )
     return np.array(
         [
@@ -174,7 +174,7 @@ def frame_features(evidence: Evidence) -> Array:
             1.0 - e.outline,
             1.0 - e.inner,
             math.log(max(e.residual_px, _LEAST_RESIDUAL_PX)),
-            min(e.overshoot, _MOST_OVERSHOOT),
+            min(e.overshoot, MOST_FEATURE),
             1.0 - e.visible,
             1.0 - e.light,
             float(not e.dark),

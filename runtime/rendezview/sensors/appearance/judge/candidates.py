@@ -27,9 +27,9 @@ Indices = npt.NDArray[np.intp]
 # merit behind the best; shading is computed for poses closer than this. Source: by hand, seeds of
 # docs/notes/refinement.md
 _IN_DOUBT = 0.35
-# rad; a pose further away is another answer, as in the experiments. Source: the limit of a wrong
-# pose there
-_RIVAL_RAD = np.deg2rad(5.0)
+# rad; a pose, or the angle of a joint, further away is another answer, as in the experiments.
+# Source: the limit of a wrong pose there
+RIVAL_RAD = np.deg2rad(5.0)
 _MOST_RIVALS = 16  # that are drawn, of most merit. Source: by construction, a bound of time
 
 
@@ -41,30 +41,29 @@ class Candidates:
     retrieval: Retrieval
     image: Picture
     sky: Sky
-    bodies: list[Outlines]
+    outlines: Outlines | None
     forest_scores: ForestScores | None = None
     prior: bool = False  # the search starts from a prior
     bounds: tuple[Bound, ...] = ()  # of all poses
     _all: list[Hypothesis] = field(default_factory=list)
 
-    def add(self, refined: Iterable[Hypothesis | None]) -> bool:
-        """Take more poses, those within the bounds; whether there are any, within or not."""
-        found = [one for one in refined if one is not None]
-        may_be = (one for one in found if all(bound(one.pose) for bound in self.bounds))
-        self._all += [replace(one, overshoot=self._overshoot(one)) for one in may_be]
-        return bool(found)
+    def add(self, refined: Iterable[Hypothesis | None]) -> None:
+        """Take more poses, those within the bounds."""
+        for one in refined:
+            if one is not None and all(bound(one.pose) for bound in self.bounds):
+                self._all.append(replace(one, overshoot=self._overshoot(one)))
 
-    def refine(self, poses: Iterable[Pose], *, closely: bool = False, least: float = 0.0) -> bool:
+    def refine(self, poses: Iterable[Pose], *, closely: bool = False, least: float = 0.0) -> None:
         """Add the poses next to some that fit the edges; see ``Refiner.refine``."""
         image, sky, refine = self.image, self.sky, self.level.refiner.refine
-        return self.add(refine(image, sky, one, closely=closely, least=least) for one in poses)
+        self.add(refine(image, sky, one, closely=closely, least=least) for one in poses)
 
     def refine_best(
         self, rotations: Array, centres: Array, keep: int, *, least: float = 0.0
-    ) -> bool:
+    ) -> None:
         """Add the best of some starting poses, aligned; see ``Refiner.best``."""
         image, sky, best = self.image, self.sky, self.level.refiner.best
-        return self.add(best(image, sky, rotations, centres, keep, least=least))
+        self.add(best(image, sky, rotations, centres, keep, least=least))
 
     @property
     def most_inliers(self) -> Hypothesis | None:
@@ -144,27 +143,25 @@ class Candidates:
     def _same(self, k: int, known: int) -> bool:
         """Whether two poses are one answer."""
         a, b = self._all[k].pose, self._all[known].pose
-        return bool(angle_between(a, b, self.level.refiner.model.symmetries) <= _RIVAL_RAD)
+        return bool(angle_between(a, b, self.level.refiner.model.symmetries) <= RIVAL_RAD)
 
     def _one_each(self, order: Indices, asked: list[Hypothesis]) -> Indices:
         """Of the poses that a sketch leads to the same pose the first."""
         led = [(int(k), one.pose) for k in order if (one := asked[k].on_sketch) is not None]
         symmetries = self.level.refiner.model.symmetries
-        firsts = first_of_each((pose for _, pose in led), _RIVAL_RAD, symmetries)
+        firsts = first_of_each((pose for _, pose in led), RIVAL_RAD, symmetries)
         kept = {led[i][0] for i in firsts}
         return np.array([k for k in order if asked[k].on_sketch is None or int(k) in kept])
 
     def _votes(self, one: Hypothesis) -> float | None:
-        """Log odds of the forest, of the outline that gives most; None before a bright sky."""
-        if self.forest_scores is None or not self.sky.dark:
+        """Log odds of the forest; None before a bright sky."""
+        if self.forest_scores is None or self.outlines is None or not self.sky.dark:
             return None
         rotation = one.pose.rotation[None]
-        scores = [float(self.forest_scores.scores(b.signature, rotation)[0]) for b in self.bodies]
-        return max(scores, default=None)
+        return float(self.forest_scores.scores(self.outlines.signature, rotation)[0])
 
     def _overshoot(self, one: Hypothesis) -> float:
-        """The largest of any outline; 0 before a bright sky, where outlines are uncertain."""
-        if not self.sky.dark:
+        """0 before a bright sky, where outlines are uncertain."""
+        if not self.sky.dark or self.outlines is None:
             return 0.0
-        pose = one.pose
-        return max((self.retrieval.overshoot(b.rays, pose) for b in self.bodies), default=0.0)
+        return self.retrieval.overshoot(self.outlines.rays, one.pose)

@@ -22,7 +22,8 @@ from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.geometry.so3 import rotate_back_into
 from rendezview.geometry.zbuffer import draw_parallel, draw_perspective, empty_buffers
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.lighting import light_strengths
+from rendezview.sensors.appearance.edges.lighting import TOLERANCE, light_strengths
+from rendezview.sensors.appearance.judge.shading import LEAST_POINTS
 from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -41,8 +42,6 @@ _SHADOW_PX, _SHADOW_RADII = 160, 1.05
 _SHADOW_DEPTH_PX, _SHADOW_REACH_PX, _SHADOW_MOST_PX = 0.5, 1.6, 16.0
 # σ: small errors of the pose count little. Source: docs/notes/rivals.md, 1.5 is no better
 _OBSERVED_BLUR_PX, _DRAWN_BLUR_PX = 0.8, 1.0
-# Of the bright level: what diffuse shading leaves unexplained. Source: as for fit_light
-_TOLERANCE = 0.1
 _BRIGHT_QUANTILE = 0.9  # of the levels where the craft is. Source: by construction, not the glints
 # Of the target's radius: errors of neighbouring pixels are alike. Source: fixed with COST_WEIGHT
 _CELLS_ACROSS = 20.0
@@ -52,7 +51,6 @@ _ROUNDS = 6
 _AROUND_PX = 3
 # σ: the sky beside the craft, behind it. Source: by construction, a fifth of its radius
 _SKY_BLUR_PX = 12.0
-_LEAST_DRAWN_PX = 60  # pixels of the craft. Source: as for the points of shading
 # σ before a picture is shrunk, of the times. Source: by construction, squares of as many have 0.29
 _SHRUNK_BLUR = 0.4
 _LEAST_COST = 1e-3  # its logarithm stays finite. Source: by construction
@@ -135,7 +133,7 @@ class DrawnEvidence:
         drawn, _ = self._geometry(pose, levels.shape, fx, fy, cx, cy)
         seen = levels[drawn > 0.0]
         bright = float(np.quantile(seen, _BRIGHT_QUANTILE)) if len(seen) else 0.0
-        tolerance = _TOLERANCE * max(bright, 0.0) + sky.noise_grey
+        tolerance = TOLERANCE * max(bright, 0.0) + sky.noise_grey
         cell_px = (radius_px / times / _CELLS_ACROSS) ** 2
         nothing, all_of_it = np.zeros_like(levels), np.arange(levels.size)
         return Window(levels, fx, fy, cx, cy, tolerance, cell_px, nothing, all_of_it)
@@ -174,7 +172,7 @@ class DrawnEvidence:
             pose, window.levels.shape, window.fx, window.fy, window.cx, window.cy
         )
         where = np.flatnonzero(owner.ravel() >= 0)
-        if len(where) < _LEAST_DRAWN_PX:
+        if len(where) < LEAST_POINTS:
             return None
         points, normals = np.empty((len(where), 3)), np.empty((len(where), 3))
         intrinsics = np.array([window.fx, window.fy, window.cx, window.cy])

@@ -13,7 +13,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.hypothesis import Aligned, Hypothesis
 from rendezview.sensors.appearance.judge.sketch_choice import (
-    RIVAL_RAD,
+    NEAR_RAD,
     Passes,
     opinion_features,
     packaged,
@@ -35,10 +35,7 @@ _LEAST_RESIDUAL_PX = 0.05
 _SHADING_WEIGHT = 0.4  # of a correlation
 # Of overshoot and of margin in the regression, which saturate there. Source: fixed with the fit of
 # error_model.json
-_MOST_FEATURE = 0.3
-# Rad; error of a pose that grey edges have moved, or whose joint is at a wrong angle. Source:
-# experiment pose-joints (0.1)
-NEAR_RAD = np.deg2rad(8.0)
+MOST_FEATURE = 0.3
 # Probability of a pose on a sketch; with less, the search holds it for wrong.
 # Source: by construction
 HELD_FOR_WRONG = 0.5
@@ -102,8 +99,8 @@ class Found:
                 best.outline,
                 best.inner,
                 best.residual_px,
-                min(best.overshoot, _MOST_FEATURE),
-                min(max(self.margin, 0.0), _MOST_FEATURE),
+                min(best.overshoot, MOST_FEATURE),
+                min(max(self.margin, 0.0), MOST_FEATURE),
                 best.visible,
                 float(self.dark),
                 float(self.prior),
@@ -123,7 +120,7 @@ class Found:
 
     def with_opinion(self, second: Found, symmetries: Sequence[Symmetry]) -> Found:
         """The more confident of two choices on sketches, with the probability that both give."""
-        agree = bool(angle_between(self.best.pose, second.best.pose, symmetries) < RIVAL_RAD)
+        agree = bool(angle_between(self.best.pose, second.best.pose, symmetries) < NEAR_RAD)
         first, second = sorted((self, second), key=lambda one: -one.confidence)
         opinions = opinion_features(first.confidence, second.confidence, agree=agree)
         return replace(first, probability=float(expit(opinions @ packaged().opinions)))

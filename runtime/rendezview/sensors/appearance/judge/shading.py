@@ -37,7 +37,7 @@ from rendezview.sensors.appearance.sky import Sky
 _WINDOWS = 18  # across the target. Source: by hand, seeds of docs/notes/refinement.md
 _LEAST_WINDOW_PX = 5.0  # px, a side. Source: by hand, seeds of docs/notes/refinement.md
 _LEAST_IN_WINDOW = 5  # points. Source: by hand, seeds of docs/notes/refinement.md
-_LEAST_POINTS = 60  # visible. Source: by hand, seeds of docs/notes/refinement.md
+LEAST_POINTS = 60  # visible, or pixels. Source: by hand, seeds of docs/notes/refinement.md
 # points at most, to which the light is fitted. Source: by construction, a bound of time
 _FITTED = 240
 # Of the level of the bright points: less contrast in both counts as agreement. Source: by hand,
@@ -146,7 +146,7 @@ def shading(
     facing = np.empty((most, 3))  # normals on the side of the camera, camera frame
     levels = np.empty(most)
     found = visible_points(image, lens, surface, rotation, centre, which, u, v, facing, levels)
-    if found < _LEAST_POINTS:
+    if found < LEAST_POINTS:
         return 0.0, 0.0
     black = frame[1] if frame[2] > 0.0 else 0.0
     for k in range(found):

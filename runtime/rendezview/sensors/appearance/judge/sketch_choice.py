@@ -28,8 +28,9 @@ POSE_FEATURES = ("outline", "inner", "contrast", "visible", "explained", "shadin
 CHOICE_FEATURES = (
     "margin", "cut", "lead", "basin", "converged", "scatter", "spread", *POSE_FEATURES,
 )  # fmt: skip
-# Source: the spacing of the nodes' views
-RIVAL_RAD = np.deg2rad(8.0)  # rad; a pose further away is another answer
+# Rad; a pose further away is another answer: so far grey edges move one, and a joint at a wrong
+# angle. Source: the spacing of the nodes' views, experiment pose-joints (0.1)
+NEAR_RAD = np.deg2rad(8.0)
 _MOST_MARGIN = 4.0  # of log odds; a larger margin says no more. Source: by construction
 _SAME_RAD = np.deg2rad(1.5)  # rad; poses nearer have converged. Source: error of a pose
 _MOST_SCATTER_DEG = 10.0  # °; more says no more. Source: by construction
@@ -68,7 +69,7 @@ class Passes:
 
         def same(k: int, known: int) -> bool:
             apart = angle_between(poses[k].pose, poses[known].pose, self.symmetries)
-            return bool(apart <= RIVAL_RAD)
+            return bool(apart <= NEAR_RAD)
 
         choice = choose([sketch_merit(one) for one in poses], same)
         if choice is None:
@@ -80,7 +81,7 @@ class Passes:
     def lead(self, best: Pose) -> float:
         """Merit in the first pass of the poses that lead to the best, above the others'."""
         merits = np.array([sketch_merit(pose) for pose in self.first])
-        same = np.array([pose.pose.angle_to(best) < RIVAL_RAD for pose in self.first])
+        same = np.array([pose.pose.angle_to(best) < NEAR_RAD for pose in self.first])
         if not same.any() or same.all():
             return _MOST_MARGIN if same.any() else -_MOST_MARGIN
         lead = float(merits[same].max() - merits[~same].max())
@@ -88,7 +89,7 @@ class Passes:
 
     def basin(self, best: Pose) -> float:
         """Share of the first pass's poses that lead to the best."""
-        return float(np.mean([pose.pose.angle_to(best) < RIVAL_RAD for pose in self.first]))
+        return float(np.mean([pose.pose.angle_to(best) < NEAR_RAD for pose in self.first]))
 
     def scattered(self, best: Pose) -> tuple[float, float]:
         """Of the poses from around: share that converged to the best, median angle to it, °."""

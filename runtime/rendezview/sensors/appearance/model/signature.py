@@ -24,7 +24,7 @@ from rendezview.geometry.pose import Array, minimal_rotation
 
 Readings = npt.NDArray[np.float32]  # whole numbers
 UNIT = 1000.0  # readings per square root of the area. Source: by construction
-_BORESIGHT = np.array([0.0, 0.0, 1.0])  # camera frame. Source: by construction
+BORESIGHT = np.array([0.0, 0.0, 1.0])  # camera frame. Source: by construction
 _AHEAD = 1e-9  # least z of a ray in front of the camera. Source: by construction
 _ALONG = 1e-300  # a smaller cross product is that of a segment along a ray. Source: by construction
 
@@ -51,7 +51,7 @@ class Signature:
         area_sr = float(np.sqrt(total @ total))
         if not area_sr > 0.0:
             return None
-        centred_from_camera = minimal_rotation(total, _BORESIGHT)
+        centred_from_camera = minimal_rotation(total, BORESIGHT)
         maxima = np.zeros(bins)
         for rays in outlines:
             radial_maxima(rays, centred_from_camera, spokes_of(bins), maxima)

@@ -13,6 +13,7 @@ from rendezview.sensors.appearance.model.shadowed_silhouettes import (
     ShadowedSilhouettes,
 )
 from rendezview.sensors.appearance.model.signature import (
+    BORESIGHT,
     UNIT,
     Readings,
     Signature,
@@ -29,12 +30,12 @@ from rendezview.sensors.appearance.outline.similarity import Catalogue, spread_o
 
 # rad; the catalogue's Suns are 32° apart.
 _SUN_REACH_RAD = np.deg2rad(30.0)  # Source: by construction
-# rad; views closer than this at the same roll are one. Source: spacing of the nodes' views
-_APART_RAD = np.deg2rad(7.0)
+# rad; views closer than this, at the same roll, lead to the same pose. Source: spacing of the
+# nodes' views
+SAME_VIEW_RAD = np.deg2rad(7.0)
 # Of the mean radius: perspective and the spacing of the views. Source: fixed with the fit of
 # error_model.json
 _OVERSHOOT_TOLERANCE = 0.06
-_BORESIGHT = np.array([0.0, 0.0, 1.0])  # Source: by construction
 
 
 class Retrieval:
@@ -127,7 +128,7 @@ class Retrieval:
     def _spread(
         self, views: npt.NDArray[np.intp], shifts: npt.NDArray[np.intp], most: int
     ) -> npt.NDArray[np.intp]:
-        cosine = float(np.cos(_APART_RAD))
+        cosine = float(np.cos(SAME_VIEW_RAD))
         return np.asarray(spread_out(views, shifts, self._directions, cosine, SHADOWED_BINS, most))
 
     def overshoot(self, outlines: list[Array], pose: Pose) -> float:
@@ -142,13 +143,13 @@ class Retrieval:
         model, views = self.model, self.model.views
         centre = pose.apply(model.centre_m)
         range_m = float(np.linalg.norm(centre))
-        turn = minimal_rotation(centre, _BORESIGHT)
+        turn = minimal_rotation(centre, BORESIGHT)
         attitude = turn @ pose.rotation
         view = int(np.argmax(self._directions @ -attitude[2]))
         roll = float(twist(attitude, views.centred_from_target[view]))
         offset = _rolled_offset(views.offset_m[view], roll)
         centroid = turn.T @ np.array([-offset[0] / range_m, -offset[1] / range_m, 1.0])
-        centred_from_camera = minimal_rotation(centroid, _BORESIGHT)
+        centred_from_camera = minimal_rotation(centroid, BORESIGHT)
         maxima = np.zeros(model.bins)
         for rays in outlines:
             radial_maxima(rays, centred_from_camera, spokes_of(model.bins), maxima)

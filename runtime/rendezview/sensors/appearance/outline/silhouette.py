@@ -105,6 +105,13 @@ class Silhouette:
         box = left + int(across), top + int(down), right + int(across), bottom + int(down)
         return replace(self, outlines_px=outlines, box_px=box)
 
+    def enlarged(self, times: int) -> Silhouette:
+        """The same in a picture of which each pixel of this one is a square of so many."""
+        outlines = tuple((outline + 0.5) * times - 0.5 for outline in self.outlines_px)
+        left, top, right, bottom = self.box_px
+        box = left * times, top * times, (right + 1) * times - 1, (bottom + 1) * times - 1
+        return replace(self, outlines_px=outlines, area_px=self.area_px * times**2, box_px=box)
+
 
 @dataclass(frozen=True, slots=True)
 class Missing:
@@ -233,16 +240,32 @@ def outlines_of_mask(mask: Picture, least_px: int = 1) -> list[Array]:
     return [crack_outline(border, _NO_GREY, 0.0, 0.0, 0) for border in borders]
 
 
-def silhouette_of_mask(mask: Picture) -> Silhouette | Missing:
-    """The silhouette that a mask (H, W) tells, 255 on the target, however many pieces it has."""
-    borders = outer_borders(mask)
+def silhouette_of_mask(
+    mask: Picture, options: SilhouetteOptions | None = None
+) -> Silhouette | Missing:
+    """The silhouette that a mask (H, W) shows, 255 on the target.
+
+    Args:
+        mask: of a drawing, or of a sketch.
+        options: which of its pieces belong together; ``None``: all of them.
+    """
+    borders = outer_borders(mask if options is None else without_specks(mask))
+    area_px = float(np.count_nonzero(mask))
+    if options is not None:
+        if not borders:
+            return Missing(Status.EMPTY, "nothing that looks like a spacecraft stands out")
+        blobs = _Blobs.of(borders)
+        chosen = _choose(blobs, options, None)
+        if isinstance(chosen, Missing):
+            return chosen
+        borders, area_px = [borders[k] for k in chosen], sum(blobs.area[k] for k in chosen)
     outlines = tuple(crack_outline(border, _NO_GREY, 0.0, 0.0, 0) for border in borders)
     box = box_around([box_of(border) for border in borders])
     height, width = mask.shape
-    at_border = _border_problem(box, float(np.count_nonzero(mask)), width, height)
+    at_border = _border_problem(box, area_px, width, height)
     if at_border is not None:
         return at_border
-    return Silhouette(outlines, float(np.count_nonzero(mask)), box, math.nan, math.nan)
+    return Silhouette(outlines, area_px, box, math.nan, math.nan)
 
 
 def _choose(

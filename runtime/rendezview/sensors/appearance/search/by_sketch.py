@@ -22,6 +22,7 @@ from rendezview.sensors.appearance.model.sketches import (
     smoothed,
 )
 from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview.sensors.appearance.outline.retrieval import SAME_VIEW_RAD
 from rendezview.sensors.appearance.search.partial_views import (
     AMONG_OTHERS,
     NOTHING,
@@ -45,8 +46,6 @@ _BOX_SIZES = (0.5, 0.6, 0.72, 0.86, 1.04)  # Source: by construction, what views
 # Source: drawn rooms; five of them lose a tenth of the right poses
 _BOX_SHIFTS = [(x, y) for x in (-0.15, 0.0, 0.15) for y in (-0.15, 0.0, 0.15)]
 _LEAST_OVERLAP = 0.5  # of a view's box and the given one. Source: by construction
-# Source: spacing of the nodes' views
-_SAME_RAD = np.deg2rad(7.0)  # rad; nearer views lead to the same pose
 _SORTED = 16384  # likeliest views and rolls that are looked through. Source: by construction
 _BLOCK = 512  # of them are compared with each other at once. Source: its cost
 
@@ -97,10 +96,10 @@ class SketchRetrieval:
         ``near``: (3, 3) an attitude; only others ``within_rad`` of it are given, finer spaced.
         """
         _, spins = _rolls()
-        apart_rad = _SAME_RAD
+        apart_rad = SAME_VIEW_RAD
         allowed: Bools | None = None
         if near is not None:
-            apart_rad = 0.5 * _SAME_RAD
+            apart_rad = 0.5 * SAME_VIEW_RAD
             seen = towards(self._ray(sketch, centroid(cover_of(sketch.maps))[0])).T @ near
             traces = np.einsum("rij,vjk,ik->rv", spins, self._sketches.rotation, seen)
             allowed = traces > 1.0 + 2.0 * np.cos(within_rad)
@@ -132,7 +131,7 @@ class SketchRetrieval:
             found[~fits] = -np.inf
             placements += there
             alike.append(found)
-        return self._likeliest(sketch, placements, np.concatenate(alike), most, _SAME_RAD)
+        return self._likeliest(sketch, placements, np.concatenate(alike), most, SAME_VIEW_RAD)
 
     def _likeliest(
         self, sketch: Sketch, placements: list[tuple[Array, float]], alike: Array, most: int,

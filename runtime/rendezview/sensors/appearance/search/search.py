@@ -21,10 +21,10 @@ from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.hypothesis import Bound
 from rendezview.sensors.appearance.judge.candidates import Candidates
 from rendezview.sensors.appearance.judge.found import Found
-from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
+from rendezview.sensors.appearance.outline.voted import VOTES_WORTH
 from rendezview.sensors.appearance.search.levels import Levels
 from rendezview.sensors.appearance.search.starts import (
     half_turns,
@@ -39,18 +39,13 @@ from rendezview.sensors.appearance.sky import Sky
 # Source: commit 7a5ba6e, experiment pose-accuracy
 _CONFIDENT = 0.98  # probability; such a pose needs no further search, nor its shading
 _CONFIRMED = 0.9  # the same after a search. Source: as of a restart, TrackerOptions
-# Of the log of the rank by similarity, a unit of the forest's log odds. Source: experiment
-# tree-ablation (0.1), seed 4101
-_VOTES_WORTH = 0.3
 _REFINED_OF_VOTED = 2  # Source: experiment tree-ablation (0.1), seed 4101
 # Log odds of the nodes about a pose: a forest that knows nothing gives −2.2, the share of a node's
 # views among its samples. Source: experiment tree-ablation (0.1), seed 4101
 _LEAST_VOTES = -2.0
 _LEAST_LEAD = 0.5  # log odds above every half turn. Source: tree-ablation (0.1), seed 4101
-# Inlier ratio of the likeliest starts' best pose: below 0.3, no half turn of it has been right in
-# 120 frames of Mitsuba. Source: docs/notes/photographs.md
-_WORTH_TURNING = 0.2
-# The same after coarse alignment: of 252 right poses of Mitsuba none had less. Source: the same
+# Inlier ratio after coarse alignment, before a sketch: of 252 right poses of Mitsuba none had less.
+# Source: docs/notes/photographs.md
 _WORTH_REFINING = 0.15
 # Inlier ratio of a look-alike after the coarse stages, behind the best pose's: of 300 that come
 # within 0.15 of its merit, 1 % are farther behind. Source: docs/notes/rivals.md
@@ -76,9 +71,6 @@ class SearchOptions:
     # forest agree on a pose, nothing else is tried. Source: tree-ablation (0.1), seed 4101
     voted_first: int = 8
     retrieved_first: int = 20  # the same where a sketch comes next. Source: commit cb7137c
-    # For each of several outlines before a bright sky. Source: by hand, seeds of
-    # docs/notes/refinement.md
-    retrieved_of_several: int = 40
     refined: int = 6  # of them that are refined. Source: by hand, seeds of docs/notes/refinement.md
     # The same near a prior. Source: by hand, seeds of docs/notes/refinement.md
     refined_near: int = 3
@@ -113,61 +105,57 @@ class PoseSearch:
         return self.levels.whole.refiner
 
     def _candidates(
-        self, image: Picture, sky: Sky, size: Pose | float, bodies: list[Outlines],
-        forest_scores: ForestScores | None = None, prior: Bound | None = None,
+        self, image: Picture, sky: Sky, size: Pose | float, outlines: Outlines | None,
+        prior: Bound | None = None,
     ) -> Candidates:  # fmt: skip
         """No poses yet, at the level of a pose or a range."""
         range_m = self.levels.range_m(size) if isinstance(size, Pose) else size
         level, image, sky = self.levels.at(image, sky, range_m)
         bounds = self.bounds if prior is None else (*self.bounds, prior)
+        scores = self._forest_scores if prior is None else None
         return Candidates(
-            level, self._retrieval, image, sky, bodies, forest_scores, prior is not None, bounds
+            level, self._retrieval, image, sky, outlines, scores, prior is not None, bounds
         )
 
     def anywhere(
-        self, image: Picture, sky: Sky, bodies: list[Outlines], *, brief: bool = False,
+        self, image: Picture, sky: Sky, outlines: Outlines, *, brief: bool = False,
         give_up: float = 0.0,
     ) -> Found | None:  # fmt: skip
-        """The pose without a prior, from one or several readings of the outline.
+        """The pose without a prior, from a reading of the outline.
 
         Args:
             brief: of the likeliest starts only, confident or not.
             give_up: a sketch comes next, so the likeliest starts are tried alone; confidence that
                 they must reach, else their look-alikes are not.
         """
-        area_sr = float(np.median([body.signature.area_sr for body in bodies]))
-        range_m = math.sqrt(float(np.median(self.model.views.area_m2)) / area_sr)
-        candidates = self._candidates(image, sky, range_m, bodies, self._forest_scores)
+        signature = outlines.signature
+        range_m = math.sqrt(float(np.median(self.model.views.area_m2)) / signature.area_sr)
+        candidates = self._candidates(image, sky, range_m, outlines)
         times = self.levels.whole.camera.width // candidates.level.camera.width
         if times > 1:  # the outlines are finer than the picture
-            bodies = [Outlines([r[::times].copy() for r in b.rays], b.signature) for b in bodies]
-            candidates.bodies = bodies
-        found = self._from_outlines(candidates, brief, give_up)
+            candidates.outlines = Outlines([r[::times].copy() for r in outlines.rays], signature)
+        found = self._from_outlines(candidates, candidates.outlines or outlines, brief, give_up)
         return self.levels.finished(found, image, sky)
 
-    def _from_outlines(self, candidates: Candidates, brief: bool, give_up: float) -> Found | None:
+    def _from_outlines(
+        self, candidates: Candidates, outlines: Outlines, brief: bool, give_up: float
+    ) -> Found | None:
         """``anywhere`` at the level of the candidates."""
-        bodies, sun_camera = candidates.bodies, candidates.sky.sun_camera
-        beside_sketch = give_up > 0.0  # it is better at what is hard here
-        least, worth = (_WORTH_REFINING, _WORTH_TURNING) if beside_sketch else (0.0, 0.0)
-        each = self.options.retrieved if len(bodies) == 1 else self.options.retrieved_of_several
-        starts = [
-            self._voted(body, *self._retrieval.of(body.signature, each, sun_camera))
-            for body in bodies
-        ]
-        if self._forest_scores is not None and len(bodies) == 1:
-            agreed = self._agreed(candidates, bodies[0], *starts[0], least)
+        options, beside_sketch = self.options, give_up > 0.0  # it is better at what is hard here
+        least = _WORTH_REFINING if beside_sketch else 0.0
+        rotations, centres = self._voted(outlines, options.retrieved, candidates.sky)
+        if self._forest_scores is not None and candidates.sky.dark:
+            agreed = self._agreed(candidates, outlines, rotations, centres, least)
             if agreed is not None:
                 return self._beside_look_alikes(candidates, agreed)
-        first = self.options.retrieved_first // len(bodies) if brief or beside_sketch else each
-        rotations, centres = (np.concatenate([s[k][:first] for s in starts]) for k in (0, 1))
-        keep = _REFINED_OF_VOTED if brief else self.options.refined
-        candidates.refine_best(rotations, centres, keep, least=least)
+        most = options.retrieved_first if brief or beside_sketch else options.retrieved
+        keep = _REFINED_OF_VOTED if brief else options.refined
+        candidates.refine_best(rotations[:most], centres[:most], keep, least=least)
         if brief:
             return candidates.choose()
         best = candidates.most_inliers
-        if best is not None and best.inlier_ratio >= worth:
-            self._half_turned(candidates, best.pose)
+        if best is not None:
+            self._half_turned(candidates, best.pose, best.inlier_ratio)
         found = candidates.choose()
         if found is None or found.confidence < give_up:
             return found
@@ -196,21 +184,22 @@ class PoseSearch:
         candidates.add([replace(sketched.best, outline=0.0, inner=0.0)])
         return candidates.weighed(sketched.aligned)
 
-    def _voted(self, body: Outlines, rotations: Array, centres: Array) -> tuple[Array, Array]:
+    def _voted(self, outlines: Outlines, most: int, sky: Sky) -> tuple[Array, Array]:
         """Starting poses in the order of similarity and votes together, likeliest first."""
+        signature = outlines.signature
+        rotations, centres = self._retrieval.of(signature, most, sky.sun_camera)
         if self._forest_scores is None:
             return rotations, centres
         # Whole and sunlit silhouettes come in turns.
         rank = np.log1p(np.arange(len(rotations)) // 2)
-        order = np.argsort(
-            rank - _VOTES_WORTH * self._forest_scores.scores(body.signature, rotations),
-            kind="stable",
-        )
+        votes = VOTES_WORTH * self._forest_scores.scores(signature, rotations)
+        order = np.argsort(rank - votes, kind="stable")
         return rotations[order], centres[order]
 
     def _agreed(
-        self, candidates: Candidates, body: Outlines, rotations: Array, centres: Array, least: float
-    ) -> Found | None:
+        self, candidates: Candidates, outlines: Outlines, rotations: Array, centres: Array,
+        least: float,
+    ) -> Found | None:  # fmt: skip
         """The pose on which edges and forest agree, from the likeliest starts; None without one."""
         assert self._forest_scores is not None
         first = slice(0, self.options.voted_first)
@@ -220,7 +209,7 @@ class PoseSearch:
         if found is None or found.confidence < _CONFIDENT or found.votes is None:
             return None
         turned = found.best.pose.rotation @ self._half_turns
-        other = float(np.max(self._forest_scores.scores(body.signature, turned)))
+        other = float(np.max(self._forest_scores.scores(outlines.signature, turned)))
         leads = found.votes >= _LEAST_VOTES and found.votes - other >= _LEAST_LEAD
         return found if leads else None
 
@@ -234,7 +223,7 @@ class PoseSearch:
         """
         usual = self.options.inlier_ratio if sky.dark else self.options.inlier_ratio_bright
         near = within(prior, error_rad, self.model.centre_m)
-        single = self._candidates(image, sky, prior, [], prior=near)
+        single = self._candidates(image, sky, prior, None, prior=near)
         refined = single.level.refiner.refine(single.image, single.sky, prior)
         if refined is None or refined.inlier_ratio < min(sufficient_inlier_ratio, usual):
             return None
@@ -251,7 +240,7 @@ class PoseSearch:
         return self.levels.finished(replace(found, single=True), image, sky)
 
     def proposed(
-        self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
+        self, image: Picture, sky: Sky, proposals: list[Pose], outlines: Outlines | None, *,
         half_turns: bool = True, sketched: Found | None = None,
     ) -> Found | None:  # fmt: skip
         """The best of some poses that another estimator proposes, and of half turns of it.
@@ -261,22 +250,23 @@ class PoseSearch:
             half_turns: ``False`` where the second estimator has ruled them out.
             sketched: what a sketch shows; it is weighed, too.
         """
-        candidates = self._candidates(image, sky, proposals[0], bodies, self._forest_scores)
+        candidates = self._candidates(image, sky, proposals[0], outlines)
         candidates.refine(proposals)
         if half_turns:
             best = candidates.most_inliers
-            self._half_turned(candidates, proposals[0] if best is None else best.pose)
+            pose, inliers = (proposals[0], 0.0) if best is None else (best.pose, best.inlier_ratio)
+            self._half_turned(candidates, pose, inliers)
         found = self._beside_look_alikes(candidates, candidates.choose(), sketched)
         return self.levels.finished(found, image, sky)
 
     def near(
-        self, image: Picture, sky: Sky, prior: Pose, error_rad: float, bodies: list[Outlines],
+        self, image: Picture, sky: Sky, prior: Pose, error_rad: float, outlines: Outlines | None,
         also: list[Pose],
     ) -> Found | None:  # fmt: skip
         """The pose within some angle of a prior, from rotations of it and retrieved views."""
-        rotations, centres = self._starts_near(prior, error_rad, bodies, also)
+        rotations, centres = self._starts_near(prior, error_rad, outlines, also)
         near = within(prior, error_rad, self.model.centre_m)
-        candidates = self._candidates(image, sky, prior, bodies, prior=near)
+        candidates = self._candidates(image, sky, prior, outlines, prior=near)
         self._close_to(candidates, prior)
         candidates.refine_best(rotations, centres, self.options.refined_near)
         found = candidates.choose()
@@ -286,37 +276,35 @@ class PoseSearch:
         return self.levels.finished(found, image, sky)
 
     def _starts_near(
-        self, prior: Pose, error_rad: float, bodies: list[Outlines], also: list[Pose]
+        self, prior: Pose, error_rad: float, outlines: Outlines | None, also: list[Pose]
     ) -> tuple[Array, Array]:
         """Rotations (K, 3, 3) and view centres (K, 3) to start from near a prior."""
         rotations, centres = rotated_about(prior, self.model.centre_m, error_rad)
         rotations = np.concatenate([rotations, *(p.rotation[None] for p in also)])
         centres = np.concatenate([centres, *(p.apply(self.model.centre_m)[None] for p in also)])
-        cosine = np.cos(error_rad)
-        for body in bodies:
-            more, places = self._retrieval.of(body.signature, 3 * self.options.retrieved)
-            trace = np.einsum("kij,ij->k", more, prior.rotation)
-            close = np.flatnonzero(0.5 * (trace - 1.0) > cosine)[: self.options.retrieved]
+        if outlines is not None:
+            more, places = self._retrieval.of(outlines.signature, 3 * self.options.retrieved)
+            cosines = 0.5 * (np.einsum("kij,ij->k", more, prior.rotation) - 1.0)
+            close = np.flatnonzero(cosines > np.cos(error_rad))[: self.options.retrieved]
             rotations = np.concatenate([rotations, more[close]])
             centres = np.concatenate([centres, places[close]])
         return rotations, centres
 
-    def _around(self, candidates: Candidates, best: Pose) -> bool:
+    def _around(self, candidates: Candidates, best: Pose) -> None:
         """Add poses from 9° around: the best one may be a local optimum."""
         rotations, centres = rotated_about(best, self.model.centre_m, _ASIDE_RAD)
-        return candidates.refine_best(rotations[1:], centres[1:], 2)
+        candidates.refine_best(rotations[1:], centres[1:], 2)
 
-    def _close_to(self, candidates: Candidates, prior: Pose) -> bool:
+    def _close_to(self, candidates: Candidates, prior: Pose) -> None:
         """Add poses from 3° around, refined without coarse stages: those may find another pose."""
         starts = rotated_about_axes(prior, self.model.centre_m, _CLOSE_RAD)
-        return candidates.refine(starts, closely=True) | candidates.refine([prior])
+        candidates.refine(starts, closely=True)
+        candidates.refine([prior])
 
-    def _half_turned(self, candidates: Candidates, pose: Pose) -> bool:
-        """Add poses from half turns of one: many craft look nearly the same from behind or below.
+    def _half_turned(self, candidates: Candidates, pose: Pose, inliers: float) -> None:
+        """Add poses from half turns of one: many craft look nearly alike from behind or below.
 
-        Each is refined directly and after coarse alignment, which may move it away.
+        ``inliers``: inlier ratio of the pose.
         """
-        rotations = pose.rotation @ self._half_turns
-        centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
-        starts = rotated_by(pose, self._half_turns, self.model.centre_m)
-        return candidates.refine(starts) | candidates.refine_best(rotations, centres, 2)
+        turned = rotated_by(pose, self._half_turns, self.model.centre_m)
+        candidates.refine(turned, least=inliers - _MOST_BEHIND)

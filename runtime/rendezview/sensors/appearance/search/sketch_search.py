@@ -43,6 +43,7 @@ from rendezview.sensors.appearance.model.sketches import COVER, CREASE, EDGE, Fl
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
 from rendezview.sensors.appearance.search.by_sketch import SketchRetrieval
+from rendezview.sensors.appearance.search.partial_views import NOTHING
 from rendezview.sensors.appearance.search.starts import rotated_about, within
 from rendezview.sensors.appearance.search.windows import Body, bodies_in_windows
 from rendezview.sensors.appearance.sky import Sky
@@ -66,13 +67,11 @@ _KEPT = 24  # of them after the first stage. Source: experiment photo-accuracy, 
 # Of outline, inner edges and contrast, how promising a pose is then. Source: the same
 _PROMISE = np.array([1.0, 0.3, 0.5])
 _LOOKED_AT = 5  # of the aligned poses, more closely. Source: experiment photo-accuracy
-_APART_RAD = np.deg2rad(4.0)  # rad, between them. Source: experiment photo-accuracy
-# Source: experiment photo-accuracy
-_ASIDE_RAD = np.deg2rad(4.0)  # rad; the pose that fits best is looked for that far around
+# Rad, between them; and so far around the pose that fits best is looked for. Source: the same
+_ASIDE_RAD = np.deg2rad(4.0)
 _VIEW_RAD = np.deg2rad(6.0)  # rad; from any attitude to the nearest view. Source: the node sphere
 _UNKNOWN = 1e-9  # of the information, added: it can be solved for. Source: by construction
 _SMOOTH_PX = 0.7  # sketch px; σ of the lines before they are read. Source: half their width
-_NOTHING = 1e-6  # keeps quotients finite. Source: by construction
 # Source: experiment photo-accuracy
 _CREASE_SHARE = 0.5  # of the edges in the map of creases: the network confuses the two
 
@@ -136,7 +135,7 @@ class SketchSearch:
         upside down.
         """
         if self.box is not None:
-            sketch = self.sketcher.look(frame, around(self.box), turned=turned)
+            sketch = sketch or self.sketcher.look(frame, around(self.box), turned=turned)
             rotations, centres = self.retrieval.starts_in(sketch, self.box, _RETRIEVED)
         else:
             sketch = sketch or self.sketcher.find(frame, turned=turned)
@@ -252,7 +251,7 @@ class SketchSearch:
         prior: tuple[Pose, float] | None, *, turned: bool,
     ) -> Found | None:  # fmt: skip
         """The best of some poses of a first sketch after a closer pass at the target."""
-        best = distinct(poses, _LOOKED_AT, _APART_RAD)
+        best = distinct(poses, _LOOKED_AT, _ASIDE_RAD)
         if not best:
             return None
         sketch = self.closer_sketch(frame, best[0].pose, turned=turned)
@@ -367,4 +366,4 @@ def _lines(sketch: Sketch) -> tuple[Float32s, Array]:
     lines = np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
     scale, left, top = sketch.place
     place = np.array([scale / n, (left + 0.5) / n - 0.5, (top + 0.5) / n - 0.5])
-    return np.asarray(lines / (lines.sum() + _NOTHING), dtype=np.float32), place
+    return np.asarray(lines / (lines.sum() + NOTHING), dtype=np.float32), place
