@@ -13,7 +13,7 @@ from rendezview.geometry.lens import LENS_LENGTH, lens_vector
 from rendezview.sensors.ring.arcs import FIRST, LAST, TURN, find_arcs, group_arcs
 from rendezview.sensors.ring.circle_pose import circles_of_picture, picture_of_circle
 from rendezview.sensors.ring.conic import SCATTER, add_point, conic_of, ellipse_of_conic, sampson
-from rendezview.sensors.ring.ellipse import axes_of_shape, fit_geometric, shape_of_axes
+from rendezview.sensors.ring.ellipse import Ellipse, axes_of_shape, shape_of_axes
 from rendezview.sensors.ring.lip_fit import arcs_of_senses
 from rendezview.sensors.ring.samples import (
     ANGLE,
@@ -159,8 +159,8 @@ def test_a_circles_picture_is_that_of_its_points_and_back():
 def test_the_geometric_fit_is_a_minimum_of_the_distances():
     rng = np.random.default_rng(4)
     points = on_ellipse(SHAPE, rng.uniform(0.0, 4.0, 150)) + rng.normal(0.0, 0.3, (150, 2))
-    shape, covariance = SHAPE + 0.5, np.empty((5, 5))
-    assert fit_geometric(points, shape, covariance)
+    fitted = Ellipse.fit(points)
+    shape, covariance = fitted.shape, fitted.shape_covariance
 
     def distances(s):
         return np.array([distance(s, *p) for p in points])

@@ -29,16 +29,10 @@ _CORNER_RAD = 1.15  # a sharper turn of the polygon is a corner. Source: by hand
 # ring-accuracy
 _UNEVEN = 4.0
 _LEAST_TURN_RAD = 0.35  # of an arc. Source: by hand; see ring-accuracy
-_LEAST_LENGTH_PX = 14.0  # px, of an arc. Source: by hand; see ring-accuracy
 # Points of an arc that a joint conic is tested on. Source: by construction, a bound of time
 _SAMPLED = 24
-# Of one arc that determines an ellipse. Source: by hand; see ring-accuracy
-_LEAST_TURN_SINGLE_RAD = 0.6
-_LEAST_TURN_GROUP_RAD = 1.0  # of all arcs of a group together. Source: by hand; see ring-accuracy
 # The arcs of such a group start no group of their own. Source: by hand; see ring-accuracy
 _LARGE_TURN_RAD = 3.0
-# an arc further from a well determined ellipse is not tried. Source: by hand; see ring-accuracy
-_FAR_PX = 12.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -79,8 +73,6 @@ def find_arcs(points: Array, starts: Ints, closed: Bools) -> Array:
     corner = np.empty(total + 1, dtype=np.int64)
     for c in range(starts.shape[0] - 1):
         first, last = int(np.int64(starts[c])), int(np.int64(starts[c + 1])) - 1  # not int32
-        if last - first < 10:
-            continue
         middle = (first + last) // 2
         if closed[c]:  # an end of a closed chain is no place to start a chord
             _polygon(points, first, middle, keep)
@@ -106,14 +98,12 @@ def find_arcs(points: Array, starts: Ints, closed: Bools) -> Array:
                 a2, b2 = ax * ax + ay * ay, bx * bx + by * by
                 uneven = _UNEVEN * _UNEVEN
                 long = max(a2, b2) > 400.0 and (a2 > uneven * b2 or b2 > uneven * a2)
-                # A short segment at a chain's end does not give its direction.
-                sharp = abs(turn) > _CORNER_RAD or (long and min(a2, b2) > 16.0)
+                sharp = abs(turn) > _CORNER_RAD or long
             if not ends and not sharp and (sense == 0.0 or turn * sense > 0.0):
                 if sense == 0.0:
                     sense = 1.0 if turn > 0.0 else -1.0
                 continue
-            if k - begin >= 2 or (k - begin == 1 and ends and begin == 0) or k - begin == 1:
-                count += _arc(points, corner[begin], corner[k] + 1, arcs[count])
+            count += _arc(points, corner[begin], corner[k] + 1, arcs[count])
             if sharp or ends:
                 begin, sense = k, 0.0
             else:  # the segment before an inflexion belongs to both sides
@@ -139,8 +129,6 @@ def _arc(points: Array, first: int, end: int, row: Array) -> int:
     for i in range(first, end - step, step):
         dx, dy = points[i + step, 0] - points[i, 0], points[i + step, 1] - points[i, 1]
         length += np.sqrt(dx * dx + dy * dy)
-    if length < _LEAST_LENGTH_PX:
-        return 0
     # Turn: summed over pieces of the arc, from mean gradients, so that noise cancels.
     pieces = max(3, min(16, n // 8))
     turn = 0.0
@@ -226,7 +214,7 @@ def group_arcs(
         copy_into(sums[seed], total)
         reach, turned = arcs[seed, LENGTH], abs(arcs[seed, TURN])
         good = False
-        if turned > _LEAST_TURN_SINGLE_RAD and conic_of(total, conic):
+        if conic_of(total, conic):
             good = _usable(conic, frame, ellipse, limits) and (
                 _misfit(ellipse, points, arcs[seed]) < tolerance_px
             )
@@ -234,7 +222,7 @@ def group_arcs(
         while True:
             at = _best_arc(
                 points, arcs, sums, total, frame, limits, tolerance_px, seed, joined == 1 or good,
-                good and turned > 2.0, ellipse, member, tried,
+                member, tried,
             )  # fmt: skip
             if at < 0:
                 break
@@ -245,7 +233,7 @@ def group_arcs(
             turned += abs(arcs[at, TURN])
             conic_of(total, conic)
             good = _usable(conic, frame, ellipse, limits)
-        if good and turned > _LEAST_TURN_GROUP_RAD:
+        if good:
             copy_into(ellipse, found[filled])
             length[filled] = reach
             filled += 1
@@ -269,8 +257,7 @@ def _sums(points: Array, arcs: Array, frame: tuple[float, float, float]) -> Arra
 @njit(cache=True, nogil=True, error_model="numpy")
 def _best_arc(
     points: Array, arcs: Array, sums: Array, total: Array, frame: tuple[float, float, float],
-    limits: Array, tolerance_px: float, seed: int, check_sides: bool, known: bool, ellipse: Array,
-    member: Bools, tried: Bools,
+    limits: Array, tolerance_px: float, seed: int, check_sides: bool, member: Bools, tried: Bools,
 ) -> int:  # fmt: skip
     """Number of the arc that fits a group best, -1 for none; marks those that never will."""
     count = sums.shape[0]
@@ -283,9 +270,6 @@ def _best_arc(
             _faces(arcs[seed], arcs[j], 2.0) and _faces(arcs[j], arcs[seed], 2.0)
         ):
             tried[j] = True
-            continue
-        # An ellipse that is not well determined yet may move to any arc.
-        if known and _misfit(ellipse, points, arcs[j]) > _FAR_PX:
             continue
         total += sums[j]
         worst = 1e9

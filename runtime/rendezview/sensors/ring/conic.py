@@ -2,7 +2,7 @@
 
 The direct fit (Fitzgibbon, Pilu & Fisher 1999, in the form of Halír & Flusser 1998) always gives
 an ellipse, as a search for ellipses needs. It is biased on short arcs, so its result is only the
-start of `ellipse.fit_geometric`.
+start of `Ellipse.fit` and of the search.
 """
 
 from __future__ import annotations
