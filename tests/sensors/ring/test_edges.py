@@ -10,7 +10,6 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.edges import find_edges, link
-from rendezview.sensors.ring.ellipse import axes_of_shape
 from rendezview.sensors.ring.verify import verify
 
 Array = np.ndarray
@@ -95,7 +94,7 @@ def test_a_rough_ellipse_is_moved_onto_its_edge_and_a_false_one_dropped():
     near = SHAPE + np.array([1.5, -1.0, 1.0, -0.5, 1.0])
     again = SHAPE + np.array([-1.0, 1.0, -1.0, 0.5, 0.5])
     nowhere = np.array([60.0, 60.0, 30.0, 0.0, 30.0])
-    rough = np.array([axes_of_shape(s) for s in (near, nowhere, again)])
+    rough = np.array([near, nowhere, again])
     found = verify(edges.dx, edges.dy, edges.least, lens, rough, 1.3, 0.5, LIMITS, 10)
     assert found.shape == (1, 5), "one of two that are the same, none where no edge is"
     assert np.abs(found[0] - SHAPE).max() < 0.1

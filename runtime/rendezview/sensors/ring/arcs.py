@@ -12,7 +12,14 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.linear_algebra import copy_into, descending
-from rendezview.sensors.ring.conic import SCATTER, add_point, conic_of, ellipse_of_conic, sampson
+from rendezview.sensors.ring.conic import (
+    SCATTER,
+    add_point,
+    conic_of,
+    distance,
+    ellipse_of_conic,
+    within,
+)
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
@@ -31,8 +38,6 @@ _UNEVEN = 4.0
 _LEAST_TURN_RAD = 0.35  # of an arc. Source: by hand; see ring-accuracy
 # Points of an arc that a joint conic is tested on. Source: by construction, a bound of time
 _SAMPLED = 24
-# The arcs of such a group start no group of their own. Source: by hand; see ring-accuracy
-_LARGE_TURN_RAD = 3.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -176,7 +181,7 @@ def _misfit(ellipse: Array, points: Array, arc: Array) -> float:
     step = max(1, (end - first) // _SAMPLED)
     total, count = 0.0, 0
     for i in range(first, end, step):
-        d = sampson(ellipse, points[i, 0], points[i, 1])
+        d = distance(ellipse, points[i, 0], points[i, 1])
         total += d * d
         count += 1
     return float(np.sqrt(total / count))
@@ -187,10 +192,10 @@ def group_arcs(
     points: Array, arcs: Array, scale: float, centre_x: float, centre_y: float,
     tolerance_px: float, most: int, limits: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Ellipses through arcs: (K, 5) x, y, a, b, angle, and the summed length of their arcs (K,).
+    """Ellipses through arcs: shapes (K, 5), and the summed length of their arcs (K,).
 
-    Every arc starts a group, the longest first; the other arcs join it, best first, as long as
-    one conic fits all to ``tolerance_px``.
+    Every arc that is part of no ellipse yet starts a group, the longest first; the other arcs join
+    it, best first, as long as one conic fits all to ``tolerance_px``.
 
     Args:
         limits: least semi-minor axis, largest semi-major axis, least ratio of the two.
@@ -204,7 +209,7 @@ def group_arcs(
     ellipse, conic, total = np.empty(5), np.empty(6), np.empty(SCATTER)
     member = np.zeros(count, dtype=np.bool_)
     tried = np.zeros(count, dtype=np.bool_)
-    done = np.zeros(count, dtype=np.bool_)  # part of a large group already
+    done = np.zeros(count, dtype=np.bool_)  # part of a group already
     for seed in range(count):
         if done[seed]:
             continue
@@ -212,7 +217,7 @@ def group_arcs(
         member[seed] = True
         tried[:] = False
         copy_into(sums[seed], total)
-        reach, turned = arcs[seed, LENGTH], abs(arcs[seed, TURN])
+        reach = arcs[seed, LENGTH]
         good = False
         if conic_of(total, conic):
             good = _usable(conic, frame, ellipse, limits) and (
@@ -230,15 +235,13 @@ def group_arcs(
             joined += 1
             total += sums[at]
             reach += arcs[at, LENGTH]
-            turned += abs(arcs[at, TURN])
             conic_of(total, conic)
             good = _usable(conic, frame, ellipse, limits)
         if good:
             copy_into(ellipse, found[filled])
             length[filled] = reach
             filled += 1
-            if turned > _LARGE_TURN_RAD:
-                done |= member
+            done |= member
     order = descending(length[:filled])
     return found[:filled][order], length[:filled][order]
 
@@ -291,10 +294,7 @@ def _usable(conic: Array, frame: tuple[float, float, float], ellipse: Array, lim
     scale, centre_x, centre_y = frame
     if not ellipse_of_conic(conic, ellipse):
         return False
-    ellipse[0] = ellipse[0] * scale + centre_x
-    ellipse[1] = ellipse[1] * scale + centre_y
-    ellipse[2] *= scale
-    ellipse[3] *= scale
-    return bool(
-        ellipse[3] >= limits[0] and ellipse[2] <= limits[1] and ellipse[3] >= limits[2] * ellipse[2]
-    )
+    ellipse *= scale
+    ellipse[0] += centre_x
+    ellipse[1] += centre_y
+    return within(ellipse, limits)

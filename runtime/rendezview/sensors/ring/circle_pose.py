@@ -17,6 +17,7 @@ from numba import njit
 from rendezview.estimation.linear_algebra import copy_into
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
+from rendezview.sensors.ring.conic import root_into
 from rendezview.sensors.ring.ellipse import Ellipse
 
 Array = npt.NDArray[np.float64]
@@ -118,14 +119,8 @@ def picture_of_circle(camera: Array, c: Array, n: Array, radius: float, shape: A
     u, v = -d[0, 2] * scale, -d[1, 2] * scale
     s00, s01, s11 = d[0, 0] * scale + u * u, d[0, 1] * scale + u * v, d[1, 1] * scale + v * v
     s00, s01, s11 = fx * fx * s00, fx * fy * s01, fy * fy * s11
-    determinant = s00 * s11 - s01 * s01
-    if determinant <= 0.0:
-        return False
-    root = np.sqrt(determinant)  # square root of a symmetric 2 × 2 matrix
-    size = np.sqrt(s00 + s11 + 2.0 * root)
     shape[0], shape[1] = fx * u + cx, fy * v + cy
-    shape[2], shape[3], shape[4] = (s00 + root) / size, s01 / size, (s11 + root) / size
-    return True
+    return root_into(s00, s01, s11, shape)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.estimation.least_squares import Equations, Options, minimise
-from rendezview.sensors.ring.conic import conic_of, ellipse_of_conic, sampson
+from rendezview.sensors.ring.conic import conic_of, distance, ellipse_of_conic, semi_axes
 
 Array = npt.NDArray[np.float64]
 
@@ -37,9 +36,10 @@ class Ellipse:
     @classmethod
     def from_shape(cls, shape: Array, shape_covariance: Array | None = None) -> Ellipse:
         """From the shape vector (5,) and its covariance (5, 5)."""
-        x, y, a, b, angle = (
-            float(value) for value in axes_of_shape(np.asarray(shape, dtype=float))
-        )
+        numbers = np.asarray(shape, dtype=np.float64)
+        x, y, a11, a12, a22 = numbers.tolist()
+        a, b = semi_axes(numbers)
+        angle = 0.5 * math.atan2(2.0 * a12, a11 - a22)
         covariance = None
         if shape_covariance is not None:
             jacobian = _axes_jacobian(a, b, angle)
@@ -54,7 +54,10 @@ class Ellipse:
     @property
     def shape(self) -> Array:
         """(5,) x, y, A11, A12, A22 of the points ``c + A u``, |u| = 1; px."""
-        return np.asarray(shape_of_axes(self._row()))
+        c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
+        a, b = self.semi_axes_px
+        across = (a - b) * c * s
+        return np.array([*self.centre_px, a * c * c + b * s * s, across, a * s * s + b * c * c])
 
     @classmethod
     def fit(cls, points_px: npt.ArrayLike) -> Ellipse | None:
@@ -70,10 +73,10 @@ class Ellipse:
             [np.sum(x ** (n - k) * y**k) for n in (4, 3, 2, 1, 0) for k in range(n + 1)]
         )
         sums[[0, 4]] += _JITTER * len(points)
-        conic, row = np.empty(6), np.empty(5)
-        if len(points) < 6 or not (conic_of(sums, conic) and ellipse_of_conic(conic, row)):
+        conic, start = np.empty(6), np.empty(5)
+        if len(points) < 6 or not (conic_of(sums, conic) and ellipse_of_conic(conic, start)):
             return None
-        start = shape_of_axes(row) * scale + (*origin, 0.0, 0.0, 0.0)
+        start = start * scale + (*origin, 0.0, 0.0, 0.0)
 
         def equations(shape: Array) -> Equations:
             if not (shape[2] > 0.0 and shape[2] * shape[4] > shape[3] ** 2):
@@ -92,8 +95,8 @@ class Ellipse:
     def residuals(self, points_px: npt.ArrayLike) -> Array:
         """Distances (N,) px of points (N, 2) from the ellipse, to first order; outside positive."""
         points = _points(points_px)
-        row = self._row()
-        return np.array([sampson(row, x, y) for x, y in points])
+        shape = self.shape
+        return np.array([distance(shape, x, y) for x, y in points])
 
     def holds(self, point_px: npt.ArrayLike) -> bool:
         """Whether a point (2,) px lies within."""
@@ -108,32 +111,6 @@ class Ellipse:
         matrix = np.array([[a, b], [b, c]])
         circle = np.column_stack([np.cos(angles), np.sin(angles)])
         return np.asarray(circle @ matrix + (x, y))
-
-    def _row(self) -> Array:
-        return np.array([*self.centre_px, *self.semi_axes_px, self.angle_rad])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def shape_of_axes(row: Array) -> Array:
-    """Shape vector (5,) of x, y, a, b, angle (5,)."""
-    c, s = np.cos(row[4]), np.sin(row[4])
-    a, b = row[2], row[3]
-    shape = np.empty(5)
-    shape[0], shape[1] = row[0], row[1]
-    shape[2], shape[4] = a * c * c + b * s * s, a * s * s + b * c * c
-    shape[3] = (a - b) * c * s
-    return shape
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def axes_of_shape(shape: Array) -> Array:
-    """x, y, a, b, angle (5,) of a shape vector (5,)."""
-    half, diff = 0.5 * (shape[2] + shape[4]), 0.5 * (shape[2] - shape[4])
-    root = np.sqrt(diff * diff + shape[3] * shape[3])
-    row = np.empty(5)
-    row[0], row[1], row[2], row[3] = shape[0], shape[1], half + root, half - root
-    row[4] = 0.5 * np.arctan2(shape[3], diff) if root > 0.0 else 0.0
-    return row
 
 
 def _distances(shape: Array, points: Array) -> tuple[Array, Array]:
@@ -165,12 +142,6 @@ def _axes_jacobian(a: float, b: float, angle: float) -> Array:
     apart = max(a - b, 1e-12 * a)
     out[4, 2:] = -c * s / apart, (c * c - s * s) / apart, c * s / apart
     return out
-
-
-def _wrapped(angle: float) -> float:
-    """Into (-π/2, π/2]."""
-    turned = math.remainder(angle, math.pi)
-    return math.pi / 2 if turned == -math.pi / 2 else turned
 
 
 def _points(points_px: npt.ArrayLike) -> Array:

@@ -44,18 +44,6 @@ def frame_at(shape: Array, u0: float, u1: float) -> tuple[float, float, float, f
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
-def distance(shape: Array, x: float, y: float) -> float:
-    """Distance of a point from an ellipse, outside positive; exact for circles."""
-    a, b, c = shape[2], shape[3], shape[4]
-    ex, ey = x - shape[0], y - shape[1]
-    determinant = a * c - b * b
-    v0, v1 = (c * ex - b * ey) / determinant, (a * ey - b * ex) / determinant
-    g0, g1 = (c * v0 - b * v1) / determinant, (a * v1 - b * v0) / determinant
-    size = np.sqrt(v0 * v0 + v1 * v1)
-    return float((size - 1.0) * size / (np.sqrt(g0 * g0 + g1 * g1) + 1e-300))
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def begin_sample(
     row: Array, shape: Array, lens: Array, angle: float, u0: float, u1: float, room_px: float,
     width: int, height: int,
