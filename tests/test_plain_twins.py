@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry import so3
@@ -22,7 +22,6 @@ from rendezview.sensors.beacons.detect.discs import expected_size
 from rendezview.sensors.beacons.match.judgement import judge
 from rendezview.sensors.beacons.match.start import _capped, _settle
 from rendezview.sensors.ring.circle_pose import _differences, picture_of_circle, tangent_basis
-from rendezview.sensors.ring.concentric import _fit
 from rendezview.trajectory.start import _scan_hops
 from rendezview_ground.learn.views.edge_profiles import _average, _nearest_start
 from rendezview_ground.learn.views.shadowed_silhouettes import _light, _shown
@@ -197,37 +196,6 @@ def slopes_of_a_circles_picture(rng):
     plain = (8.0 * (near - back) - (far - behind)) / (12.0 * 2e-3)
     curve = (16.0 * (near + back) - (far + behind) - 30.0 * picture(np.zeros(5))[:, None]) / 12.0
     return (slopes / 100.0, bends / 1e4), (plain / 100.0, curve[:, 3:] / 4e-6 / 1e4), 1e-4
-
-
-@TWINS.append
-def pose_of_concentric_edges(rng):
-    """Gauss–Newton ends where scipy's least squares end, with their covariance."""
-    truth, axis = np.array([0.2, -0.1, 3.0]), unit(np.array([*rng.uniform(-0.5, 0.5, 2), -1.0]))
-    basis, ratios, share, shapes = tangent_basis(axis), np.array([1.0, 0.8, 1.3]), 0.004, []
-    for ratio in ratios:
-        shapes.append(np.empty(5))
-        assert picture_of_circle(LENS, truth, axis, 0.6 * ratio, shapes[-1])
-    seen = np.array(shapes) + rng.normal(scale=0.05, size=(3, 5))
-    information = np.tile(np.eye(5) / 0.05**2, (3, 1, 1))
-    centre, found, covariance = truth + 0.01, axis.copy(), np.empty((5, 5))
-    chi2 = _fit(LENS, seen, information, 0.6, share, centre, found, basis, ratios, covariance)
-
-    def off(p):
-        about = unit(axis + basis @ p[3:5])
-        rows = []
-        for k, (ratio, height) in enumerate(((1.0, 0.0), p[5:7], p[7:9])):
-            at, out = truth + 0.6 * (p[:3] + height * about), np.empty(5)
-            assert picture_of_circle(LENS, at, about, 0.6 * ratio, out)
-            rows.append((out - seen[k]) / 0.05)
-        return np.concatenate([*rows, p[[6, 8]] / share])
-
-    peer = least_squares(off, np.array([0.0] * 5 + [0.8, 0.0, 1.3, 0.0]), x_scale="jac", xtol=1e-14)
-    scale = np.array([0.6] * 3 + [1.0] * 2)
-    plain = np.linalg.inv(peer.jac.T @ peer.jac)[:5, :5] * np.outer(scale, scale)
-    sigmas = np.sqrt(np.diag(plain))
-    moved = np.concatenate([(centre - truth) / 0.6, basis.T @ found / (found @ axis)])
-    ours = chi2, (moved - peer.x[:5]) * scale / sigmas, covariance / np.outer(sigmas, sigmas)
-    return ours, (2.0 * peer.cost, np.zeros(5), plain / np.outer(sigmas, sigmas)), 0.02
 
 
 @TWINS.append

@@ -1,55 +1,69 @@
-"""Normal equations of several edges of one ring, beside numpy's and numerical derivatives."""
+"""The picture of several edges of one ring, beside that of each."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from scipy.optimize import least_squares
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
-from rendezview.sensors.ring.circle_pose import tangent_basis
-from rendezview.sensors.ring.concentric import _equations, _misfit, _predict
+from rendezview.sensors.ring import CirclePose, Ellipse
+from rendezview.sensors.ring.circle_pose import shape_of_circle, tangent_basis
+from rendezview.sensors.ring.concentric import PLANE_SHARE, _predict, fit_joint
 
-CAMERA = lens_vector(Camera(640, 480, 600.0, 590.0, 319.5, 239.5))
-CENTRE, RADIUS, PLANE_SHARE = np.array([0.2, -0.1, 3.0]), 0.6, 0.004
+CAMERA = Camera(640, 480, 600.0, 590.0, 319.5, 239.5)
+CENTRE, RADIUS = np.array([0.2, -0.1, 3.0]), 0.6
 
 
-def test_misfit_and_normal_equations_of_three_edges_are_those_of_numpy():
+def test_edges_are_predicted_by_steps_of_the_pose_ratios_and_heights():
+    axis = np.array([0.3, -0.2, -1.0]) / np.linalg.norm([0.3, -0.2, -1.0])
+    basis = tangent_basis(axis)
+    p = np.array([[0.01, -0.02, 0.03, 0.02, -0.01, 0.8, 0.002, 1.3, -0.001], np.zeros(9)])
+    p[1, 5::2] = 0.9
+    out = np.empty((2, 3, 5))
+    assert _predict(lens_vector(CAMERA), CENTRE, axis, basis, RADIUS, p, out)
+    for one, shapes in zip(p, out, strict=True):
+        turned = axis + basis @ one[3:5]
+        turned /= np.linalg.norm(turned)
+        for shape, ratio, height in zip(shapes, (1.0, *one[5::2]), (0.0, *one[6::2]), strict=True):
+            place = CENTRE + RADIUS * (one[:3] + height * turned)
+            expected = shape_of_circle(CAMERA, place, turned, ratio * RADIUS)
+            np.testing.assert_allclose(shape, expected, rtol=1e-9)
+
+
+def test_where_an_edge_is_behind_the_camera_there_is_no_picture():
+    axis = np.array([0.0, 0.0, -1.0])
+    p, out = np.array([[0.0, 0.0, -6.0, 0.0, 0.0]]), np.empty((1, 1, 5))
+    basis = tangent_basis(axis)
+    assert not _predict(lens_vector(CAMERA), CENTRE, axis, basis, RADIUS, p, out)
+
+
+def test_the_joint_fit_is_scipys():
     rng = np.random.default_rng(8)
     axis = np.array([0.3, -0.2, -1.0]) / np.linalg.norm([0.3, -0.2, -1.0])
     basis = tangent_basis(axis)
-    p = np.array([0.01, -0.02, 0.03, 0.02, -0.01, 0.8, 0.002, 1.3, -0.001])
 
-    def predict(parameters):
-        out = np.empty((3, 5))
-        assert _predict(CAMERA, CENTRE, axis, basis, RADIUS, parameters, 3, out)
-        return out
+    def edges(p):
+        turned = axis + basis @ p[3:5]
+        turned /= np.linalg.norm(turned)
+        for ratio, height in ((1.0, 0.0), p[5:7], p[7:9]):
+            place = CENTRE + RADIUS * (p[:3] + height * turned)
+            yield shape_of_circle(CAMERA, place, turned, RADIUS * ratio)
 
-    here = predict(p)
-    shapes = here + rng.normal(scale=0.3, size=(3, 5))
-    roots = rng.normal(size=(3, 5, 5))
-    information = roots @ roots.transpose(0, 2, 1)
-    off, heights = shapes - here, p[6::2] / PLANE_SHARE
-    chi2 = np.einsum("ki,kij,kj", off, information, off) + heights @ heights
-    assert _misfit(shapes, here, information, p, PLANE_SHARE) == pytest.approx(chi2, rel=1e-12)
+    start = np.array([0.0] * 5 + [0.8, 0.0, 1.3, 0.0])
+    seen = np.array(list(edges(start))) + rng.normal(scale=0.05, size=(3, 5))
 
-    normal, right = np.empty((9, 9)), np.empty(9)
-    assert _equations(
-        CAMERA, shapes, here, information, RADIUS, PLANE_SHARE, CENTRE, axis, basis, p, normal,
-        right,
-    )  # fmt: skip
-    steps = 1e-5 * np.eye(9)
-    slopes = np.array([(predict(p + step) - predict(p - step)) / 2e-5 for step in steps])
-    prior = np.diag([0.0] * 3 + [1.0] * 2 + [0.0, PLANE_SHARE**-2] * 2)
-    expected = np.einsum("aki,kij,bkj->ab", slopes, information, slopes) + prior
-    # The slopes are one-sided: they differ by half a step of the bend.
-    np.testing.assert_allclose(normal, expected, rtol=1e-3, atol=1e-4 * expected.max())
-    down = np.einsum("aki,kij,kj->a", slopes, information, off)
-    down[6::2] -= heights / PLANE_SHARE
-    np.testing.assert_allclose(right, down, rtol=1e-3, atol=1e-4 * np.abs(down).max())
+    def off(p):
+        return np.append((np.array(list(edges(p))) - seen).ravel() / 0.05, p[[6, 8]] / PLANE_SHARE)
 
-
-def test_where_an_edge_is_behind_the_camera_there_are_no_equations():
-    axis = np.array([0.0, 0.0, -1.0])
-    p, out = np.array([0.0, 0.0, -6.0, 0.0, 0.0]), np.empty((1, 5))
-    assert not _predict(CAMERA, CENTRE, axis, tangent_basis(axis), RADIUS, p, 1, out)
+    peer = least_squares(off, start, x_scale="jac", xtol=1e-14)
+    ellipses = [Ellipse.from_shape(shape, 0.05**2 * np.eye(5)) for shape in seen]
+    pose, chi2 = fit_joint(CAMERA, ellipses, CirclePose(CENTRE + 0.01, axis, RADIUS))
+    turned = axis + basis @ peer.x[3:5]
+    sigma = np.sqrt(np.diag(np.linalg.inv(peer.jac.T @ peer.jac)))
+    np.testing.assert_allclose(chi2, 2.0 * peer.cost, rtol=1e-3)
+    apart = np.abs(pose.centre_m - CENTRE - RADIUS * peer.x[:3])
+    assert (apart < 0.03 * RADIUS * sigma[:3]).all()
+    assert pose.axis @ turned / np.linalg.norm(turned) > np.cos(0.03 * sigma[3:5].min())
+    own = np.sqrt(np.diag(pose.covariance))
+    np.testing.assert_allclose(own[3:], sigma[3:5], rtol=0.1)

@@ -10,7 +10,6 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.edges import find_edges, link
-from rendezview.sensors.ring.ellipse import axes_of_shape
 from rendezview.sensors.ring.verify import verify
 
 Array = np.ndarray
@@ -64,20 +63,20 @@ def crests(dx: Array, dy: Array, low: float) -> dict[tuple[int, int], Array]:
 def test_chains_hold_every_strong_crest_once_and_in_order():
     edges = find_edges(picture(SHAPE), 8.0, 5.0)
     number, power = np.zeros((240, 320), np.int32), np.empty((240, 320), np.float32)
-    points, starts, closed = link(edges.dx, edges.dy, edges.low, edges.high, number, power)
+    points, starts, closed = link(edges.dx, edges.dy, edges.least, number, power)
     assert not number.any(), "the scratch array is left as it was"
     assert starts[0] == 0
     assert starts[-1] == len(points)
     assert (np.diff(starts) >= 8).all()
     assert len(closed) == len(starts) - 1
-    expected = crests(edges.dx, edges.dy, edges.low)
+    expected = crests(edges.dx, edges.dy, edges.least)
     places = np.array(list(expected.values()))
     apart = np.linalg.norm(points[:, None, :2] - places[None], axis=2)
     assert apart.min(axis=1).max() < 1e-4, "each point is a crest"
     assert len(set(apart.argmin(axis=1))) == len(points), "each crest is used once"
     strong = [
         place for (column, row), place in expected.items()
-        if np.hypot(edges.dx[row, column], edges.dy[row, column]) > edges.high
+        if np.hypot(edges.dx[row, column], edges.dy[row, column]) > edges.least
     ]  # fmt: skip
     beside = [np.linalg.norm(points[:, :2] - place, axis=1).min() for place in strong]
     assert np.mean(np.array(beside) < 1e-4) > 0.7
@@ -95,9 +94,9 @@ def test_a_rough_ellipse_is_moved_onto_its_edge_and_a_false_one_dropped():
     near = SHAPE + np.array([1.5, -1.0, 1.0, -0.5, 1.0])
     again = SHAPE + np.array([-1.0, 1.0, -1.0, 0.5, 0.5])
     nowhere = np.array([60.0, 60.0, 30.0, 0.0, 30.0])
-    rough = np.array([axes_of_shape(s) for s in (near, nowhere, again)])
-    found = verify(edges.dx, edges.dy, edges.low, lens, rough, 1.3, 0.5, LIMITS, 10)
+    rough = np.array([near, nowhere, again])
+    found = verify(edges.dx, edges.dy, edges.least, lens, rough, 1.3, 0.5, LIMITS, 10)
     assert found.shape == (1, 5), "one of two that are the same, none where no edge is"
     assert np.abs(found[0] - SHAPE).max() < 0.1
-    narrow = verify(edges.dx, edges.dy, edges.low, lens, rough, 1.3, 0.5, LIMITS * [8, 1, 1], 10)
+    narrow = verify(edges.dx, edges.dy, edges.least, lens, rough, 1.3, 0.5, LIMITS * [8, 1, 1], 10)
     assert len(narrow) == 0, "its short axis is below the limit"

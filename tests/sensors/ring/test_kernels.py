@@ -12,8 +12,17 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import LENS_LENGTH, lens_vector
 from rendezview.sensors.ring.arcs import FIRST, LAST, TURN, find_arcs, group_arcs
 from rendezview.sensors.ring.circle_pose import circles_of_picture, picture_of_circle
-from rendezview.sensors.ring.conic import SCATTER, add_point, conic_of, ellipse_of_conic, sampson
-from rendezview.sensors.ring.ellipse import axes_of_shape, fit_geometric, shape_of_axes
+from rendezview.sensors.ring.conic import (
+    SCATTER,
+    add_point,
+    conic_of,
+    distance,
+    ellipse_of_conic,
+    root_into,
+    semi_axes,
+    within,
+)
+from rendezview.sensors.ring.ellipse import Ellipse
 from rendezview.sensors.ring.lip_fit import arcs_of_senses
 from rendezview.sensors.ring.samples import (
     ANGLE,
@@ -29,7 +38,6 @@ from rendezview.sensors.ring.samples import (
     add_equation,
     begin_sample,
     bend,
-    distance,
     frame_at,
     sample_gradients,
     solve_equations,
@@ -98,37 +106,39 @@ def test_add_point_and_conic_of_are_the_direct_fit():
         np.testing.assert_allclose(conic, wanted, atol=1e-8)
 
 
-def test_ellipse_of_conic_and_sampson_are_those_of_the_equation():
+def test_ellipse_of_conic_and_distance_are_those_of_the_equation():
     rng = np.random.default_rng(1)
     for _ in range(30):
         a, angle = rng.uniform(20.0, 90.0), rng.uniform(-1.5, 1.5)
-        row = np.array(
-            [rng.uniform(0, 50), rng.uniform(0, 50), a, rng.uniform(0.3, 0.95) * a, angle]
-        )
+        centre, b = rng.uniform(0.0, 50.0, 2), rng.uniform(0.3, 0.95) * a
         turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
-        q = turn.T @ np.diag([row[2] ** -2.0, row[3] ** -2.0]) @ turn
-        b = -2.0 * q @ row[:2]
-        conic = np.array(
-            [q[0, 0], 2 * q[0, 1], q[1, 1], *b, row[:2] @ q @ row[:2] - 1.0]
-        )  # fmt: skip
-        found = np.empty(5)
-        assert ellipse_of_conic(conic, found)
-        np.testing.assert_allclose(found, row, rtol=1e-8, atol=1e-8)
-        p = rng.uniform(0.0, 120.0, 2)
-        value = (p - row[:2]) @ q @ (p - row[:2]) - 1.0
-        slope = np.linalg.norm(2.0 * q @ (p - row[:2]))
-        assert sampson(row, *p) == pytest.approx(value / slope, rel=1e-8)
+        q = turn.T @ np.diag([a**-2.0, b**-2.0]) @ turn
+        d = -2.0 * q @ centre
+        conic = np.array([q[0, 0], 2 * q[0, 1], q[1, 1], *d, centre @ q @ centre - 1.0])
+        shape = np.empty(5)
+        assert ellipse_of_conic(rng.choice([-1.0, 1.0]) * conic, shape)
+        np.testing.assert_allclose(shape[:2], centre, rtol=1e-8)
+        np.testing.assert_allclose(np.linalg.inv(matrix_of(shape) @ matrix_of(shape)), q, rtol=1e-8)
+        np.testing.assert_allclose(semi_axes(shape), (a, b), rtol=1e-9)
+        np.testing.assert_allclose(Ellipse(centre, (a, b), angle).shape, shape, rtol=1e-8)
+        p = centre + rng.uniform(0.99, 1.01) * np.array([math.cos(angle), math.sin(angle)]) * a
+        value = (p - centre) @ q @ (p - centre) - 1.0
+        slope = np.linalg.norm(2.0 * q @ (p - centre))
+        assert distance(shape, *p) == pytest.approx(value / slope, rel=0.01)
     assert not ellipse_of_conic(np.array([1.0, 0.0, -1.0, 0.0, 0.0, -1.0]), np.empty(5))
+    assert not ellipse_of_conic(np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0]), np.empty(5))
 
 
-def test_shape_and_axes_are_a_symmetric_matrix_and_its_eigenvalues():
-    rng = np.random.default_rng(2)
-    for _ in range(30):
-        row = np.array([1.0, 2.0, rng.uniform(5, 9), rng.uniform(1, 4.9), rng.uniform(-1.5, 1.5)])
-        shape = shape_of_axes(row)
-        values = np.linalg.eigvalsh(matrix_of(shape))
-        np.testing.assert_allclose(values, [row[3], row[2]], rtol=1e-12)
-        np.testing.assert_allclose(axes_of_shape(shape), row, rtol=1e-10)
+def test_a_root_is_the_matrix_whose_square_is_given_and_limits_are_of_its_axes():
+    shape = SHAPE.copy()
+    square = matrix_of(SHAPE) @ matrix_of(SHAPE)
+    assert root_into(square[0, 0], square[0, 1], square[1, 1], shape)
+    np.testing.assert_allclose(shape, SHAPE)
+    assert not root_into(1.0, 2.0, 1.0, shape)
+    np.testing.assert_allclose(semi_axes(SHAPE)[::-1], np.linalg.eigvalsh(matrix_of(SHAPE)))
+    assert within(SHAPE, np.array([60.0, 100.0, 0.5]))
+    for limits in ([70.0, 100.0, 0.5], [60.0, 90.0, 0.5], [60.0, 100.0, 0.8]):
+        assert not within(SHAPE, np.array(limits))
 
 
 def test_a_circles_picture_is_that_of_its_points_and_back():
@@ -159,8 +169,8 @@ def test_a_circles_picture_is_that_of_its_points_and_back():
 def test_the_geometric_fit_is_a_minimum_of_the_distances():
     rng = np.random.default_rng(4)
     points = on_ellipse(SHAPE, rng.uniform(0.0, 4.0, 150)) + rng.normal(0.0, 0.3, (150, 2))
-    shape, covariance = SHAPE + 0.5, np.empty((5, 5))
-    assert fit_geometric(points, shape, covariance)
+    fitted = Ellipse.fit(points)
+    shape, covariance = fitted.shape, fitted.shape_covariance
 
     def distances(s):
         return np.array([distance(s, *p) for p in points])
@@ -314,5 +324,5 @@ def test_a_chain_along_an_ellipse_is_arcs_of_that_ellipse():
     assert abs(arcs[:, TURN]).sum() == pytest.approx(4.0, rel=0.15)
     limits = np.array([8.0, 1000.0, 0.2])
     found, length = group_arcs(points, arcs, 100.0, 320.0, 240.0, 1.2, 120, limits)
-    np.testing.assert_allclose(shape_of_axes(found[0]), SHAPE, atol=0.5)
+    np.testing.assert_allclose(found[0], SHAPE, atol=0.5)
     assert length[0] > 200.0

@@ -12,7 +12,14 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.linear_algebra import copy_into, descending
-from rendezview.sensors.ring.conic import SCATTER, add_point, conic_of, ellipse_of_conic, sampson
+from rendezview.sensors.ring.conic import (
+    SCATTER,
+    add_point,
+    conic_of,
+    distance,
+    ellipse_of_conic,
+    within,
+)
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
@@ -29,16 +36,8 @@ _CORNER_RAD = 1.15  # a sharper turn of the polygon is a corner. Source: by hand
 # ring-accuracy
 _UNEVEN = 4.0
 _LEAST_TURN_RAD = 0.35  # of an arc. Source: by hand; see ring-accuracy
-_LEAST_LENGTH_PX = 14.0  # px, of an arc. Source: by hand; see ring-accuracy
 # Points of an arc that a joint conic is tested on. Source: by construction, a bound of time
 _SAMPLED = 24
-# Of one arc that determines an ellipse. Source: by hand; see ring-accuracy
-_LEAST_TURN_SINGLE_RAD = 0.6
-_LEAST_TURN_GROUP_RAD = 1.0  # of all arcs of a group together. Source: by hand; see ring-accuracy
-# The arcs of such a group start no group of their own. Source: by hand; see ring-accuracy
-_LARGE_TURN_RAD = 3.0
-# an arc further from a well determined ellipse is not tried. Source: by hand; see ring-accuracy
-_FAR_PX = 12.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -79,8 +78,6 @@ def find_arcs(points: Array, starts: Ints, closed: Bools) -> Array:
     corner = np.empty(total + 1, dtype=np.int64)
     for c in range(starts.shape[0] - 1):
         first, last = int(np.int64(starts[c])), int(np.int64(starts[c + 1])) - 1  # not int32
-        if last - first < 10:
-            continue
         middle = (first + last) // 2
         if closed[c]:  # an end of a closed chain is no place to start a chord
             _polygon(points, first, middle, keep)
@@ -106,14 +103,12 @@ def find_arcs(points: Array, starts: Ints, closed: Bools) -> Array:
                 a2, b2 = ax * ax + ay * ay, bx * bx + by * by
                 uneven = _UNEVEN * _UNEVEN
                 long = max(a2, b2) > 400.0 and (a2 > uneven * b2 or b2 > uneven * a2)
-                # A short segment at a chain's end does not give its direction.
-                sharp = abs(turn) > _CORNER_RAD or (long and min(a2, b2) > 16.0)
+                sharp = abs(turn) > _CORNER_RAD or long
             if not ends and not sharp and (sense == 0.0 or turn * sense > 0.0):
                 if sense == 0.0:
                     sense = 1.0 if turn > 0.0 else -1.0
                 continue
-            if k - begin >= 2 or (k - begin == 1 and ends and begin == 0) or k - begin == 1:
-                count += _arc(points, corner[begin], corner[k] + 1, arcs[count])
+            count += _arc(points, corner[begin], corner[k] + 1, arcs[count])
             if sharp or ends:
                 begin, sense = k, 0.0
             else:  # the segment before an inflexion belongs to both sides
@@ -139,8 +134,6 @@ def _arc(points: Array, first: int, end: int, row: Array) -> int:
     for i in range(first, end - step, step):
         dx, dy = points[i + step, 0] - points[i, 0], points[i + step, 1] - points[i, 1]
         length += np.sqrt(dx * dx + dy * dy)
-    if length < _LEAST_LENGTH_PX:
-        return 0
     # Turn: summed over pieces of the arc, from mean gradients, so that noise cancels.
     pieces = max(3, min(16, n // 8))
     turn = 0.0
@@ -188,7 +181,7 @@ def _misfit(ellipse: Array, points: Array, arc: Array) -> float:
     step = max(1, (end - first) // _SAMPLED)
     total, count = 0.0, 0
     for i in range(first, end, step):
-        d = sampson(ellipse, points[i, 0], points[i, 1])
+        d = distance(ellipse, points[i, 0], points[i, 1])
         total += d * d
         count += 1
     return float(np.sqrt(total / count))
@@ -199,10 +192,10 @@ def group_arcs(
     points: Array, arcs: Array, scale: float, centre_x: float, centre_y: float,
     tolerance_px: float, most: int, limits: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Ellipses through arcs: (K, 5) x, y, a, b, angle, and the summed length of their arcs (K,).
+    """Ellipses through arcs: shapes (K, 5), and the summed length of their arcs (K,).
 
-    Every arc starts a group, the longest first; the other arcs join it, best first, as long as
-    one conic fits all to ``tolerance_px``.
+    Every arc that is part of no ellipse yet starts a group, the longest first; the other arcs join
+    it, best first, as long as one conic fits all to ``tolerance_px``.
 
     Args:
         limits: least semi-minor axis, largest semi-major axis, least ratio of the two.
@@ -216,7 +209,7 @@ def group_arcs(
     ellipse, conic, total = np.empty(5), np.empty(6), np.empty(SCATTER)
     member = np.zeros(count, dtype=np.bool_)
     tried = np.zeros(count, dtype=np.bool_)
-    done = np.zeros(count, dtype=np.bool_)  # part of a large group already
+    done = np.zeros(count, dtype=np.bool_)  # part of a group already
     for seed in range(count):
         if done[seed]:
             continue
@@ -224,9 +217,9 @@ def group_arcs(
         member[seed] = True
         tried[:] = False
         copy_into(sums[seed], total)
-        reach, turned = arcs[seed, LENGTH], abs(arcs[seed, TURN])
+        reach = arcs[seed, LENGTH]
         good = False
-        if turned > _LEAST_TURN_SINGLE_RAD and conic_of(total, conic):
+        if conic_of(total, conic):
             good = _usable(conic, frame, ellipse, limits) and (
                 _misfit(ellipse, points, arcs[seed]) < tolerance_px
             )
@@ -234,7 +227,7 @@ def group_arcs(
         while True:
             at = _best_arc(
                 points, arcs, sums, total, frame, limits, tolerance_px, seed, joined == 1 or good,
-                good and turned > 2.0, ellipse, member, tried,
+                member, tried,
             )  # fmt: skip
             if at < 0:
                 break
@@ -242,15 +235,13 @@ def group_arcs(
             joined += 1
             total += sums[at]
             reach += arcs[at, LENGTH]
-            turned += abs(arcs[at, TURN])
             conic_of(total, conic)
             good = _usable(conic, frame, ellipse, limits)
-        if good and turned > _LEAST_TURN_GROUP_RAD:
+        if good:
             copy_into(ellipse, found[filled])
             length[filled] = reach
             filled += 1
-            if turned > _LARGE_TURN_RAD:
-                done |= member
+            done |= member
     order = descending(length[:filled])
     return found[:filled][order], length[:filled][order]
 
@@ -269,8 +260,7 @@ def _sums(points: Array, arcs: Array, frame: tuple[float, float, float]) -> Arra
 @njit(cache=True, nogil=True, error_model="numpy")
 def _best_arc(
     points: Array, arcs: Array, sums: Array, total: Array, frame: tuple[float, float, float],
-    limits: Array, tolerance_px: float, seed: int, check_sides: bool, known: bool, ellipse: Array,
-    member: Bools, tried: Bools,
+    limits: Array, tolerance_px: float, seed: int, check_sides: bool, member: Bools, tried: Bools,
 ) -> int:  # fmt: skip
     """Number of the arc that fits a group best, -1 for none; marks those that never will."""
     count = sums.shape[0]
@@ -283,9 +273,6 @@ def _best_arc(
             _faces(arcs[seed], arcs[j], 2.0) and _faces(arcs[j], arcs[seed], 2.0)
         ):
             tried[j] = True
-            continue
-        # An ellipse that is not well determined yet may move to any arc.
-        if known and _misfit(ellipse, points, arcs[j]) > _FAR_PX:
             continue
         total += sums[j]
         worst = 1e9
@@ -307,10 +294,7 @@ def _usable(conic: Array, frame: tuple[float, float, float], ellipse: Array, lim
     scale, centre_x, centre_y = frame
     if not ellipse_of_conic(conic, ellipse):
         return False
-    ellipse[0] = ellipse[0] * scale + centre_x
-    ellipse[1] = ellipse[1] * scale + centre_y
-    ellipse[2] *= scale
-    ellipse[3] *= scale
-    return bool(
-        ellipse[3] >= limits[0] and ellipse[2] <= limits[1] and ellipse[3] >= limits[2] * ellipse[2]
-    )
+    ellipse *= scale
+    ellipse[0] += centre_x
+    ellipse[1] += centre_y
+    return within(ellipse, limits)

@@ -20,8 +20,7 @@ Array = npt.NDArray[np.float64]
 _ONE_POSE_SIGMAS = 2.0  # two axes nearer than that are one. Source: normal distribution, 5 %
 # The other axis must be this much further from the prior. Source: by hand; see ring-accuracy
 _MARGIN = 1.5
-# By which the false pose must misfit, and four times as much as the true one. Source: by
-# construction, odds of e¹⁵
+# By which the false pose must misfit more. Source: by construction, odds of e¹⁵
 _PLANE_CHI2 = 30.0
 _MOTION_LEAST_RAD = math.radians(2.0)  # the false axis must have turned by so much. Source: by hand
 _MOTION_SHARE = 0.35  # and the true one by no more than this of it. Source: by hand
@@ -75,7 +74,7 @@ def by_plane(misfits: Sequence[float]) -> Choice:
         f"the ring's edges fit it with χ² {misfits[best]:.0f}, "
         f"the other pose with {max(misfits):.0f}"
     )
-    if max(misfits) < _PLANE_CHI2 + 4.0 * misfits[best]:
+    if max(misfits) < _PLANE_CHI2 + misfits[best]:
         return Choice(None, "the ring's edges fit both poses")
     return Choice(best, evidence)
 

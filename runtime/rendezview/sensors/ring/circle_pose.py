@@ -17,6 +17,7 @@ from numba import njit
 from rendezview.estimation.linear_algebra import copy_into
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
+from rendezview.sensors.ring.conic import root_into
 from rendezview.sensors.ring.ellipse import Ellipse
 
 Array = npt.NDArray[np.float64]
@@ -25,7 +26,6 @@ Array = npt.NDArray[np.float64]
 # (π / 72)² / 6
 RADIUS_SHARE = 3e-4
 _FIXED_POINT_STEPS = 12  # Source: by construction, a bound only
-_LEAST_SYSTEMATIC_PX = 1e-3  # Source: by construction, far below any error
 # Of an axis' standard deviation: beyond it nothing is known. Source: by construction, a bound only
 _LARGEST_ANGLE_RAD = 1.0
 
@@ -88,21 +88,18 @@ def shape_of_circle(
 
 def shapes_of_circles(camera: Camera, centres_m: Array, axes: Array, radius_m: float) -> Array:
     """`shape_of_circle` of N circles, centres and axes (N, 3): (N, 5), NaN where there is none."""
-    scale = np.array([camera.fx, camera.fy])
-    dual = radius_m**2 * (np.eye(3) - axes[:, :, None] * axes[:, None, :])
-    dual -= centres_m[:, :, None] * centres_m[:, None, :]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        dual /= -dual[:, 2:, 2:]
-        place = -dual[:, :2, 2]
-        spread = (dual[:, :2, :2] + place[:, :, None] * place[:, None, :]) * np.outer(scale, scale)
-        a, b, c = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
-        root = np.sqrt(a * c - b * b)
-        size = np.sqrt(a + c + 2.0 * root)
-        u, v = (place * scale + (camera.cx, camera.cy)).T
-        shapes = np.column_stack([u, v, (a + root) / size, b / size, (c + root) / size])
-    depth2 = radius_m**2 * (1.0 - axes[:, 2] ** 2)
-    shapes[(centres_m[:, 2] <= 0.0) | (centres_m[:, 2] ** 2 <= depth2)] = np.nan
-    return np.asarray(shapes, dtype=np.float64)
+    shapes = np.full((len(axes), 5), np.nan)
+    _pictures_of_circles(lens_vector(camera), centres_m, axes, radius_m, shapes)
+    return shapes
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pictures_of_circles(
+    camera: Array, centres: Array, axes: Array, radius: float, shapes: Array
+) -> None:
+    for k in range(len(axes)):
+        if not picture_of_circle(camera, centres[k], axes[k], radius, shapes[k]):
+            shapes[k] = np.nan
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -122,14 +119,8 @@ def picture_of_circle(camera: Array, c: Array, n: Array, radius: float, shape: A
     u, v = -d[0, 2] * scale, -d[1, 2] * scale
     s00, s01, s11 = d[0, 0] * scale + u * u, d[0, 1] * scale + u * v, d[1, 1] * scale + v * v
     s00, s01, s11 = fx * fx * s00, fx * fy * s01, fy * fy * s11
-    determinant = s00 * s11 - s01 * s01
-    if determinant <= 0.0:
-        return False
-    root = np.sqrt(determinant)  # square root of a symmetric 2 × 2 matrix
-    size = np.sqrt(s00 + s11 + 2.0 * root)
     shape[0], shape[1] = fx * u + cx, fy * v + cy
-    shape[2], shape[3], shape[4] = (s00 + root) / size, s01 / size, (s11 + root) / size
-    return True
+    return root_into(s00, s01, s11, shape)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -211,7 +202,7 @@ def circle_poses(
 
 def widened(camera: Camera, pose: CirclePose, sigma_px: float) -> CirclePose:
     """A pose whose covariance has a systematic error of its ellipse's numbers, px, as well."""
-    if pose.covariance is None or sigma_px < _LEAST_SYSTEMATIC_PX:
+    if pose.covariance is None or sigma_px == 0.0:
         return pose
     more = pose_covariance(camera, pose, sigma_px**2 * np.eye(5))
     return replace(pose, covariance=pose.covariance + more)

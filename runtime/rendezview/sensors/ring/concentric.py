@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.estimation.least_squares import damped_step
-from rendezview.estimation.linear_algebra import copy_into, invert
+from rendezview.estimation.least_squares import Equations, minimise
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.circle_pose import (
@@ -31,11 +30,8 @@ Array = npt.NDArray[np.float64]
 # σ of an edge's height over the ring's plane, as a share of the radius. Source: by hand; see
 # ring-accuracy
 PLANE_SHARE = 0.004
-_STEPS = 15  # Gauss–Newton iterations at most. Source: by construction, a bound only
-_LEAST_GAIN = 1e-4  # χ², a hundredth of a standard deviation: the end. Source: by construction
 # Of a parameter, for numerical slopes.
 _SLOPE_STEP = 1e-5  # Source: by construction, between rounding and curvature
-_MOST = 5  # edges. Source: by construction, a bound of time
 # χ² over its degrees of freedom, of edges that are not of one plane. Source: by hand; see
 # ring-accuracy
 _MISFIT = 4.0
@@ -51,25 +47,52 @@ def fit_joint(
         ellipses: with their ``shape_covariance``; the first is the edge of ``start.radius_m``.
         start: a pose of the first.
     """
-    used = ellipses[:_MOST]
-    shapes = np.array([ellipse.shape for ellipse in used])
-    covariances = np.array([ellipse.shape_covariance for ellipse in used], dtype=np.float64)
-    information = np.asarray(np.linalg.inv(covariances), dtype=np.float64)
+    shapes = np.array([ellipse.shape for ellipse in ellipses])
+    covariances = np.array([ellipse.shape_covariance for ellipse in ellipses], dtype=np.float64)
+    roots = np.linalg.cholesky(np.linalg.inv(covariances)).transpose(0, 2, 1)
+    count, lens, basis = len(ellipses), lens_vector(camera), tangent_basis(start.axis)
     size = np.sqrt(shapes[:, 2] * shapes[:, 4] - shapes[:, 3] ** 2)
-    centre, axis = start.centre_m.copy(), start.axis.copy()
-    covariance = np.empty((5, 5))
-    ratios = np.asarray(size / size[0], dtype=np.float64)
-    chi2 = _fit(
-        lens_vector(camera), shapes, information, start.radius_m, PLANE_SHARE, centre, axis,
-        tangent_basis(axis), ratios, covariance,
-    )  # fmt: skip
-    if not chi2 >= 0.0:
+    first = np.zeros(3 + 2 * count)
+    first[5::2] = size[1:] / size[0]
+    steps = np.vstack([np.zeros_like(first), _SLOPE_STEP * np.eye(len(first))])
+
+    def left(p: Array) -> Array | None:
+        """(M, …) misfits of shapes and heights for M vectors of parameters, in σ."""
+        seen = np.empty((len(p), count, 5))
+        if not _predict(lens, start.centre_m, start.axis, basis, start.radius_m, p, seen):
+            return None
+        off = np.einsum("kij,mkj->mki", roots, shapes - seen).reshape(len(p), -1)
+        return np.hstack([off, -p[:, 6::2] / PLANE_SHARE])
+
+    def cost(p: Array) -> float:
+        off = left(p[None])
+        return np.inf if off is None else float(np.sum(off**2))
+
+    def equations(p: Array) -> Equations:
+        off = left(p + steps)
+        if off is None:
+            return np.inf, np.eye(len(p)), np.zeros(len(p))
+        here, slopes = off[0], (off[0] - off[1:]) / _SLOPE_STEP
+        normal = slopes @ slopes.T
+        normal[range(3, 5), range(3, 5)] += 1.0  # a turn of the axis by one radian: the prior's σ
+        return float(here @ here), normal, slopes @ here
+
+    found = minimise(equations, np.add, first, cost=cost)
+    if found is None:
         return None
+    chi2, normal, _ = equations(found.at)
+    if not np.isfinite(chi2):
+        return None
+    scale = np.repeat([start.radius_m, 1.0], (3, 2))
+    covariance = np.linalg.inv(normal)[:5, :5] * np.outer(scale, scale)
+    centre = start.centre_m + found.at[:3] * start.radius_m
+    axis = start.axis + basis @ found.at[3:5]
+    axis /= np.linalg.norm(axis)
     if float(axis @ centre) > 0.0:
         axis = -axis
     # Near head-on the bend of the first edge's picture bounds the axis; a slope does not.
     bound = pose_covariance(camera, CirclePose(centre, axis, start.radius_m), covariances[0])
-    turn = tangent_basis(start.axis).T @ tangent_basis(axis)
+    turn = basis.T @ tangent_basis(axis)
     whole = np.eye(5)
     whole[3:, 3:] = turn.T
     covariance = whole @ covariance @ whole.T
@@ -80,144 +103,29 @@ def fit_joint(
             covariance[:, k] /= np.sqrt(overshoot)
     covariance[:3, :3] += RADIUS_SHARE**2 * np.outer(centre, centre)
     pose = CirclePose(centre, axis, start.radius_m, 0.5 * (covariance + covariance.T))
-    return pose, float(chi2)
+    return pose, chi2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _predict(
     camera: Array, centre: Array, axis: Array, basis: Array, radius: float, parameters: Array,
-    count: int, out: Array,
+    out: Array,
 ) -> bool:  # fmt: skip
-    """Shapes (count, 5) of all edges; parameters are steps of the pose, then ratio and height."""
-    c, n, at = np.empty(3), np.empty(3), np.empty(3)
-    for i in range(3):
-        c[i] = centre[i] + parameters[i] * radius
-    _turned(axis, basis, parameters, n)
-    for k in range(count):
-        ratio, height = 1.0, 0.0
-        if k > 0:
-            ratio, height = parameters[3 + 2 * k], parameters[4 + 2 * k]
+    """Shapes (M, count, 5) of all edges; parameters (M, …): steps of the pose, ratios, heights."""
+    n, at = np.empty(3), np.empty(3)
+    for m in range(len(out)):
+        p = parameters[m]
         for i in range(3):
-            at[i] = c[i] + n[i] * (height * radius)
-        if not picture_of_circle(camera, at, n, radius * ratio, out[k]):
-            return False
-    return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _turned(axis: Array, basis: Array, parameters: Array, out: Array) -> None:
-    """Fill ``out`` (3,), the axis after the steps that parameters 3 and 4 are."""
-    square = 0.0
-    for i in range(3):
-        out[i] = axis[i] + basis[i, 0] * parameters[3] + basis[i, 1] * parameters[4]
-        square += out[i] * out[i]
-    for i in range(3):
-        out[i] /= np.sqrt(square)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fit(
-    camera: Array, shapes: Array, information: Array, radius: float, plane_share: float,
-    centre: Array, axis: Array, basis: Array, ratios: Array, covariance: Array,
-) -> float:  # fmt: skip
-    """Gauss–Newton from ``centre``, ``axis`` (3,), in place; χ², negative where it fails."""
-    count = shapes.shape[0]
-    size = 5 + 2 * (count - 1)
-    p = np.zeros(size)
-    for k in range(1, count):
-        p[3 + 2 * k] = ratios[k]
-    here, step, right = np.empty((count, 5)), np.empty(size), np.empty(size)
-    normal, lower = np.empty((size, size)), np.empty((size, size))
-    chi2, damping, previous = 1e300, 1e-6, p.copy()
-    for _ in range(_STEPS):
-        now = np.inf
-        if _predict(camera, centre, axis, basis, radius, p, count, here):
-            now = _misfit(shapes, here, information, p, plane_share)
-        if not now <= chi2 * (1.0 + 1e-9):
-            damping *= 20.0
-            if damping > 1e8 or chi2 > 1e299:
-                return -1.0
-            for i in range(size):
-                p[i] = 0.5 * (p[i] + previous[i])
-            continue
-        converged = chi2 - now < _LEAST_GAIN
-        chi2 = now
-        copy_into(p, previous)
-        damping = max(damping * 0.1, 1e-12)
-        if not _equations(
-            camera, shapes, here, information, radius, plane_share, centre, axis, basis, p,
-            normal, right,
-        ):  # fmt: skip
-            return -1.0
-        if converged:
-            break
-        if not damped_step(normal, right, damping, lower, step):
-            return -1.0
-        for i in range(size):
-            p[i] += step[i]
-    inverse = np.empty((size, size))
-    if not invert(normal, lower, inverse):
-        return -1.0
-    for i in range(5):
-        for j in range(5):
-            scale = (radius if i < 3 else 1.0) * (radius if j < 3 else 1.0)
-            covariance[i, j] = inverse[i, j] * scale
-    for i in range(3):
-        centre[i] += previous[i] * radius
-    _turned(axis, basis, previous, axis)
-    return chi2
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _misfit(
-    shapes: Array, predicted: Array, information: Array, p: Array, plane_share: float
-) -> float:
-    """χ² of the shapes and of the edges' heights over the plane."""
-    total = 0.0
-    for k in range(shapes.shape[0]):
-        for i in range(5):
-            for j in range(5):
-                off = shapes[k, i] - predicted[k, i]
-                total += off * information[k, i, j] * (shapes[k, j] - predicted[k, j])
-        if k > 0:
-            total += (p[4 + 2 * k] / plane_share) ** 2
-    return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _equations(
-    camera: Array, shapes: Array, here: Array, information: Array, radius: float,
-    plane_share: float, centre: Array, axis: Array, basis: Array, p: Array, normal: Array,
-    right: Array,
-) -> bool:  # fmt: skip
-    """Normal equations at the parameters ``p``; False where a slope cannot be formed."""
-    count, size = shapes.shape[0], p.shape[0]
-    there, slopes = np.empty((count, 5)), np.empty((size, count, 5))
-    moved, weighted = p.copy(), np.empty(5)
-    for i in range(size):
-        moved[i] = p[i] + _SLOPE_STEP
-        if not _predict(camera, centre, axis, basis, radius, moved, count, there):
-            return False
-        moved[i] = p[i]
-        for k in range(count):
-            for e in range(5):
-                slopes[i, k, e] = (there[k, e] - here[k, e]) / _SLOPE_STEP
-    normal[:] = 0.0
-    normal[3, 3] = normal[4, 4] = 1.0  # a turn of the axis by one radian is the prior's σ
-    right[:] = 0.0
-    for k in range(count):
-        for i in range(size):
-            for e in range(5):
-                weighted[e] = 0.0
-                for o in range(5):
-                    weighted[e] += information[k, e, o] * slopes[i, k, o]
-                right[i] += weighted[e] * (shapes[k, e] - here[k, e])
-            for j in range(size):
-                for e in range(5):
-                    normal[i, j] += slopes[j, k, e] * weighted[e]
-        if k > 0:
-            normal[4 + 2 * k, 4 + 2 * k] += 1.0 / plane_share**2
-            right[4 + 2 * k] -= p[4 + 2 * k] / plane_share**2
+            n[i] = axis[i] + basis[i, 0] * p[3] + basis[i, 1] * p[4]
+        size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+        for i in range(3):
+            n[i] /= size
+        for k in range(out.shape[1]):
+            ratio, height = (p[3 + 2 * k], p[4 + 2 * k]) if k > 0 else (1.0, 0.0)
+            for i in range(3):
+                at[i] = centre[i] + radius * (p[i] + n[i] * height)
+            if not picture_of_circle(camera, at, n, radius * ratio, out[m, k]):
+                return False
     return True
 
 
@@ -238,8 +146,6 @@ def joint_poses(
     misfits = tuple(0.0 for _ in poses)
     used = [ellipses[0]]
     for ellipse in ellipses[1:]:
-        if len(used) == _MOST:
-            break
         fits = [fit_joint(camera, [*used, ellipse], pose) for pose in poses]
         best = min((fit[1] for fit in fits if fit is not None), default=np.inf)
         if best > _MISFIT * 4 * len(used):

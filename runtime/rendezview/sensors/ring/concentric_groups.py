@@ -31,8 +31,8 @@ def concentric_groups(camera: Camera, shapes: Array, arcs_rad: Array) -> tuple[I
     """Group numbers (K,), scores (K,) in 0 … 1 and the order (K,), best first.
 
     The score of a group is the visible arc of its edges, in full turns, times the size of its
-    largest edge relative to the largest of the frame. Within a group the outermost edge with a
-    long arc comes first: its radius is the ring's.
+    largest edge relative to the largest of the frame. Within a group the outermost edge
+    comes first: its radius is the ring's.
 
     Args:
         camera: of the frame.
@@ -43,7 +43,6 @@ def concentric_groups(camera: Camera, shapes: Array, arcs_rad: Array) -> tuple[I
     share = np.minimum(arcs_rad / (2.0 * np.pi), 1.0)
     group = _group(lens_vector(camera), shapes, size)
     worth = np.zeros(len(shapes))
-    well = np.zeros(len(shapes), dtype=bool)
     long = 0.5 * (shapes[:, 2] + shapes[:, 4]) + np.hypot(
         0.5 * (shapes[:, 2] - shapes[:, 4]), shapes[:, 3]
     )
@@ -51,8 +50,7 @@ def concentric_groups(camera: Camera, shapes: Array, arcs_rad: Array) -> tuple[I
         members = group == number
         visible = float(share[members].sum()) * float(long[members].max() / long.max())
         worth[members] = min(visible / FULL_EDGES, 1.0)
-        well |= members & (share >= 0.6 * share[members].max())
-    order = np.lexsort((-size, ~well, group, -worth))
+    order = np.lexsort((-size, group, -worth))
     return group, worth * (0.5 + 0.5 * share), order
 
 

@@ -2,7 +2,7 @@
 
 The direct fit (Fitzgibbon, Pilu & Fisher 1999, in the form of Halír & Flusser 1998) always gives
 an ellipse, as a search for ellipses needs. It is biased on short arcs, so its result is only the
-start of `ellipse.fit_geometric`.
+start of `Ellipse.fit` and of the search.
 """
 
 from __future__ import annotations
@@ -164,35 +164,52 @@ def _largest(a00: float, a01: float, a02: float, a11: float, a12: float, a22: fl
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def ellipse_of_conic(conic: Array, ellipse: Array) -> bool:
-    """Centre, semi-axes a ≥ b, angle of the long one (5,); False where the conic is no ellipse."""
+def ellipse_of_conic(conic: Array, shape: Array) -> bool:
+    """The shape vector (5,) of a conic, see `ellipse`; False where it is no ellipse."""
     a, b, c, d, e, f = conic[0], conic[1], conic[2], conic[3], conic[4], conic[5]
     discriminant = 4.0 * a * c - b * b
     if not discriminant > 1e-14 * (a * a + b * b + c * c):
         return False
     x, y = (b * e - 2.0 * c * d) / discriminant, (b * d - 2.0 * a * e) / discriminant
-    level = -(f + 0.5 * (d * x + e * y))
-    if a < 0.0:
-        a, b, c, level = -a, -b, -c, -level
-    if not level > 0.0:
+    scale = -4.0 * (f + 0.5 * (d * x + e * y)) / discriminant
+    shape[0], shape[1] = x, y
+    return root_into(scale * c, -0.5 * scale * b, scale * a, shape) and bool(np.isfinite(x * y))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def root_into(s00: float, s01: float, s11: float, shape: Array) -> bool:
+    """Numbers 2 to 4 of a shape: the root of a symmetric 2 × 2 matrix; False if not positive."""
+    determinant = s00 * s11 - s01 * s01
+    if not (determinant > 0.0 and s00 > 0.0):
         return False
-    root = np.sqrt((a - c) * (a - c) + b * b)
-    small, large = 0.5 * (a + c - root), 0.5 * (a + c + root)
-    if not small > 0.0:
-        return False
-    ellipse[0], ellipse[1] = x, y
-    ellipse[2], ellipse[3] = np.sqrt(level / small), np.sqrt(level / large)
-    ellipse[4] = 0.5 * np.arctan2(-b, c - a) if root > 0.0 else 0.0
-    return bool(np.isfinite(ellipse[2]) and np.isfinite(x) and np.isfinite(y))
+    root = np.sqrt(determinant)
+    size = np.sqrt(s00 + s11 + 2.0 * root)
+    shape[2], shape[3], shape[4] = (s00 + root) / size, s01 / size, (s11 + root) / size
+    return bool(np.isfinite(size))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def semi_axes(shape: Array) -> tuple[float, float]:
+    """Long and short semi-axis of a shape."""
+    half, off = 0.5 * (shape[2] + shape[4]), 0.5 * (shape[2] - shape[4])
+    root = np.sqrt(off * off + shape[3] * shape[3])
+    return half + root, half - root
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def within(shape: Array, limits: Array) -> bool:
+    """Whether axes keep the least short one, the largest long one and the least ratio of both."""
+    long, short = semi_axes(shape)
+    return bool(short >= limits[0] and long <= limits[1] and short >= limits[2] * long)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
-def sampson(ellipse: Array, x: float, y: float) -> float:
-    """Distance of a point from an ellipse to first order (Sampson), outside positive, px."""
-    c, s = np.cos(ellipse[4]), np.sin(ellipse[4])
-    dx, dy = x - ellipse[0], y - ellipse[1]
-    a, b = ellipse[2], ellipse[3]
-    u, v = (c * dx + s * dy) / a, (c * dy - s * dx) / b
-    square = u * u + v * v
-    slope = 2.0 * np.sqrt((u / a) ** 2 + (v / b) ** 2)
-    return float((square - 1.0) / (slope + 1e-12))
+def distance(shape: Array, x: float, y: float) -> float:
+    """Distance of a point from a shape to first order, outside positive; exact for circles."""
+    a, b, c = shape[2], shape[3], shape[4]
+    ex, ey = x - shape[0], y - shape[1]
+    determinant = a * c - b * b
+    v0, v1 = (c * ex - b * ey) / determinant, (a * ey - b * ex) / determinant
+    g0, g1 = (c * v0 - b * v1) / determinant, (a * v1 - b * v0) / determinant
+    size = np.sqrt(v0 * v0 + v1 * v1)
+    return float((size - 1.0) * size / (np.sqrt(g0 * g0 + g1 * g1) + 1e-300))

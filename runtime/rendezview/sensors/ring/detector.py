@@ -122,7 +122,7 @@ class RingDetector:
         lap("edges")
         with self._lock:
             points, starts, closed = link(
-                found.dx, found.dy, found.low, found.high, self._number, self._power
+                found.dx, found.dy, found.least, self._number, self._power
             )
         lap("chains")
         if len(points) == 0:
@@ -140,7 +140,7 @@ class RingDetector:
         )  # fmt: skip
         lap("arcs")
         shapes = verify(
-            found.dx, found.dy, found.low, self._lens, rough, o.least_arc_rad, o.least_share,
+            found.dx, found.dy, found.least, self._lens, rough, o.least_arc_rad, o.least_share,
             limits, o.most,
         )  # fmt: skip
         lap("support")

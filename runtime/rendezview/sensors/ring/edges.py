@@ -1,7 +1,7 @@
 """Directed chains of edge points: crests of the gradient, placed along it, linked by direction.
 
-Crests are Canny's: pixels whose gradient is the largest across the edge. His hysteresis is kept
-too, by chain: one that is nowhere strong is dropped.
+Crests are Canny's: pixels whose gradient is the largest across the edge. His hysteresis is not
+used: two thresholds found no more rings than one.
 
 A chain runs with the bright side on its right as the picture is seen, so that it turns one way
 along a convex outline, and two edges that touch are not joined against their gradients.
@@ -33,9 +33,6 @@ SOBEL = (
     8.0  # Sobel units of a slope of 1 grey level a pixel. Source: by construction, Sobel's weights
 )
 _GRAIN_ROWS = 48  # rows on which the noise is measured. Source: by construction, a bound of time
-# noise of one Sobel component over the pixels' σ, after the smoothing. Source: by hand; computed
-# for white noise it is 1.17
-_GRADIENT_SHARE = 1.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,8 +42,7 @@ class EdgeMap:
     dx: Gradient
     dy: Gradient
     noise_grey: float  # σ of a pixel
-    low: float  # least gradient of an edge pixel, Sobel units
-    high: float  # least gradient that an edge has somewhere
+    least: float  # gradient of an edge pixel, Sobel units
 
 
 def find_edges(image: Grey, least_contrast_grey: float, sigmas: float) -> EdgeMap:
@@ -61,9 +57,15 @@ def find_edges(image: Grey, least_contrast_grey: float, sigmas: float) -> EdgeMa
     smooth = cv2.GaussianBlur(image, _KERNEL, BLUR_PX)
     dx, dy = cv2.spatialGradient(smooth)
     # A step of contrast c, blurred to σ ≈ 1.5 px, has the slope 0.27 c.
-    high = max(0.27 * SOBEL * least_contrast_grey, sigmas * _GRADIENT_SHARE * noise)
-    low = 0.75 * high
-    return EdgeMap(dx, dy, noise, low, high)  # type: ignore[arg-type]
+    least = max(0.27 * SOBEL * least_contrast_grey, sigmas * _noise_of_sobel() * noise)
+    return EdgeMap(dx, dy, noise, least)  # type: ignore[arg-type]
+
+
+def _noise_of_sobel() -> float:
+    """White noise of one Sobel component over the pixels' σ, after the smoothing: 1.17."""
+    taps = cv2.getGaussianKernel(_KERNEL[0], BLUR_PX)[:, 0]
+    along, across = (np.linalg.norm(np.convolve(taps, way)) for way in ((1, 2, 1), (1, 0, -1)))
+    return float(along * across)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
@@ -102,7 +104,7 @@ def _crest(
     b = rest * np.sqrt(p10) + t * np.sqrt(p11)
     curve = a + b - 2.0 * size
     shift = 0.5 * (b - a) / curve if curve < -1e-9 else 0.0
-    shift = min(max(shift, -0.6), 0.6) * np.sqrt(1.0 + t * t)
+    shift *= np.sqrt(1.0 + t * t)
     ux, uy = gx / size, gy / size
     out[k, 0], out[k, 1] = column + shift * ux, row + shift * uy
     out[k, 2], out[k, 3], out[k, 4] = ux, uy, size
@@ -111,14 +113,14 @@ def _crest(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _crests(
-    dx: Gradient, dy: Gradient, low: float, number: Ints, power: Floats
+    dx: Gradient, dy: Gradient, least: float, number: Ints, power: Floats
 ) -> tuple[Array, Ints]:
     """All crests (N, 5) and their pixels (N, 2); ``number`` gets 1 + their index."""
     height, width = dx.shape
     room = 8192
     found = np.empty((room, 5))
     place = np.empty((room, 2), dtype=np.int32)
-    square = np.float32(low * low)
+    square = np.float32(least * least)
     total = int(np.int64(0))  # as a literal, numba would compile a copy for it
     for below in range(2, height - 2):
         _powers(dx[below], dy[below], power[below])
@@ -150,13 +152,13 @@ def _crests(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def link(
-    dx: Gradient, dy: Gradient, low: float, high: float, number: Ints, power: Floats
+    dx: Gradient, dy: Gradient, least: float, number: Ints, power: Floats
 ) -> tuple[Array, Ints, Bools]:
     """Crests of the gradient as chains.
 
     Args:
         dx, dy: (H, W) Sobel gradients.
-        low, high: a crest's least gradient, and the least that its chain has somewhere.
+        least: gradient of a crest.
         number: (H, W) int32 of zeros, for use and reuse: left as it was.
         power: (H, W) float32, for use and reuse.
 
@@ -164,11 +166,11 @@ def link(
         points: (N, 4) x, y (px, sub-pixel), unit gradient x, y, in the order of the chains;
         starts: (C + 1,) where each chain begins; closed: (C,) whether it ends where it began.
     """
-    found, place = _crests(dx, dy, low, number, power)
+    found, place = _crests(dx, dy, least, number, power)
     follower, leader = _successors(found, place, number)
     for i in range(found.shape[0]):
         number[place[i, 1], place[i, 0]] = 0
-    return _chains(found, follower, leader, high)
+    return _chains(found, follower, leader)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -197,8 +199,7 @@ def _successors(found: Array, place: Ints, number: Ints) -> tuple[Ints, Ints]:
                     alike = ux * found[j, 2] + uy * found[j, 3]
                     if alike < 0.6:
                         continue
-                    far = np.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
-                    value = alike + ahead / far - 0.15 * far
+                    value = alike + ahead / np.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
                     if value > best:
                         best, at = value, j
             if at >= 0:
@@ -215,8 +216,8 @@ def _successors(found: Array, place: Ints, number: Ints) -> tuple[Ints, Ints]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _chains(found: Array, follower: Ints, leader: Ints, high: float) -> tuple[Array, Ints, Bools]:
-    """Points, starts and whether closed of all chains that are long and strong enough."""
+def _chains(found: Array, follower: Ints, leader: Ints) -> tuple[Array, Ints, Bools]:
+    """Points, starts and whether closed of all chains that are long enough to bend."""
     total = found.shape[0]
     points = np.empty((total, 4))
     starts = np.empty(total + 1, dtype=np.int32)
@@ -229,15 +230,13 @@ def _chains(found: Array, follower: Ints, leader: Ints, high: float) -> tuple[Ar
                 continue
             starts[chains] = filled
             j = i
-            strongest = 0.0
             while j >= 0 and not used[j]:
                 used[j] = True
-                strongest = max(strongest, found[j, 4])
                 for c in range(4):
                     points[filled, c] = found[j, c]
                 filled += 1
                 j = follower[j]
-            if filled - starts[chains] < 8 or strongest < high:  # too short to bend; noise
+            if filled - starts[chains] < 10:
                 filled = starts[chains]
                 continue
             closed[chains] = ring == 1

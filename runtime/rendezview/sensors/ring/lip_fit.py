@@ -35,7 +35,7 @@ Grey = npt.NDArray[np.uint8]
 
 # rad of either sense, below which no second edge is looked for. Source: by hand; see ring-accuracy
 LEAST_ARC = 0.5
-_GAP_PX = (0.4, 6.0)  # least and most, between the two. Source: by hand; see ring-accuracy
+_LEAST_GAP_PX = 0.4  # between the two. Source: by hand; see ring-accuracy
 _SIGMAS = 3.0  # of the gap. Source: normal distribution, 0.3 %
 
 
@@ -58,7 +58,7 @@ def fit_lip(
     copy_into(shape, pair)
     if update_shape(samples, used, 2.0, pair, normal) < 0.0:
         return False
-    if abs(pair[5]) * 0.5 * (pair[2] + pair[4]) < 0.5 * _GAP_PX[0]:
+    if abs(pair[5]) * 0.5 * (pair[2] + pair[4]) < 0.5 * _LEAST_GAP_PX:
         return False  # one edge whose surroundings change
     half = samples.shape[0] // 2
     first, second, scale = 0, 0, 0.0
@@ -79,8 +79,7 @@ def fit_lip(
             return False
         if moved < 0.02:
             break
-    size = 0.5 * (pair[2] + pair[4])
-    if not _GAP_PX[0] < abs(pair[5]) * size < _GAP_PX[1]:
+    if not abs(pair[5]) * 0.5 * (pair[2] + pair[4]) > _LEAST_GAP_PX:
         return False
     rising, falling = samples[:first], samples[first : first + second]
     arcs = covered(rising, first, scale), covered(falling, second, scale)

@@ -114,6 +114,8 @@ class _Line:
     @classmethod
     def fit(cls, points: Array) -> _Line | None:
         """Through points (N, 2), those far off left out; None where too many are."""
+        if len(points) < 8:
+            return None
         keep = np.ones(len(points), dtype=bool)
         for _ in range(3):
             middle = points[keep].mean(axis=0)
@@ -122,7 +124,7 @@ class _Line:
             away = (points - middle) @ np.array([-direction[1], direction[0]])
             spread = 1.4826 * float(np.median(np.abs(away[keep]))) + 1e-3
             keep = np.abs(away) < _CUT_SPREADS * spread
-            if keep.sum() < max(_LEAST_EDGES * len(points), 4):
+            if keep.sum() < _LEAST_EDGES * len(points):
                 return None
         count, arm = int(keep.sum()), (points[keep] - middle) @ direction
         variance = float(away[keep] @ away[keep]) / (count - 2)
@@ -176,25 +178,23 @@ def _side(
     # The region's outline gives the side to a pixel, steps of the grey levels the rest.
     share, away = (outline - start) @ along / long, (outline - start) @ across
     mine = (share > shares[0]) & (share < shares[-1]) & (np.abs(away) < _CORNER_SHARE * 4.0 * long)
-    if mine.sum() < 8:
-        return None
-    line = _robust_line(share[mine], away[mine])
+    line = _Line.fit(outline[mine])
     for _ in range(2):
-        offsets = line[0] + line[1] * shares
-        profiles = _profiles(grey, base + offsets[:, None] * across, across, REACH)
-        _, contrast, shifted = filters @ profiles.T
+        if line is None:
+            return None
+        across = np.array([-line.direction[1], line.direction[0]])
+        places = line.middle + ((base - line.middle) @ line.direction)[:, None] * line.direction
+        _, contrast, shifted = filters @ _profiles(grey, places, across, REACH).T
         usual = float(np.median(contrast))
         good = contrast * np.sign(usual) > 0.3 * abs(usual)
         steps = np.divide(shifted, contrast, out=np.full_like(contrast, np.inf), where=good)
         good &= np.abs(steps) < REACH - 1.0
-        if good.sum() < max(_LEAST_EDGES * len(shares), 4):
+        if good.sum() < _LEAST_EDGES * len(shares):
             return None
-        offsets = offsets + steps
-        line = _robust_line(shares[good], offsets[good])
-    places = base[good] + offsets[good, None] * across
+        places = places[good] + steps[good, None] * across
+        line = _Line.fit(places)
     rays = camera.rays(places)
-    flat = rays[:, :2] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-    return _Line.fit(flat)
+    return _Line.fit(rays[:, :2] * (camera.fx, camera.fy) + (camera.cx, camera.cy))
 
 
 def _profiles(grey: Floats, places: Array, across: Array, reach: int) -> Array:
@@ -203,17 +203,3 @@ def _profiles(grey: Floats, places: Array, across: Array, reach: int) -> Array:
     x, y = (np.ascontiguousarray(taps[..., k], dtype=np.float32) for k in (0, 1))
     profiles = cv2.remap(grey, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(profiles, dtype=np.float64)
-
-
-def _robust_line(shares: Array, offsets: Array) -> Array:
-    """(2,) offset and slope, by least squares within the median's reach."""
-    keep = np.ones(len(shares), dtype=bool)
-    fit: Array = np.zeros(2)
-    for _ in range(4):
-        columns = np.column_stack([np.ones(int(keep.sum())), shares[keep]])
-        fit = np.asarray(np.linalg.lstsq(columns, offsets[keep], rcond=None)[0], np.float64)
-        left = np.abs(offsets - fit[0] - fit[1] * shares)
-        keep = left <= max(_CUT_SPREADS * 1.4826 * float(np.median(left)), 0.05)
-        if keep.sum() < 4:
-            break
-    return fit

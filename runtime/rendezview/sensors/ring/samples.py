@@ -23,7 +23,6 @@ Array = npt.NDArray[np.float64]
 # Columns of samples
 ANGLE, OFFSET, CONTRAST, WEIGHT, PX, PY, NX, NY, U0, U1, ARC = range(11)
 COLUMNS = 11  # Source: by construction
-_ALIGNED = 0.9  # cosine between gradient and normal. Source: by hand; see ring-accuracy
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
@@ -42,18 +41,6 @@ def frame_at(shape: Array, u0: float, u1: float) -> tuple[float, float, float, f
     n0, n1 = c * u0 - b * u1, a * u1 - b * u0
     size = np.sqrt(n0 * n0 + n1 * n1) + 1e-300
     return shape[0] + a * u0 + b * u1, shape[1] + b * u0 + c * u1, n0 / size, n1 / size
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
-def distance(shape: Array, x: float, y: float) -> float:
-    """Distance of a point from an ellipse, outside positive; exact for circles."""
-    a, b, c = shape[2], shape[3], shape[4]
-    ex, ey = x - shape[0], y - shape[1]
-    determinant = a * c - b * b
-    v0, v1 = (c * ex - b * ey) / determinant, (a * ey - b * ex) / determinant
-    g0, g1 = (c * v0 - b * v1) / determinant, (a * v1 - b * v0) / determinant
-    size = np.sqrt(v0 * v0 + v1 * v1)
-    return float((size - 1.0) * size / (np.sqrt(g0 * g0 + g1 * g1) + 1e-300))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
@@ -101,7 +88,7 @@ def sample_gradients(
         )
         if row[WEIGHT] < 0.0:
             continue
-        best, at = low * 0.9, FAR
+        best, at = low, FAR
         for k in range(2 * reach + 3):
             d = k - reach - 1.0
             column, line = int(rx + d * nx + 0.5), int(ry + d * ny + 0.5)
@@ -111,11 +98,6 @@ def sample_gradients(
             if size < best or size < abs(values[k - 1]) or size < abs(values[k + 1]):
                 continue
             d = k - reach - 1.0
-            column, line = int(rx + d * nx + 0.5), int(ry + d * ny + 0.5)
-            gx, gy = float(dx[line, column]), float(dy[line, column])
-            full = np.sqrt(gx * gx + gy * gy)
-            if size < _ALIGNED * full:
-                continue
             near, far = abs(values[k - 1]), abs(values[k + 1])
             curve = near + far - 2.0 * size
             shift = 0.5 * (near - far) / curve if curve < 0.0 else 0.0
@@ -123,7 +105,7 @@ def sample_gradients(
             if abs(d + shift) <= band and (
                 at == FAR or size > 1.5 * best or abs(d + shift) < abs(at)
             ):
-                best, at = max(size, low), d + shift
+                best, at = size, d + shift
                 row[CONTRAST] = values[k]
         if at != FAR:
             row[OFFSET], row[WEIGHT] = at, 1.0
@@ -195,11 +177,9 @@ def update_shape(samples: Array, count: int, scale_px: float, shape: Array, norm
         add_equation(row, w, s[OFFSET], normal, right)
     if not solve_equations(normal, right, 1e-9 if pair else 1e-7, step):
         return -1.0
-    largest, limit = float(largest_size(step[:5])), 0.25 * (shape[2] + shape[4])
+    largest = float(largest_size(step[:5]))
     if pair:
-        largest, limit = max(largest, 2.0 * limit * abs(step[5])), 0.5 * limit
-    if not largest < limit:
-        return -1.0
+        largest = max(largest, 0.5 * (shape[2] + shape[4]) * abs(step[5]))
     for j in range(unknowns):
         shape[j] += step[j]
     if not (shape[2] > 0.0 and shape[2] * shape[4] - shape[3] * shape[3] > 0.0):

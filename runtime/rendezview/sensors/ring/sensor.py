@@ -35,7 +35,6 @@ _MOST_COMPANIONS = 5  # Source: by construction, a bound of time
 # Of the first edge's radius: other edges of a lip. Larger circles are a foot or a cone behind it,
 # smaller ones a nozzle or a shield: near head-on they fit as well, and move the place by 1 %.
 _COMPANIONS = (0.8, 1.02)  # Source: ring-vehicle (0.1), seed 22
-_COMPANIONS_BY_SCORE = (0.8, 1.25)  # where the first may be an inner edge. Source: ring-accuracy
 _RANGE_SHARE = 0.05  # of a range without a σ. Source: half the relief of a vehicle
 # Of the semi-axis: how far a ring may have moved since it was known. Source: by hand; see
 # ring-accuracy
@@ -124,7 +123,7 @@ class RingSensor:
         edge = which.edge
         if edge is None:
             return self._nothing(time_s, detection, which.reason)
-        circles, misfits = self._poses(detection, edge, which.circle, which.by_score)
+        circles, misfits = self._poses(detection, edge, which.circle)
         if not circles:
             return self._nothing(time_s, detection, "the ellipse is no circle's picture")
         if which.rivals or which.doubtful:
@@ -132,7 +131,7 @@ class RingSensor:
                 Status.AMBIGUOUS, which.reason, time_s=time_s, edges=detection.edges, edge=edge,
                 circles=circles, choice=Choice(None, which.reason),
                 rivals=tuple(
-                    (k, self._poses(detection, k, j, which.by_score)[0]) for k, j in which.rivals
+                    (k, self._poses(detection, k, j)[0]) for k, j in which.rivals
                 ),
                 doubtful=which.doubtful,
                 stage_ms=detection.stage_ms,
@@ -148,7 +147,7 @@ class RingSensor:
         )  # fmt: skip
 
     def _poses(
-        self, detection: Detection, edge: int, circle: int, by_score: bool
+        self, detection: Detection, edge: int, circle: int
     ) -> tuple[tuple[CirclePose, ...], tuple[float, ...]]:
         """The ring's poses if an ellipse is one of the target's circles, with their misfits."""
         assert self.radius_m is not None
@@ -156,7 +155,7 @@ class RingSensor:
         height_m, radius_m = (0.0, self.radius_m) if circle == RING else self.circles[circle]
         ellipses = [found.ellipse]
         if circle == RING:
-            ellipses = _companions(detection.edges, edge, by_score)
+            ellipses = _companions(detection.edges, edge)
         poses, misfits = joint_poses(self.camera, ellipses, radius_m)
         return tuple(
             ring_of_circle(widened(self.camera, pose, found.systematic_px), height_m, self.radius_m)
@@ -228,26 +227,20 @@ class RingSensor:
         return self._motion.update(poses)
 
 
-def _companions(edges: tuple[RingEdge, ...], first: int, by_score: bool) -> list[Ellipse]:
-    """An edge's ellipse, then those that may be other edges of the same ring.
+def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
+    """An edge's ellipse, then those of its group that may be other edges of the same ring.
 
-    Edges of the same group come first, then edges at about the same place, because a short arc
-    gives a poor place. Of a lip fitted as a pair one edge is enough. The joint fit leaves
-    out an edge that does not belong there.
+    Of a lip fitted as a pair one edge is enough. The joint fit leaves out an edge that does not
+    belong there.
     """
-    low, high = _COMPANIONS_BY_SCORE if by_score else _COMPANIONS
-    main, pairs = edges[first].ellipse, {edges[first].pair}
-    near: list[tuple[bool, float, Ellipse]] = []
-    for k, edge in enumerate(edges):
-        if k == first or (edge.pair >= 0 and edge.pair in pairs):
+    main, pairs = edges[first], {edges[first].pair}
+    near: list[RingEdge] = []
+    for edge in edges:
+        ratio = edge.ellipse.semi_axes_px[0] / main.ellipse.semi_axes_px[0]
+        if edge is main or edge.group != main.group or not _COMPANIONS[0] < ratio < _COMPANIONS[1]:
             continue
-        ratio = edge.ellipse.semi_axes_px[0] / main.semi_axes_px[0]
-        aside = float(np.linalg.norm(edge.ellipse.centre_px - main.centre_px))
-        if not low < ratio < high:
-            continue
-        same = edge.group == edges[first].group
-        if same or aside < 0.3 * main.semi_axes_px[0]:
-            near.append((not same, -edge.arc_rad, edge.ellipse))
+        if edge.pair < 0 or edge.pair not in pairs:
+            near.append(edge)
             pairs.add(edge.pair)
-    near.sort(key=lambda item: item[:2])
-    return [main, *(ellipse for *_, ellipse in near[:_MOST_COMPANIONS])]
+    near.sort(key=lambda edge: -edge.arc_rad)
+    return [edge.ellipse for edge in (main, *near[:_MOST_COMPANIONS])]

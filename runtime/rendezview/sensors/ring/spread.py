@@ -63,8 +63,7 @@ def spread_of(samples: Array, n: int) -> float:
         if samples[i, WEIGHT] > 0.0:
             chi += samples[i, WEIGHT] * samples[i, OFFSET] ** 2
             used += 1
-    white = max(chi / max(used - 5, 1), 0.5) * _correlation_factor(samples, n)
-    return max(white, _waviness_factor(samples, n))
+    return max(chi / max(used - 5, 1), _waviness_factor(samples, n))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -124,32 +123,3 @@ def _waviness_factor(samples: Array, count: int) -> float:
             total += sums[k] * sums[k] / weights[k]
             used += 1
     return max(total / max(used - 5, 2), 1.0)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _correlation_factor(samples: Array, count: int) -> float:
-    """Sum of the correlations between a sample's error and its neighbours' (1 for none), ≥ 1."""
-    power, pairs = 0.0, 0
-    for i in range(count):
-        if samples[i, WEIGHT] > 0.0:
-            power += samples[i, OFFSET] ** 2 * samples[i, WEIGHT]
-            pairs += 1
-    if pairs < 12 or power <= 0.0:
-        return 2.0
-    factor = 1.0
-    for lag in range(1, 6):
-        total, n = 0.0, 0
-        for i in range(count):
-            j = i + lag
-            if j >= count:
-                j -= count
-            if samples[i, WEIGHT] > 0.0 and samples[j, WEIGHT] > 0.0:
-                total += (
-                    samples[i, OFFSET] * samples[j, OFFSET]
-                    * np.sqrt(samples[i, WEIGHT] * samples[j, WEIGHT])
-                )  # fmt: skip
-                n += 1
-        if n < 12:
-            break
-        factor += 2.0 * (total / n) / (power / pairs)
-    return min(max(factor, 1.0), 6.0)

@@ -7,9 +7,9 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into
-from rendezview.sensors.ring.ellipse import axes_of_shape
+from rendezview.sensors.ring.conic import distance, semi_axes
 from rendezview.sensors.ring.lip_fit import LEAST_ARC, arcs_of_senses, fit_lip
-from rendezview.sensors.ring.samples import COLUMNS, distance, update_shape
+from rendezview.sensors.ring.samples import COLUMNS, update_shape
 from rendezview.sensors.ring.spread import (
     covariance_of,
     covered,
@@ -66,8 +66,6 @@ def fit_steps(
                 samples, used, both, both_covariances, both_facts,
             )  # fmt: skip
         if two:
-            if max(both_facts[0, 0], both_facts[1, 0]) < 0.8 * least_arc:
-                continue
             for e in range(2):
                 if not _known(fitted, count, both[e]):
                     copy_into(both[e], fitted[count])
@@ -78,7 +76,7 @@ def fit_steps(
             pair += 1
             copy_into(both[0], current[k])
         elif not _known(fitted, count, shape) and _fit_single(
-            samples, used, scale, 0.8 * least_arc, shape, covariances[count], facts[count]
+            samples, used, scale, shape, covariances[count], facts[count]
         ):
             copy_into(shape, fitted[count])
             pairs[count] = -1
@@ -116,9 +114,8 @@ def _meet(a: Array, b: Array, near: float) -> bool:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _step_px(shape: Array, spacing: float) -> float:
     """Between samples: as wanted, or as many samples as there is room for."""
-    row = axes_of_shape(shape)
-    around = np.pi * (3.0 * (row[2] + row[3])
-                      - np.sqrt((3.0 * row[2] + row[3]) * (row[2] + 3.0 * row[3])))  # fmt: skip
+    a, b = semi_axes(shape)
+    around = np.pi * (3.0 * (a + b) - np.sqrt((3.0 * a + b) * (a + 3.0 * b)))
     return float(max(spacing, around / (0.8 * _MOST_SAMPLES)))
 
 
@@ -148,14 +145,13 @@ def _settle(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit_single(
-    samples: Array, n: int, scale: float, least_arc: float, shape: Array, covariance: Array,
-    facts: Array,
+    samples: Array, n: int, scale: float, shape: Array, covariance: Array, facts: Array
 ) -> bool:  # fmt: skip
     """The last step of one edge, its covariance and facts; whether enough samples confirm it."""
     used, contrast, rms = trim(samples, n, scale)
     arc = covered(samples, n, scale)
     normal = np.empty((5, 5))
-    if used < 20 or arc < least_arc or update_shape(samples, n, 3.0 * scale, shape, normal) < 0.0:
+    if used < 20 or update_shape(samples, n, 3.0 * scale, shape, normal) < 0.0:
         return False
     if not covariance_of(normal, spread_of(samples, n), covariance):
         return False

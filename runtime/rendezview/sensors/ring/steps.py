@@ -21,6 +21,7 @@ from rendezview.estimation.edge_profile import (
     residual_square,
 )
 from rendezview.geometry.lens import LENS_LENGTH
+from rendezview.sensors.ring.conic import distance, semi_axes
 from rendezview.sensors.ring.samples import (
     ARC,
     CONTRAST,
@@ -28,15 +29,11 @@ from rendezview.sensors.ring.samples import (
     WEIGHT,
     begin_sample,
     bend,
-    distance,
 )
 
 Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
 
-# px between two edges that can still be resolved. Source: by construction, the blur's width at half
-# height
-LEAST_GAP = 2.2
 # From the ellipse, of an edge that the linear model places. Source: by hand; see ring-accuracy
 _FARTHEST_PX = 1.6
 # px², variance of a place beside the noise: (0.02 px)². Source: by hand; see ring-accuracy
@@ -56,8 +53,7 @@ def sample_steps(
         sense: 1 where the edge gets brighter outwards, -1 where darker; 0 takes both.
         noise: σ of a pixel, grey.
         filters, basis: of `step_filters` and `step_basis`; ``blur_px`` their σ.
-        others: (K, 5) shapes of other edges: their steps are part of the fit where they are near,
-            and where they are nearer than LEAST_GAP there is no sample.
+        others: (K, 5) shapes of other edges: their steps are part of the fit where they are near.
         samples: (≥ count, COLUMNS) out. WEIGHT is 1/σ² (px⁻²) of the place, 0 where there is no
             step, -1 outside of the picture; ARC the angle a sample represents.
     """
@@ -67,10 +63,7 @@ def sample_steps(
     for k in range(TAPS):
         spread += filters[0, 2, k] * filters[0, 2, k]
     angle, count = 0.0, 0
-    long = 0.5 * (shape[2] + shape[4]) + np.sqrt(
-        (0.5 * (shape[2] - shape[4])) ** 2 + shape[3] * shape[3]
-    )
-    short = (shape[2] * shape[4] - shape[3] * shape[3]) / long
+    long, short = semi_axes(shape)
     while angle < 2.0 * np.pi and count < samples.shape[0]:
         u0, u1 = np.cos(angle), np.sin(angle)
         row = samples[count]
@@ -79,15 +72,13 @@ def sample_steps(
         )
         t0, t1 = -shape[2] * u1 + shape[3] * u0, -shape[3] * u1 + shape[4] * u0
         along = np.sqrt(t0 * t0 + t1 * t1)
-        step = spacing_px / max(along, 0.2 * long)
+        step = spacing_px / along
         row[ARC] = min(step, 2.0 * np.pi - angle)
         angle += step
         count += 1
         if row[WEIGHT] < 0.0:
             continue
         inner, outer = _neighbours(others, x, y, nx, ny)
-        if outer < LEAST_GAP or -inner < LEAST_GAP:
-            continue
         _read_profile(image, lens, x, y, nx, ny, rx, ry, profile)
         row[CONTRAST], contrast, place, taken = _place_step(
             profile, inner, outer, sense, noise, filters, basis, blur_px, spread, solved
@@ -170,6 +161,6 @@ def _place_step(
     if abs(place) > min(_FARTHEST_PX, room):
         return fitted, contrast, 0.0, -1.0
     allowed = (TAPS - 3) * noise * noise + (0.08 * contrast) ** 2
-    if left > 6.0 * allowed + 4.0:
+    if left > 6.0 * allowed:
         return fitted, contrast, 0.0, -1.0
     return fitted, contrast, place, taken

@@ -11,14 +11,13 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.linear_algebra import copy_into, descending, largest_at
-from rendezview.sensors.ring.ellipse import axes_of_shape, shape_of_axes
+from rendezview.sensors.ring.conic import distance, within
 from rendezview.sensors.ring.samples import (
     COLUMNS,
     CONTRAST,
     PX,
     PY,
     WEIGHT,
-    distance,
     sample_gradients,
     update_shape,
 )
@@ -42,25 +41,16 @@ def verify(
     normal = np.empty((5, 5))
     n = len(samples)
     for k in range(rough.shape[0]):
-        shape = shape_of_axes(rough[k])
+        shape = rough[k].copy()
         good = True
         twin = False
         for step in range(4):
-            band = 4.0 if step == 0 else (3.0 if step == 1 else 2.0)
+            band = max(4.0 - step, 2.0)
             n = len(samples) // 2
-            found = sample_gradients(dx, dy, low, lens, shape, n, band, samples)
-            if found * 2.0 * np.pi / n < 0.7 * least_arc:
-                good = False
-                break
+            sample_gradients(dx, dy, low, lens, shape, n, band, samples)
             one_sense(samples, n)
             moved = update_shape(samples, n, band + 1.0, shape, normal)
-            row = axes_of_shape(shape)
-            if (
-                moved < 0.0
-                or row[3] < limits[0]
-                or row[2] > limits[1]
-                or row[3] < limits[2] * row[2]
-            ):
+            if moved < 0.0 or not within(shape, limits):
                 good = False
                 break
             for j in range(count):

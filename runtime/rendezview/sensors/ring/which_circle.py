@@ -46,9 +46,6 @@ _FARTHEST_SIGMAS = 3.0
 _WORTH = 2.0
 RIVAL_COST = 5.0  # more than the best's; a rival within it may be the ring. Source: the same
 _MOST_RIVALS = 5  # named. Source: by construction, a bound of time
-# Of the range; two edges that differ by less are one, whichever it is. Source: the 0.5 % asked for
-_SAME_RANGE = 0.004
-_RIVAL_SCORE = 0.05  # of the best score, without a range; a weaker one is none. Source: the same
 # From here edges of one group are known to be of one plane. Source: the groups' own tolerance
 _PLANE_TILT_RAD = math.radians(10.0)
 # How far a known circle's picture may lie from its ellipse: a share of its size, and so many px.
@@ -88,7 +85,6 @@ class Which:
     rivals: tuple[tuple[int, int], ...]  # (ellipse, circle), best first, without the best
     reason: str  # why there is none, or what the rivals are
     circle: int = RING  # the circle that ``edge`` is of
-    by_score: bool = False  # nothing but the scores chose it: it may be an inner edge
     # It is not sure that the ellipse is any circle of the target.
     doubtful: bool = False
     centre_m: Array | None = None  # (3,) of the ring by the best hypothesis, its
@@ -223,7 +219,7 @@ def _decided(
         if (k, j) == (found.edge[known], found.circle[known]):
             return True
         apart_m = float(np.linalg.norm(found.centre_m[known] - found.centre_m[i]))
-        if apart_m < _SAME_RANGE * ranges[best]:
+        if apart_m < _KNOWN_SHARE * ranges[best]:
             return True
         # Where it should lie if the best is right: the same reading of the frame, less exact.
         of_best = known == best and k != found.edge[best]
@@ -287,7 +283,7 @@ def _is_alone(edges: Sequence[RingEdge], k: int) -> bool:
 def _by_score(camera: Camera, edges: Sequence[RingEdge], radius_m: float) -> Which:
     """Nothing is known but the radius: it is that of the outermost edge of the best group.
 
-    Other ellipses are rivals unless they are weak, or seen to lie in its plane.
+    Other ellipses are rivals unless they are seen to lie in its plane.
     """
     poses = [circle_poses(camera, edge.ellipse, radius_m)[:1] for edge in edges]
     if not poses[0]:
@@ -297,18 +293,15 @@ def _by_score(camera: Camera, edges: Sequence[RingEdge], radius_m: float) -> Whi
     tilt = first.tilt_rad - first.axis_sigma_rad
 
     def same(k: int, known: int) -> bool:
-        one_plane = edges[k].group == best.group and tilt > _PLANE_TILT_RAD
-        weak = edges[k].score < _RIVAL_SCORE * best.score
-        as_far = abs(ranges[k] / ranges[0] - 1.0) < _SAME_RANGE
-        return known == 0 and (one_plane or weak or as_far)
+        return known == 0 and edges[k].group == best.group and tilt > _PLANE_TILT_RAD
 
     choice = choose(-np.arange(len(edges)), same, most=_MOST_RIVALS)  # in the detector's order
     if choice is None or not choice.rivals:
         alone = sum(edge.group == best.group for edge in edges) == 1
-        return Which(0, (), _ALONE if alone else "", by_score=True, doubtful=alone)
+        return Which(0, (), _ALONE if alone else "", doubtful=alone)
     places = " or ".join(f"{k} (then at {ranges[k]:.2f} m)" for k in choice.answers)
     reason = f"no range is given to tell which circle is the ring: ellipse {places}"
-    return Which(0, tuple((k, RING) for k in choice.rivals), reason, by_score=True)
+    return Which(0, tuple((k, RING) for k in choice.rivals), reason)
 
 
 def ring_of_circle(pose: CirclePose, height_m: float, radius_m: float) -> CirclePose:
