@@ -18,7 +18,7 @@ from rendezview.sensors.beacons.detect.cover import (
     uncovered,
     uncovered_sizes,
 )
-from rendezview.sensors.beacons.detect.spots import (
+from rendezview.sensors.beacons.detect.spot_columns import (
     AMPLITUDE,
     COLUMNS,
     LONG_X,

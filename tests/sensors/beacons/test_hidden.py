@@ -27,7 +27,7 @@ from rendezview.sensors.beacons import (
 from rendezview.sensors.beacons.constellation import left_out_of
 from rendezview.sensors.beacons.detect.background import Background
 from rendezview.sensors.beacons.detect.discs import expected_size
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, SIZE
+from rendezview.sensors.beacons.detect.spot_columns import COLUMNS, SIGMA, SIZE
 from rendezview.sensors.beacons.match.acquisition import merged
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.beacons.match.judgement import common_variance, least_facing

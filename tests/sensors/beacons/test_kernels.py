@@ -25,7 +25,8 @@ from rendezview.sensors.beacons.detect.discs import (
     project_disc,
     turned,
 )
-from rendezview.sensors.beacons.detect.spots import (
+from rendezview.sensors.beacons.detect.labels import gather
+from rendezview.sensors.beacons.detect.spot_columns import (
     ABOVE,
     AREA,
     BINARY_X,
@@ -38,11 +39,8 @@ from rendezview.sensors.beacons.detect.spots import (
     WEIGHTED_X,
     X,
     Y,
-    gather,
-    place,
-    recentre,
-    window_centroid,
 )
+from rendezview.sensors.beacons.detect.spots import place, recentre, window_centroid
 from rendezview.sensors.beacons.match.matching import expect_spots, match_spots
 from rendezview.sensors.beacons.pose.refinement import Refined, adjust, solve_spots
 from rendezview.sensors.beacons.pose.shares import (

@@ -13,7 +13,8 @@ from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import Lens, LitDark, ReflectorSensor, RigCamera, Spots
 from rendezview.sensors.beacons.detect.brown_lens import shift, unshift
 from rendezview.sensors.beacons.detect.lens_scale import LensScale
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SIZE, SpotTable
+from rendezview.sensors.beacons.detect.spot_columns import COLUMNS, SIZE
+from rendezview.sensors.beacons.detect.spots import SpotTable
 from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
 
 WHOLE = Lens((0.2, -0.1, 0.05), (0.004, -0.003, 2.0), (0.01, -0.02), corrects=True)

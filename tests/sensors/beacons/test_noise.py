@@ -12,7 +12,7 @@ from rendezview.sensors.beacons.detect.background import Background
 from rendezview.sensors.beacons.detect.difference import ThresholdOptions, registered
 from rendezview.sensors.beacons.detect.hidden_noise import HiddenNoise, quantisation_step
 from rendezview.sensors.beacons.detect.registration import background_motion, register
-from rendezview.sensors.beacons.detect.spots import COLUMNS
+from rendezview.sensors.beacons.detect.spot_columns import COLUMNS
 
 CAMERA = plain.Pinhole()
 LOOK = plain.Look()

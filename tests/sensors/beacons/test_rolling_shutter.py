@@ -12,7 +12,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions
 from rendezview.sensors.beacons.detect.rolling_shutter import at_middle_row
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SIGMA, X, Y
+from rendezview.sensors.beacons.detect.spot_columns import COLUMNS, SIGMA, X, Y
 
 PINHOLE = plain.Pinhole()
 CAMERA = Camera(512, 384, 650.0, 650.0, 255.5, 191.5)

@@ -20,7 +20,11 @@ from rendezview.sensors.beacons import (
     pose_of,
 )
 from rendezview.sensors.beacons.card import Paper, dots_m, write_card
-from rendezview.sensors.beacons.detect.difference import background_of, faint_mask
+from rendezview.sensors.beacons.detect.difference import (
+    ThresholdOptions,
+    background_of,
+    faint_mask,
+)
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.beacons.tolerance import fit_dots, scaled
 
@@ -114,7 +118,7 @@ def test_the_background_follows_the_room_and_not_the_dots():
     room[100:120, 150:170] = 250
     behind = background_of(room).astype(float)
     assert abs(behind[110, 160] - 100.0) < 15.0
-    mask = faint_mask(room, background_of(room), 1.0, 30.0)
+    mask = faint_mask(LitDark(room), background_of(room), 1.0, ThresholdOptions(faint_factor=30.0))
     assert mask[110, 160] == 255
     assert mask[30, 160] == 0
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from rendezview.sensors.beacons.detect.difference import LitDark
-from rendezview.sensors.beacons.detect.spots import PEAK, SATURATED
+from rendezview.sensors.beacons.detect.spot_columns import PEAK, SATURATED
 from rendezview.sensors.beacons.observation import ReflectorObservation
 from rendezview.sensors.observation import Status
 

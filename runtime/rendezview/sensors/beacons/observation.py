@@ -11,7 +11,8 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.target import DockingRing
 from rendezview.sensors.beacons.budget import Budget
 from rendezview.sensors.beacons.constellation import SixNumbers
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SpotTable
+from rendezview.sensors.beacons.detect.spot_columns import COLUMNS
+from rendezview.sensors.beacons.detect.spots import SpotTable
 from rendezview.sensors.beacons.match.acquisition_options import STRANGE, Acquisition
 from rendezview.sensors.beacons.rates import Rates
 from rendezview.sensors.measurement import Measurement

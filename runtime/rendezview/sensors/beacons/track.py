@@ -12,7 +12,8 @@ from rendezview.errors import RendezviewError
 from rendezview.estimation.rates import RateOptions
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.detect.cover import middle
-from rendezview.sensors.beacons.detect.spots import AMPLITUDE, RIVALS, SIGMA, SpotTable, X
+from rendezview.sensors.beacons.detect.spot_columns import AMPLITUDE, RIVALS, SIGMA, X
+from rendezview.sensors.beacons.detect.spots import SpotTable
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.pose.refinement import Refined

@@ -17,7 +17,8 @@ from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptio
 from rendezview.sensors.beacons.detect.discs import camera_doubts, camera_numbers
 from rendezview.sensors.beacons.detect.lens_scale import LensScale
 from rendezview.sensors.beacons.detect.rolling_shutter import at_middle_row
-from rendezview.sensors.beacons.detect.spots import COLUMNS, COVER, SIGMA, SpotTable, X, recentre
+from rendezview.sensors.beacons.detect.spot_columns import COLUMNS, COVER, SIGMA, X
+from rendezview.sensors.beacons.detect.spots import SpotTable, recentre
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.match.judgement import least_facing

@@ -10,7 +10,8 @@ from numba import njit
 
 from rendezview.estimation.linear_algebra import copy_into
 from rendezview.sensors.beacons.detect.cover import uncovered
-from rendezview.sensors.beacons.detect.spots import (
+from rendezview.sensors.beacons.detect.labels import gather
+from rendezview.sensors.beacons.detect.spot_columns import (
     AMPLITUDE,
     AREA,
     BOTTOM,
@@ -26,9 +27,8 @@ from rendezview.sensors.beacons.detect.spots import (
     TOP,
     X,
     Y,
-    gather,
-    window_centroid,
 )
+from rendezview.sensors.beacons.detect.spots import window_centroid
 
 Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]

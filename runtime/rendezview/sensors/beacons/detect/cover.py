@@ -16,7 +16,7 @@ from numba import njit
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview.sensors.beacons.detect.discs import disc_radius, expected_size, placed, turned
-from rendezview.sensors.beacons.detect.spots import AMPLITUDE, LONG_X, LONG_XY, SIGMA, SIZE
+from rendezview.sensors.beacons.detect.spot_columns import AMPLITUDE, LONG_X, LONG_XY, SIGMA, SIZE
 
 Ints = npt.NDArray[np.int64]
 

@@ -242,17 +242,19 @@ def background_of(lit: Grey) -> Grey:
     return np.asarray(smooth, dtype=np.uint8)
 
 
-def faint_mask(lit: Grey, behind: Grey, noise: float, factor: float) -> Grey:
+def faint_mask(frames: LitDark, behind: Grey, noise: float, options: ThresholdOptions) -> Grey:
     """(H, W) 255 where a single picture is brighter than its background, after a matched filter.
 
     A Gaussian of 1 px takes 72 % of white noise away, and half of a star: a spot whose peak is at
-    ``factor`` times the noise stands out by 1.5 times that of the filtered noise.
+    ``faint_factor`` times the noise stands out by 1.5 times that of the filtered noise.
     """
-    difference = cv2.subtract(lit, behind, dtype=cv2.CV_32F)
+    difference = cv2.subtract(frames.lit, behind, dtype=cv2.CV_32F)
     soft = cv2.GaussianBlur(difference, (0, 0), _FILTER_PX)
     passed = 1.0 / (2.0 * math.sqrt(math.pi) * _FILTER_PX)
-    level = factor * max(noise * passed, _LEAST_NOISE * passed, _dips(soft))
-    return np.asarray(cv2.threshold(soft, level, 255.0, cv2.THRESH_BINARY)[1], dtype=np.uint8)
+    level = options.faint_factor * max(noise * passed, _LEAST_NOISE * passed, _dips(soft))
+    mask = np.asarray(cv2.threshold(soft, level, 255.0, cv2.THRESH_BINARY)[1], dtype=np.uint8)
+    drop_glare(mask, frames, options)
+    return mask
 
 
 def _dips(soft: npt.NDArray[Any]) -> float:

@@ -21,7 +21,7 @@ from rendezview.sensors.beacons.detect.difference import (
     background_of,
     noise_grey,
 )
-from rendezview.sensors.beacons.detect.spots import (
+from rendezview.sensors.beacons.detect.spot_columns import (
     AMPLITUDE,
     BOTTOM,
     COLUMNS,

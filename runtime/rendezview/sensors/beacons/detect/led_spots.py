@@ -11,7 +11,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.sensors.beacons.detect.detectors import UNKNOWN, Spots
 from rendezview.sensors.beacons.detect.difference import LitDark, Opening, ThresholdOptions
-from rendezview.sensors.beacons.detect.spots import (
+from rendezview.sensors.beacons.detect.spot_columns import (
     AMPLITUDE,
     AREA,
     BOTTOM,

@@ -8,7 +8,8 @@ import numpy as np
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
-from rendezview.sensors.beacons.detect.spots import SIZE, SpotTable
+from rendezview.sensors.beacons.detect.spot_columns import SIZE
+from rendezview.sensors.beacons.detect.spots import SpotTable
 
 _CELLS = 48  # across the longer side. Source: by construction, 0.3 % off at most
 _STEP_PX = 0.5  # Source: by construction, slopes over a pixel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rendezview.geometry.pose import Array
-from rendezview.sensors.beacons.detect.spots import SIGMA, X, Y
+from rendezview.sensors.beacons.detect.spot_columns import SIGMA, X, Y
 
 # Of a spot's shift, by which its speed may have changed. Source: by construction, 1 s of motion
 # that doubles its speed, at 20 readings a second

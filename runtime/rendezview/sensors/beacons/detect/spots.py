@@ -9,10 +9,11 @@ finds no first moment. For a spot that is itself Gaussian that is the best there
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.saturated_spot import Plane, fit_rim
@@ -32,15 +33,37 @@ from rendezview.sensors.beacons.detect.difference import (
     ThresholdOptions,
     background_of,
     cut_valleys,
-    drop_glare,
     faint_mask,
     noise_grey,
     spot_mask,
     threshold_of,
 )
 from rendezview.sensors.beacons.detect.discs import expected_size
+from rendezview.sensors.beacons.detect.labels import label
+from rendezview.sensors.beacons.detect.spot_columns import (
+    ABOVE,
+    AMPLITUDE,
+    AREA,
+    BINARY_X,
+    BOTTOM,
+    COLUMNS,
+    LEFT,
+    LONG_X,
+    LONG_XY,
+    PEAK,
+    RIGHT,
+    ROUGH,
+    SATURATED,
+    SHAPE,
+    SIGMA,
+    SIZE,
+    TOP,
+    WEIGHTED_X,
+    WEIGHTED_Y,
+    X,
+    Y,
+)
 
-SATURATED_GREY = 255  # grey. Source: by construction, 8 bits
 _FEWEST = 3  # spots that can be a target. Source: by construction
 _RISES = 10  # of the threshold, each by a half: up to 38 times. Source: by construction
 # σ between two centroids of one spot: further apart, something overlaps it. Source: reflector-nees
@@ -62,18 +85,6 @@ _SIZE_KNOWN = 0.1
 MOST_CERTAIN = 20
 # more than that is no picture of a target. Source: by construction, a bound of time
 MOST_SPOTS = 400
-# Columns of the spot table that the compiled loops fill.
-X, Y, AREA, AMPLITUDE, PEAK, SIZE, SATURATED, SIGMA = range(8)
-BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DARK, ABOVE = range(
-    8, 19
-)
-# grey²: texture of the ring about it, as white noise of a pixel. Source: by construction
-ROUGH = 19
-# Elongation of the moments under its window: (xx − yy, 2 xy) / (xx + yy); NaN where saturated.
-LONG_X, LONG_XY = 20, 21  # Source: by construction
-RIVALS = 22  # spots like it beside it, where a window was read. Source: by construction
-COVER = 23  # px, the share of SIGMA by what lies over it. Source: by construction
-COLUMNS = 24  # Source: by construction
 _LOW, _HIGH = np.array([LEFT, TOP]), np.array([RIGHT, BOTTOM])  # Source: by construction
 _GAUSSIAN = np.array([X, Y, SIZE, AMPLITUDE])  # Source: by construction
 _RECORDED = {
@@ -141,39 +152,47 @@ def find_spots(
     chosen, noise = options or ThresholdOptions(), noise_grey(frames)
     table = np.zeros((MOST_SPOTS, COLUMNS))
     if frames.dark is None and chosen.lower_grey is None:
-        count = _label_faint(frames.lit, noise, chosen, table)
+        count = _label_faint(frames, noise, chosen, table)
     else:
-        level = threshold_of(chosen, noise, frames)
-        dark, count = frames.dark_or_nothing, 0
-        mask = spot_mask(frames, level, chosen)
+        level, count = threshold_of(chosen, noise, frames), 0
         if not faint or chosen.lower_grey is not None:
-            count = _label(mask.copy(), frames.lit, dark, level, table)
+            mask_of = partial(spot_mask, frames, level, chosen)
+            count, pieces = _labelled(mask_of, frames, level, level, table)
         if 0 <= count < _FEWEST and chosen.lower_grey is None:
-            low = faint_mask(frames.lit, dark, noise, chosen.faint_factor)
-            drop_glare(low, frames, chosen)
+            mask_of = partial(faint_mask, frames, frames.dark_or_nothing, noise, chosen)
             others = np.zeros_like(table)
-            more = _label(low.copy(), frames.lit, dark, noise, others)
+            more, parts = _labelled(mask_of, frames, level, noise, others)
             if not 0 <= more <= count:  # some are too faint for single pixels
-                count, table, mask = more, others, low
+                count, table, pieces = more, others, parts
     overfull = count < 0
     found = table[: MOST_SPOTS if overfull else count]
     place(frames.lit, frames.dark_or_nothing, found, noise)
     if frames.dark is not None and not overfull:
-        found = _parted(frames, mask, found, noise, level)
+        found = _parted(frames, pieces, found, noise, level)
     recentre(found, noise, centroid or chosen.centroid)
     return SpotTable(found, overfull)
 
 
-def _parted(frames: LitDark, mask: Grey, table: Array, noise: float, level: float) -> Array:
+def _labelled(
+    mask_of: Callable[[], Grey], frames: LitDark, level: float, floor: float, table: Array
+) -> tuple[int, Array]:
+    """Label spots; how many there are, and the rows of all after cuts between lights, if any."""
+    mask, pieces = mask_of(), np.zeros((0, COLUMNS))
+    if frames.dark is not None and cut_valleys(mask, frames, level):
+        pieces = np.zeros((MOST_SPOTS, COLUMNS))
+        pieces = pieces[: max(label(mask, frames.lit, frames.dark, floor, pieces), 0)]
+        mask = mask_of()
+    return label(mask, frames.lit, frames.dark_or_nothing, floor, table), pieces
+
+
+def _parted(frames: LitDark, pieces: Array, table: Array, noise: float, level: float) -> Array:
     """The rows (N, 24), with several for spots that run together, if a fit of all explains them.
 
-    ``mask`` (H, W) is that of the rows, and lost. Where fewer than three are found, a long one
-    may be several.
+    ``pieces`` (M, 24) are those after cuts. Where fewer than three are found, a long one may be
+    several.
     """
     dark, starts, owners = frames.dark_or_nothing, table, np.arange(len(table))
-    if cut_valleys(mask, frames, level):
-        pieces = np.zeros((MOST_SPOTS, COLUMNS))
-        pieces = pieces[: max(_label(mask, frames.lit, dark, level, pieces), 0)]
+    if len(pieces):
         place(frames.lit, dark, pieces, noise)
         inside = pieces[:, None, _LOW] >= table[:, _LOW]
         inside &= pieces[:, None, _HIGH] <= table[:, _HIGH]
@@ -196,108 +215,16 @@ def _parted(frames: LitDark, mask: Grey, table: Array, noise: float, level: floa
     return np.vstack([table[kept], *parts]) if parts else table
 
 
-def _label_faint(lit: Grey, noise: float, options: ThresholdOptions, table: Array) -> int:
+def _label_faint(frames: LitDark, noise: float, options: ThresholdOptions, table: Array) -> int:
     """Label the spots of a single picture; among too many the threshold rises until they fit."""
-    behind, factor = background_of(lit), options.faint_factor
+    behind = background_of(frames.lit)
     for _ in range(_RISES):
-        mask = faint_mask(lit, behind, noise, factor)
-        drop_glare(mask, LitDark(lit), options)
-        count = _label(mask, lit, behind, noise, table)
+        mask = faint_mask(frames, behind, noise, options)
+        count = label(mask, frames.lit, behind, noise, table)
         if count >= 0:
             break
-        factor *= 1.5
+        options = replace(options, faint_factor=1.5 * options.faint_factor)
     return count
-
-
-def _label(mask: Grey, lit: Grey, dark: Grey, level: float, table: Array) -> int:
-    flat = mask.reshape(-1)
-    words = flat[: flat.size - flat.size % 8].view(np.uint64)
-    stack = np.empty(max(flat.size, 1), np.int32)
-    return int(_label_loop(mask, words, lit, dark, level, stack, table))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _label_loop(
-    mask: Grey, words: npt.NDArray[np.uint64], lit: Grey, dark: Grey, level: float,
-    stack: npt.NDArray[np.int32], table: Array,
-) -> int:  # fmt: skip
-    height, width = mask.shape
-    flat = mask.reshape(-1)
-    count = 0
-    for w in range(words.shape[0] + 1):
-        if w < words.shape[0] and words[w] == 0:
-            continue
-        for start in range(8 * w, min(8 * w + 8, flat.shape[0])):
-            if flat[start] == 0:
-                continue
-            if count == table.shape[0]:
-                return -1
-            gather(flat, width, height, start, lit, dark, level, stack, table[count])
-            count += 1
-    return count
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def gather(
-    flat: Grey, width: int, height: int, start: int, lit: Grey, dark: Grey, level: float,
-    stack: npt.NDArray[np.int32], row: Array,
-) -> None:  # fmt: skip
-    """Zero a spot out of the mask, layer by layer, and fill its row (8-connected)."""
-    has_dark = dark.shape[0] > 0
-    area = saturated = 0
-    bx = by = wx = wy = flux = peak = darkest = 0.0
-    xx = yy = xy = 0.0
-    left, right, top, bottom = width, -1, height, -1
-    x_first, y_first = start % width, start // width
-    stack[0] = start
-    flat[start] = 0
-    depth = 1
-    while depth:
-        depth -= 1
-        at = stack[depth]
-        y, x = at // width, at % width
-        value = float(lit[y, x])
-        if lit[y, x] >= SATURATED_GREY:
-            saturated += 1
-        if has_dark:
-            value -= dark[y, x]
-            darkest = max(darkest, float(dark[y, x]))
-        weight = max(value - level, 0.0)
-        dx, dy = float(x - x_first), float(y - y_first)
-        area += 1
-        bx += dx
-        by += dy
-        flux += weight
-        wx += weight * dx
-        wy += weight * dy
-        xx += weight * dx * dx
-        yy += weight * dy * dy
-        xy += weight * dx * dy
-        peak = max(peak, value)
-        left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
-        for ny in range(max(y - 1, 0), min(y + 2, height)):
-            for nx in range(max(x - 1, 0), min(x + 2, width)):
-                n = ny * width + nx
-                if flat[n]:
-                    flat[n] = 0
-                    stack[depth] = n
-                    depth += 1
-    row[AREA], row[AMPLITUDE], row[PEAK], row[SATURATED] = area, peak, peak, saturated
-    row[ABOVE] = flux
-    row[BINARY_X], row[BINARY_Y] = x_first + bx / area, y_first + by / area
-    if flux > 0.0:
-        mx, my = wx / flux, wy / flux
-        xx, yy, xy = xx / flux - mx * mx, yy / flux - my * my, xy / flux - mx * my
-        row[WEIGHTED_X], row[WEIGHTED_Y] = x_first + mx, y_first + my
-    else:
-        row[WEIGHTED_X], row[WEIGHTED_Y] = row[BINARY_X], row[BINARY_Y]
-        xx = yy = xy = 0.0
-    row[LEFT], row[TOP], row[RIGHT], row[BOTTOM] = left, top, right, bottom
-    # A pixel's own width (1/12) rounds off the shape of the smallest.
-    mean, half = 0.5 * (xx + yy) + 1.0 / 12.0, math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-    row[SHAPE] = math.sqrt(max(mean - half, 1e-6) / (mean + half))
-    row[SIZE] = math.sqrt(mean)
-    row[DARK] = darkest
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -17,7 +17,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview.sensors.beacons.detect.cover import uncovered_sizes
 from rendezview.sensors.beacons.detect.lens_scale import LensScale
-from rendezview.sensors.beacons.detect.spots import (
+from rendezview.sensors.beacons.detect.spot_columns import (
     AMPLITUDE,
     BOTTOM,
     LEFT,
@@ -25,8 +25,8 @@ from rendezview.sensors.beacons.detect.spots import (
     SHAPE,
     SIZE,
     TOP,
-    SpotTable,
 )
+from rendezview.sensors.beacons.detect.spots import SpotTable
 from rendezview.sensors.beacons.match.acquisition_options import (
     MIRRORED,
     Acquisition,

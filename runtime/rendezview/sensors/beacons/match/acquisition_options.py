@@ -11,7 +11,8 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
-from rendezview.sensors.beacons.detect.spots import COLUMNS, SpotTable
+from rendezview.sensors.beacons.detect.spot_columns import COLUMNS
+from rendezview.sensors.beacons.detect.spots import SpotTable
 from rendezview.sensors.beacons.pose.refinement import Refined
 from rendezview.sensors.observation import Status
 

@@ -15,7 +15,7 @@ from rendezview.sensors.beacons.detect.discs import (
     project_disc,
     turned,
 )
-from rendezview.sensors.beacons.detect.spots import SIZE
+from rendezview.sensors.beacons.detect.spot_columns import SIZE
 from rendezview.sensors.beacons.match.judgement import common_variance
 
 Array = npt.NDArray[np.float64]

@@ -27,7 +27,7 @@ from rendezview.sensors.beacons.detect.discs import (
     project_disc,
     turned,
 )
-from rendezview.sensors.beacons.detect.spots import COLUMNS, COVER, SATURATED, SIGMA, X, Y
+from rendezview.sensors.beacons.detect.spot_columns import COLUMNS, COVER, SATURATED, SIGMA, X, Y
 from rendezview.sensors.beacons.pose.shares import (
     CAUSES,
     COVERED,
