@@ -11,6 +11,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, find_spots
 from rendezview.sensors.beacons.detect import blended
 from rendezview.sensors.beacons.detect.difference import (
+    Centroid,
     Opening,
     ThresholdOptions,
     cut_valleys,
@@ -92,6 +93,25 @@ def test_a_streak_and_a_covered_disc_stay_one_spot(three):
         covers = {1: (rng.uniform(0.0, 6.3), rng.uniform(-0.3, 0.5))}
         light = plain.discs(PINHOLE, *placed, *discs, plain.Look(), (), covers)
         assert len(find_spots(LitDark(*plain.pair(PINHOLE, light, plain.Look(), rng)))) == 3
+
+
+def test_other_centroids_and_empty_pictures_part_nothing():
+    """Regions have one binary and one weighted centroid; a picture without light has no spots."""
+    rng = np.random.default_rng(9)
+    frames = lights(np.array([[18.0, 20.0], [21.0, 20.5]]), rng)
+    assert len(find_spots(frames)) == 2
+    for centroid in (Centroid.BINARY, Centroid.WEIGHTED):
+        assert len(find_spots(frames, centroid=centroid)) == 1
+    dark = lights(np.zeros((0, 2)), rng)
+    assert [len(find_spots(dark, faint=faint)) for faint in (False, True)] == [0, 0]
+
+
+def test_lights_in_a_corner_are_parted_or_left():
+    rng = np.random.default_rng(10)
+    for corner in ((1.0, 1.0), (38.0, 1.5), (0.5, 38.5)):
+        places = np.array(corner) + np.array([[0.0, 0.0], [2.0, 0.4], [0.3, 2.2], [2.1, 2.3]])
+        spots = find_spots(lights(places, rng))
+        assert np.isfinite(spots.table[:, [0, 1, 5, 7]]).all()
 
 
 def test_slopes_of_the_light_are_its_differences():

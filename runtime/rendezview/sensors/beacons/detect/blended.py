@@ -99,6 +99,8 @@ def fit_blended(
         if found is None:
             return None
         at, dof = found.at, int(np.isfinite(sigma).sum()) - found.at.size
+        if dof < 1:
+            return None
         if found.cost < dof + _EXPLAINED * math.sqrt(2.0 * dof):
             break
         rest = np.where(np.isfinite(sigma), grey - _light(at, box)[0], 0.0)

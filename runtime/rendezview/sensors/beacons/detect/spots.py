@@ -150,7 +150,7 @@ def find_spots(
     single pixels too, as is done where fewer than three are above it.
     """
     chosen, noise = options or ThresholdOptions(), noise_grey(frames)
-    table = np.zeros((MOST_SPOTS, COLUMNS))
+    table, pieces = np.zeros((MOST_SPOTS, COLUMNS)), np.zeros((0, COLUMNS))
     if frames.dark is None and chosen.lower_grey is None:
         count = _label_faint(frames, noise, chosen, table)
     else:
@@ -164,12 +164,12 @@ def find_spots(
             more, parts = _labelled(mask_of, frames, level, noise, others)
             if not 0 <= more <= count:  # some are too faint for single pixels
                 count, table, pieces = more, others, parts
-    overfull = count < 0
+    overfull, centroid = count < 0, centroid or chosen.centroid
     found = table[: MOST_SPOTS if overfull else count]
     place(frames.lit, frames.dark_or_nothing, found, noise)
-    if frames.dark is not None and not overfull:
+    if frames.dark is not None and not overfull and centroid is Centroid.WINDOWED:
         found = _parted(frames, pieces, found, noise, level)
-    recentre(found, noise, centroid or chosen.centroid)
+    recentre(found, noise, centroid)
     return SpotTable(found, overfull)
 
 
