@@ -163,3 +163,11 @@ def test_a_joint_fit_that_cannot_be_says_none(ring_camera):
     ring = Ellipse.from_shape(shape_of_circle(ring_camera, centre, axis, 0.6), NOISE)
     behind = CirclePose(-centre, axis, 0.6)
     assert fit_joint(ring_camera, [ring, ring], behind) is None
+
+
+def test_an_edge_that_is_not_determined_gives_no_joint_pose(ring_camera):
+    centre = np.array([0.0, 0.0, 4.0])
+    axis = tilted_axis(centre, 0.5, 1.0)
+    shape = shape_of_circle(ring_camera, centre, axis, 0.6)
+    ring, flat = (Ellipse.from_shape(shape, covariance) for covariance in (NOISE, 0.0 * NOISE))
+    assert fit_joint(ring_camera, [ring, flat], CirclePose(centre, axis, 0.6)) is None

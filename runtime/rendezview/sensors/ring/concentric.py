@@ -49,7 +49,10 @@ def fit_joint(
     """
     shapes = np.array([ellipse.shape for ellipse in ellipses])
     covariances = np.array([ellipse.shape_covariance for ellipse in ellipses], dtype=np.float64)
-    roots = np.linalg.cholesky(np.linalg.inv(covariances)).transpose(0, 2, 1)
+    try:
+        roots = np.linalg.cholesky(np.linalg.inv(covariances)).transpose(0, 2, 1)
+    except np.linalg.LinAlgError:  # an edge that is hardly determined
+        return None
     count, lens, basis = len(ellipses), lens_vector(camera), tangent_basis(start.axis)
     size = np.sqrt(shapes[:, 2] * shapes[:, 4] - shapes[:, 3] ** 2)
     first = np.zeros(3 + 2 * count)
@@ -84,7 +87,10 @@ def fit_joint(
     if not np.isfinite(chi2):
         return None
     scale = np.repeat([start.radius_m, 1.0], (3, 2))
-    covariance = np.linalg.inv(normal)[:5, :5] * np.outer(scale, scale)
+    try:
+        covariance = np.linalg.inv(normal)[:5, :5] * np.outer(scale, scale)
+    except np.linalg.LinAlgError:
+        return None
     centre = start.centre_m + found.at[:3] * start.radius_m
     axis = start.axis + basis @ found.at[3:5]
     axis /= np.linalg.norm(axis)

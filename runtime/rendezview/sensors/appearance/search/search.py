@@ -133,8 +133,9 @@ class PoseSearch:
         candidates = self._candidates(image, sky, range_m, outlines)
         times = self.levels.whole.camera.width // candidates.level.camera.width
         if times > 1:  # the outlines are finer than the picture
-            candidates.outlines = Outlines([r[::times].copy() for r in outlines.rays], signature)
-        found = self._from_outlines(candidates, candidates.outlines or outlines, brief, give_up)
+            outlines = Outlines([r[::times].copy() for r in outlines.rays], signature)
+            candidates.outlines = outlines
+        found = self._from_outlines(candidates, outlines, brief, give_up)
         return self.levels.finished(found, image, sky)
 
     def _from_outlines(
