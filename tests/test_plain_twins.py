@@ -17,6 +17,7 @@ from rendezview.sensors.appearance.edges.articulation import _turn_points
 from rendezview.sensors.appearance.judge import drawn
 from rendezview.sensors.appearance.model.contours import SURFACES
 from rendezview.sensors.appearance.model.signature import _nearly_atan2
+from rendezview.sensors.appearance.model.view_tables import read_only
 from rendezview.sensors.beacons.detect.cover import _shape
 from rendezview.sensors.beacons.detect.discs import expected_size
 from rendezview.sensors.beacons.match.judgement import judge
@@ -321,7 +322,7 @@ def earth_of_rays(rng):
     rays[0] = np.cos(low) * middle + np.sin(low) * unit(np.array([2.0, -1.0, 0.0]))
     shift, radiance, clear = rng.uniform(-5.0, 5.0, 3), *np.ones((2, 9, 11), np.float32)
     radiance[:] = 0.0
-    _paint_earth(rays, middle, sun, 2.0, 1e-3, ground, shift, radiance, clear)
+    _paint_earth(read_only(rays), middle, sun, 2.0, 1e-3, ground, shift, radiance, clear)
     light, through = np.zeros((9, 11)), np.ones((9, 11))
     for at in np.ndindex(9, 11):
         d = unit(rays[at])

@@ -234,7 +234,7 @@ def test_solve_spots_uses_the_named_rows_and_refuses_a_line(five, paper_camera):
         which = np.array(rows, dtype=np.int64)
         used = solve_spots(
             lens, camera_doubts(paper_camera), arms, five.normals, five.discs, five.centre_m,
-            table, which, 0.01, rotation, start.translation_m, translation,
+            table, which, 0.01, rotation, start.translation_m.copy(), translation,
             np.empty((len(CAUSES), 6, 6)), np.empty((len(rows), 2)),
         )  # fmt: skip
         assert (used > 0) == good

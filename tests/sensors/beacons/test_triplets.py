@@ -74,8 +74,9 @@ def test_true_spots_are_judged_by_their_sizes_and_brightness_at_the_true_pose(pa
     def judged(sizes, peaks):
         scores, poses = np.empty((1, 4)), np.empty((1, 4, 12))
         judge(
-            np.array([[0, 1, 2]]), directions, sizes, peaks, three.positions_m, three.normals,
-            three.diameters_m, paper_camera.fx, 0.75, (0.035, 0.03, 0.12, 0.08, 0.5, 0.5, 5.7),
+            np.array([[0, 1, 2]]), directions, sizes.copy(), peaks,
+            three.positions_m, three.normals, three.diameters_m, paper_camera.fx, 0.75,
+            (0.035, 0.03, 0.12, 0.08, 0.5, 0.5, 5.7),
             np.array([0.3, 150.0]), options.score_limit, scores, poses,
         )  # fmt: skip
         k = int(np.argmin(scores[0]))

@@ -144,8 +144,9 @@ def reference(
             counts = [
                 measure_edges(
                     scene.image, scene.lens, scene.frame, views, shell, view, rotation, centre,
-                    shade, sun, int(stage.reach_px), stage.spread_px, int(stage.smooth_px),
-                    stage.room_px, int(stage.lines), int(stage.stride), bool(stage.fit), rows,
+                    shade, sun, int(stage.reach_px), float(stage.spread_px), int(stage.smooth_px),
+                    float(stage.room_px), int(stage.lines), int(stage.stride), bool(stage.fit),
+                    rows,
                 )
                 for view, rows in zip(nearest, edges, strict=True)
             ]  # fmt: skip
@@ -285,7 +286,7 @@ def test_a_step_is_the_damped_solution_and_refuses_to_leave(scene):
     assert centre == pytest.approx(place + step[3:], abs=1e-9)
     near = np.array([0.0, 0.0, 1.0])  # within the target
     assert take_step(edges, 0.1, damping, 1.0, lens, views, np.eye(3), near.copy()) < 0.0
-    within = views._replace(shells_m=np.array([0.5]))  # a part of it has nearer views
+    within = views._replace(shells_m=read_only(np.array([0.5])))  # a part of it has nearer views
     assert take_step(edges, 0.1, damping, 1.0, lens, within, np.eye(3), near.copy()) > 0.0
     few = edges[:11]
     assert take_step(few, 0.1, damping, 1.0, lens, views, np.eye(3), place.copy()) < 0.0

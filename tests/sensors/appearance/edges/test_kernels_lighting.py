@@ -18,6 +18,7 @@ from rendezview.sensors.appearance.model.contours import (
     packed_start,
     start_radii,
 )
+from rendezview.sensors.appearance.model.view_tables import read_only
 
 RADIUS_PX = 200.0
 REACH = 12.0 / 196.0  # of the radius
@@ -45,13 +46,14 @@ class Scene:
         self.edges[:count, V] = rng.uniform(-10.0, 310.0, count)
         self.edges[:count, NX], self.edges[:count, NY] = np.cos(angle), np.sin(angle)
         self.edges[:count:9, [NX, NY]] = 0.0  # not projected
-        self.kind = np.where(rng.random(count) < 0.5, OUTLINE, STEP).astype(np.uint8)
-        self.strip = rng.integers(0, KINDS, (count, SURFACES)).astype(np.uint8)
-        self.start = np.sort(rng.integers(-60, 128, (count, SURFACES - 1, 2)), axis=1)
-        self.start = self.start.astype(np.int8)
-        self.palette = rng.normal(size=(KINDS, 4)).astype(np.float32)
-        self.palette[:, :3] /= np.linalg.norm(self.palette[:, :3], axis=1, keepdims=True)
-        self.palette[:, 3] = rng.uniform(0.2, 0.9, KINDS)
+        kind = np.where(rng.random(count) < 0.5, OUTLINE, STEP).astype(np.uint8)
+        strip = rng.integers(0, KINDS, (count, SURFACES)).astype(np.uint8)
+        start = np.sort(rng.integers(-60, 128, (count, SURFACES - 1, 2)), axis=1)
+        palette = rng.normal(size=(KINDS, 4)).astype(np.float32)
+        palette[:, :3] /= np.linalg.norm(palette[:, :3], axis=1, keepdims=True)
+        palette[:, 3] = rng.uniform(0.2, 0.9, KINDS)
+        model = kind, strip, start.astype(np.int8), palette
+        self.kind, self.strip, self.start, self.palette = map(read_only, model)
         self.rotation = np.ascontiguousarray(Rotation.random(random_state=rng).as_matrix())
         self.centre = np.array([0.3, -0.4, 9.0])
 

@@ -23,7 +23,12 @@ from rendezview.sensors.appearance.edges.predicted import (
     predict_edges,
 )
 from rendezview.sensors.appearance.model.contours import NO_POINT
-from rendezview.sensors.appearance.model.view_tables import Lens, pose_slope_into, project_edge
+from rendezview.sensors.appearance.model.view_tables import (
+    Lens,
+    pose_slope_into,
+    project_edge,
+    read_only,
+)
 
 UNIT_M = 1e-3
 COUNT = 60
@@ -38,7 +43,8 @@ FISHEYE = (0.02, -0.01, 0.002, 0.0)
 @pytest.fixture
 def points(rng):
     tangents = rng.integers(-127, 128, (COUNT, 3)).astype(np.int8)
-    return rng.integers(-1000, 1001, (COUNT, 3)).astype(np.int16), tangents
+    places = rng.integers(-1000, 1001, (COUNT, 3)).astype(np.int16)
+    return read_only(places), read_only(tangents)
 
 
 @pytest.fixture
@@ -101,9 +107,9 @@ def test_with_a_stride_the_rows_between_are_left_alone(points):
 
 
 def test_an_edge_along_the_line_of_sight_has_no_place():
-    along = np.array([[0, 0, 127]], np.int8)
+    along = read_only(np.array([[0, 0, 127]], np.int8))
     rows = np.zeros((1, COLUMNS))
-    origin = np.zeros((1, 3), np.int16)
+    origin = read_only(np.zeros((1, 3), np.int16))
     predict_edges(origin, along, 1, 1, lens_of(), UNIT_M, np.eye(3), np.array([0, 0, 7.0]), rows)
     assert rows[0, STATE] == OUTSIDE
     assert np.isfinite(rows).all()

@@ -113,7 +113,7 @@ def test_the_view_that_is_predicted_is_the_nearest_one(ideal, refining_model):
     for view in (0, 7, 30):
         eye = views.shells_m[1] * views.directions[view]
         edges = np.zeros((views.point.shape[2], COLUMNS))
-        seen = predict_view(lens, views, pose.rotation, -pose.rotation @ eye, 1, edges)
+        seen = predict_view(lens, views, pose.rotation.copy(), -pose.rotation @ eye, 1, edges)
         assert seen == (1, view, np.count_nonzero(views.kind[1, view] != NO_POINT))
 
 
@@ -121,7 +121,7 @@ def test_the_points_of_the_true_pose_lie_on_the_edges_of_its_maps(ideal, refinin
     pose, maps, lens, views = ideal
     edges = np.zeros((views.point.shape[2], COLUMNS))
     centre = pose.apply(refining_model.centre_m)
-    count = measure_sketch(maps, lens, views, pose.rotation, centre, 6, 3.0, 1, 1.0, edges)
+    count = measure_sketch(maps, lens, views, pose.rotation.copy(), centre, 6, 3.0, 1, 1.0, edges)
     found = edges[:count][edges[:count, STATE] == FOUND]
     assert len(found) > 0.7 * count
     # The views of this small model are 8° apart: that far its outline may lie aside.
@@ -158,9 +158,9 @@ def test_a_pose_is_scored_at_every_so_many_th_point(ideal, refining_model, strid
     pose, maps, lens, views = ideal
     centre = pose.apply(refining_model.centre_m)
     edges = np.zeros((views.point.shape[2], COLUMNS))
-    count = measure_sketch(maps, lens, views, pose.rotation, centre, 1, 1.0, 1, 1.0, edges)
+    count = measure_sketch(maps, lens, views, pose.rotation.copy(), centre, 1, 1.0, 1, 1.0, edges)
     nearest = np.zeros(1, dtype=np.int64)
-    shell = nearest_views(views.directions, views.shells_m, pose.rotation, centre, nearest)
+    shell = nearest_views(views.directions, views.shells_m, pose.rotation.copy(), centre, nearest)
     some = edges[:count:stride].copy()
     kinds = views.kind[shell, nearest[0], :count:stride]
     outer = kinds == OUTLINE
@@ -177,7 +177,7 @@ def test_a_pose_is_scored_at_every_so_many_th_point(ideal, refining_model, strid
         at[outer & seen].mean(), at[~outer & seen].mean(),
         np.array(step)[outer & seen].mean(), np.mean(seen[outer]),
     )  # fmt: skip
-    scored = sketch_agreement(maps, lens, views, pose.rotation, centre, stride, edges)
+    scored = sketch_agreement(maps, lens, views, pose.rotation.copy(), centre, stride, edges)
     assert scored == pytest.approx(expected, abs=1e-6)
 
 
@@ -198,7 +198,7 @@ def explained(ideal):
     def share(lines: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> float:
         lines = (lines / lines.sum()).astype(np.float32)
         seen = np.full(lines.shape, 7, np.uint8)  # what another pose left there does not matter
-        return explained_share(lines, lens, views, rotation, centre, seen)
+        return explained_share(lines, lens, views, rotation.copy(), centre, seen)
 
     return share
 
@@ -241,9 +241,9 @@ def test_the_strips_lie_on_the_contour_points_to_half_a_pixel(ideal, refining_mo
     pose, maps, lens, views = ideal
     centre = pose.apply(refining_model.centre_m)
     seen = np.zeros(maps.edge.shape, np.uint8)
-    explained_share(maps.edge, lens, views, pose.rotation, centre, seen)
+    explained_share(maps.edge, lens, views, pose.rotation.copy(), centre, seen)
     edges = np.zeros((views.point.shape[2], COLUMNS))
-    count = measure_sketch(maps, lens, views, pose.rotation, centre, 1, 1.0, 1, 1.0, edges)
+    count = measure_sketch(maps, lens, views, pose.rotation.copy(), centre, 1, 1.0, 1, 1.0, edges)
     height, width = seen.shape
     down, right = np.mgrid[:height, :width]
 
