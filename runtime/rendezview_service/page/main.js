@@ -80,7 +80,7 @@ function present(next) {
 /** A past state over the picture that is kept of it or of a frame before; without one, why. */
 function presentPast(state, got, why) {
   const seen = (paused?.states ?? past.states).find((kept) => kept.frame === got?.frame) ?? null;
-  const note = got === null ? why : `frame ${state.frame}${got.frame === state.frame ? "" : ` · picture: ${got.frame}`}`;
+  const note = got === null ? why : [`frame ${state.frame}`, got.frame === state.frame ? [] : `picture: ${got.frame}`, got.lost].flat().join(" · ");
   present({ state, seen, contour: got?.contour ?? null, silhouette: null, marks: got?.marks ?? null, bitmap: got?.bitmap ?? null, note });
 }
 

@@ -42,12 +42,18 @@ export class Past {
     return kept.events;
   }
 
-  /** The picture of a frame, or of the last kept frame before it, with its contour and marks. */
+  /** The picture of a frame, or of the last kept frame before it, with its contour and marks.
+   *  lost: which of these could not be had, and why. */
   async picture(frame) {
     const response = await request(`${this.path}/images/${frame}`);
     const shown = Number(response.headers.get("X-Frame"));
-    const of = (what) => json(`${this.path}/${what}/${shown}`).catch(() => null);
+    const lost = [];
+    const of = (what) =>
+      json(`${this.path}/${what}/${shown}`).catch(({ status, message }) => {
+        if (status !== 404) lost.push(`no ${what}: ${message}`); // 404: this frame has none
+        return null;
+      });
     const [blob, contour, marks] = await Promise.all([response.blob(), of("contour"), of("marks")]);
-    return { frame: shown, bitmap: await createImageBitmap(blob), contour, marks };
+    return { frame: shown, bitmap: await createImageBitmap(blob), contour, marks, lost };
   }
 }
