@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,6 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from experiments.benchmark.check import Row, Way, best, race, times, worse, write
+from experiments.benchmark.history import history_table, kept_ratios
 
 
 def row(ours: float, peer: float = 2.0, name: str = "tracking") -> Row:
@@ -142,3 +144,26 @@ def test_waiting_for_a_core_does_not_count(clocks: Callable[[float, float], None
 def test_a_way_with_a_clock_of_its_own_is_believed() -> None:
     spent = race({"elsewhere": Way(lambda: 0.25, own_clock=True)}, 0.01, rounds=2)
     assert spent["elsewhere"] == 0.25
+
+
+def test_history_has_the_last_ratios_of_each_day(tmp_path: Path) -> None:
+    def git(*arguments: str) -> None:
+        own = ["-c", "user.name=a", "-c", "user.email=a@b", *arguments]
+        subprocess.run(["git", "-C", str(tmp_path), *own], check=True, capture_output=True)
+
+    kept = tmp_path / "kept.json"
+    with pytest.raises(SystemExit, match=r"not a git repository|no commit"):
+        kept_ratios(kept)
+    git("init")
+    for day, rows in (("03", [row(8.0)]), ("03", [row(4.0)]), ("05", [row(2.0), row(1, 1, "new")])):
+        write(rows, kept)
+        git("add", "kept.json")
+        git("commit", "-m", "kept", f"--date=2026-10-{day}T12:00:00Z")
+    days = kept_ratios(kept)
+    assert days == {
+        "2026-10-03": {"tracking / floor": 2.0},
+        "2026-10-05": {"tracking / floor": 1.0, "new / floor": 1.0},
+    }
+    table = history_table(days)
+    assert [column.header for column in table.columns][1:] == [*days]
+    assert [list(column.cells) for column in table.columns[1:]] == [["2", "–"], ["1", "1"]]

@@ -18,6 +18,7 @@ from experiments.benchmark.appearance import flight_code, poses
 from experiments.benchmark.check import ALLOWED, Bench, Row, best, worse
 from experiments.benchmark.check import write as write_rows
 from experiments.benchmark.estimation import fusion, segments, three_points
+from experiments.benchmark.history import history_table, kept_ratios
 from experiments.benchmark.sensors import reflectors, rings, stereo
 from experiments.flight_code.check import driver
 from experiments.frame import mesh_of, show, table_of
@@ -83,6 +84,7 @@ def run(
     *, short: Annotated[bool, "small model, less than a minute"] = False,
     check: Annotated[Path | None, "exit 1 where a ratio is over 1.5 × the kept one"] = None,
     write: Annotated[Path | None, "keep the ratios in a file"] = None,
+    history: Annotated[Path | None, "only print the ratios that such a file kept, by day"] = None,
     model: Annotated[Path | None, "default model of hubble; else it is trained"] = None,
     seed: int = 77,
 ) -> None:  # fmt: skip
@@ -92,6 +94,9 @@ def run(
     medians of 15 turns. Less is better everywhere; the ratio is ours over the peer's. --short
     trains a small model of its own once, into ~/.cache.
     """
+    if history:
+        show(history_table(kept_ratios(history)), width=170)
+        return
     start = time.perf_counter()
     cv2.setNumThreads(1)
     name, mesh = mesh_of("hubble")
