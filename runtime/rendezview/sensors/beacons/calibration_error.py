@@ -28,22 +28,22 @@ class CalibrationError:
 
     def __init__(self, rig: Rig, leds: Array, sigmas_m: Array | None = None) -> None:
         self.rig, self.leds, self._sigmas_m = rig, leds, sigmas_m
-        names = [name.rpartition(".")[::2] for name in rig.covariance_names]
-        if rig.covariance is None:
-            names = []
-        mine = [camera.name for camera in rig.cameras]
-        kept = [i for i, (camera, name) in enumerate(names)
-                if camera in mine and name in (*_OWN, "f")]  # fmt: skip
-        self._parameters = [(mine.index(names[i][0]), names[i][1]) for i in kept]
-        self._covariance = (
-            np.zeros((0, 0)) if rig.covariance is None else rig.covariance[np.ix_(kept, kept)]
-        )
+        self._covariance: Array | None = None  # of all numbers of all cameras
+        own = [(camera.name, name) for camera in rig.cameras for name in _OWN]
+        turn = np.zeros((len(rig.covariance_names), len(own)))
+        for given, row in zip(rig.covariance_names, turn, strict=True):
+            camera, _, name = given.rpartition(".")
+            for one in ("fx", "fy") if name == "f" else (name,):  # one focal length is two
+                if (camera, one) in own:
+                    row[own.index((camera, one))] = 1.0
+        if rig.covariance is not None and turn.any():
+            self._covariance = turn.T @ rig.covariance @ turn
         # The shares of the last pose; not known where there was none.
         self.last: dict[str, Array | None] = {"calibration": None, "places": None}
 
     def __bool__(self) -> bool:
         """Whether any of it is known."""
-        return len(self._parameters) > 0 or self._sigmas_m is not None
+        return self._covariance is not None or self._sigmas_m is not None
 
     def loosened(self, sights: Sights, rig_from_target: Pose) -> Sights:
         """The sights with the errors of the lights' places in their σ, at a pose."""
@@ -67,7 +67,8 @@ class CalibrationError:
             rig_from_target: the pose.
             weight: (C, L, 2) 1/σ of the ideal places, 0 where not visible.
         """
-        whitened, less, lights, by_number = [], [], [], []
+        whitened = np.zeros((*weight.shape, 6))
+        less, by_number = np.zeros(weight.shape), np.zeros((*weight.shape[:2], 2, len(_OWN)))
         sigmas = np.zeros(len(self.leds)) if self._sigmas_m is None else self._sigmas_m
         for k, camera in enumerate(self.rig.cameras):
             seen = np.flatnonzero((weight[k] > 0.0).all(axis=1))
@@ -75,32 +76,27 @@ class CalibrationError:
             _, by_own, by_point = camera.slopes(points)
             focal = np.array([camera.fx, camera.fy])
             scale = (weight[k, seen] / focal)[:, :, None]  # 1/σ, per detector unit
-            whitened.append(scale * by_pose(by_point, points - rig_from_target.translation_m))
-            own = np.zeros((len(seen), 2, len(self._parameters)))
-            for i, (which, name) in enumerate(self._parameters):
-                if which == k:
-                    columns = [_OWN.index(n) for n in (("fx", "fy") if name == "f" else (name,))]
-                    own[:, :, i] = by_own[:, :, columns].sum(axis=2)
-            by_number.append(scale * own)
+            by_target = by_pose(by_point, points - rig_from_target.translation_m)
+            whitened[k, seen], by_number[k, seen] = scale * by_target, scale * by_own
             floor = 0.0 if camera.misfit is None else camera.floor**2 - camera.misfit**2
             depth = camera.camera_from_rig.apply(points)[:, 2:]
-            less.append((floor + (sigmas[seen, None] * focal / depth) ** 2) * scale[:, :, 0] ** 2)
-            lights.append(np.repeat(seen, 2))
-        slopes = np.concatenate(whitened).reshape(-1, 6)
-        inverse, light = np.linalg.inv(slopes.T @ slopes), np.concatenate(lights)
-        share = np.clip(1.0 - np.concatenate(less).ravel(), 0.0, 1.0)
+            own = floor + (sigmas[seen, None] * focal / depth) ** 2
+            less[k, seen] = own * scale[:, :, 0] ** 2
+        slopes = whitened.reshape(-1, 6)
+        inverse = np.linalg.inv(slopes.T @ slopes)
+        share = np.clip(1.0 - less.ravel(), 0.0, 1.0)
         noise = inverse @ (slopes.T @ (share[:, None] * slopes)) @ inverse
         calibration = places = None
-        if self._parameters:
-            by = inverse @ slopes.T @ np.concatenate(by_number).reshape(len(slopes), -1)
+        if self._covariance is not None:
+            pulls = np.swapaxes(whitened.reshape(len(self.rig), -1, 6), 1, 2)
+            pulls = pulls @ by_number.reshape(len(self.rig), -1, len(_OWN))  # of each camera
+            by = inverse @ np.concatenate(pulls, axis=1)
             calibration = by @ self._covariance @ by.T
         if self._sigmas_m is not None:
-            pull = np.zeros((6, 6))
-            for k, sigma in enumerate(self._sigmas_m):
-                own = slopes[light == k]  # a light moves its own spots as the whole target does
-                moved = sigma * own.T @ own[:, 3:]
-                pull += moved @ moved.T
-            places = inverse @ pull @ inverse
+            # A light moves its own spots as the whole target does.
+            own = np.moveaxis(whitened, 1, 0).reshape(len(self.leds), -1, 6)
+            moved = sigmas[:, None, None] * (np.swapaxes(own, 1, 2) @ own[:, :, 3:])
+            places = inverse @ np.sum(moved @ np.swapaxes(moved, 1, 2), axis=0) @ inverse
         self.last = {"calibration": calibration, "places": places}
         return {SPOTS: noise, **self.last}
 

@@ -141,12 +141,10 @@ class RigCamera:
         """(N, 2) ideal places of spots, normalised, and their standard deviations."""
         focal = np.array([self.fx, self.fy])
         measured = (spots.positions - (self.cx, self.cy)) / focal
-        ideal, sigma = self.lens.undistort(measured), np.hypot(spots.sigma, self.floor) / focal
-        known = np.asarray(np.isfinite(ideal).all(axis=1))
-        _, by_ideal, _ = self.lens.derivatives(np.where(known[:, None], ideal, 0.0))
-        slopes = np.asarray(np.linalg.inv(by_ideal), np.float64)
+        ideal, slopes = self.lens.undistort_slopes(measured)
+        sigma = np.hypot(spots.sigma, self.floor) / focal
         sigma = np.sqrt(((slopes * sigma[:, None]) ** 2).sum(axis=2))
-        return ideal, np.where(known[:, None], sigma, np.nan)
+        return ideal, np.where(np.isfinite(ideal), sigma, np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,8 +228,12 @@ def by_pose(by_point: Array, arms: Array) -> Array:
 
     ``arms`` (N, 3): the points less the pose's place. ``d p / d(rotation vector) = −[R p]×``.
     """
-    turns = np.cross(arms[:, None, :], by_point)
-    return np.concatenate([turns, by_point], axis=2)
+    x, y, z = arms.T[:, :, None]
+    u, v, w = by_point[..., 0], by_point[..., 1], by_point[..., 2]
+    slopes = np.empty((*by_point.shape[:2], 6))
+    slopes[..., 0], slopes[..., 1], slopes[..., 2] = y * w - z * v, z * u - x * w, x * v - y * u
+    slopes[..., 3:] = by_point
+    return slopes
 
 
 def intrinsics_of(camera: RigCamera) -> Array:

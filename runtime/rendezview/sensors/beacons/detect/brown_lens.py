@@ -125,6 +125,16 @@ class Lens:
         """(N, 2) ideal → measured, normalised; NaN where the model has no answer."""
         return self._mapped(ideal, not self.corrects)
 
+    def undistort_slopes(self, measured: npt.ArrayLike) -> tuple[Array, Array]:
+        """Ideal places of measured ones (N, 2) → (N, 2), with their derivatives (N, 2, 2).
+
+        Both are NaN where the model has no answer.
+        """
+        given = np.asarray(measured, dtype=np.float64)
+        ideal = self.undistort(given)
+        slopes = self._shifted_slopes(given if self.corrects else ideal)
+        return ideal, slopes if self.corrects else np.asarray(np.linalg.inv(slopes), np.float64)
+
     def derivatives(self, ideal: npt.ArrayLike) -> tuple[Array, Array, Array]:
         """Measured places of ideal ones (N, 2) → (N, 2), with their derivatives.
 
@@ -134,30 +144,34 @@ class Lens:
         measured = self.distort(given)
         at = measured if self.corrects else given
         c = self.coefficients
-        by_place, by_coefficients = np.empty((len(at), 2, 2)), np.empty((len(at), 2, 8))
-        _slopes(at, c, by_place)
-        x, y = (at - c[6:]).T
+        whole, by_coefficients = self._shifted_slopes(at), np.empty((len(at), 2, 8))
+        middle = at - c[6:]
+        x, y = middle.T
         r2 = x * x + y * y
         p1, p2, p3 = c[3:6]
-        tx = p1 * (r2 + 2.0 * x * x) + 2.0 * p2 * x * y
-        ty = p2 * (r2 + 2.0 * y * y) + 2.0 * p1 * x * y
         g = 1.0 + p3 * r2
-        for k, (by_x, by_y) in enumerate(
-            [
-                (x * r2, y * r2), (x * r2**2, y * r2**2), (x * r2**3, y * r2**3),
-                (g * (r2 + 2.0 * x * x), g * 2.0 * x * y),
-                (g * 2.0 * x * y, g * (r2 + 2.0 * y * y)), (r2 * tx, r2 * ty),
-            ]
-        ):  # fmt: skip
-            by_coefficients[:, 0, k], by_coefficients[:, 1, k] = by_x, by_y
-        by_coefficients[:, :, 6:] = -by_place
-        whole = np.eye(2) + by_place
+        a, b, d = r2 + 2.0 * x * x, 2.0 * x * y, r2 + 2.0 * y * y
+        for k in range(3):
+            middle = by_coefficients[:, :, k] = middle * r2[:, None]
+        by_coefficients[:, 0, 3], by_coefficients[:, 1, 4] = g * a, g * d
+        by_coefficients[:, 1, 3] = by_coefficients[:, 0, 4] = g * b
+        by_coefficients[:, 0, 5] = r2 * (p1 * a + p2 * b)
+        by_coefficients[:, 1, 5] = r2 * (p2 * d + p1 * b)
+        by_coefficients[:, :, 6:] = np.eye(2) - whole
         if not self.corrects:
             return measured, whole, by_coefficients
         ok = np.isfinite(measured).all(axis=1)
         whole[~ok] = np.eye(2)
         inverse = np.asarray(np.linalg.inv(whole), np.float64)
         return measured, inverse, -inverse @ by_coefficients
+
+    def _shifted_slopes(self, at: Array) -> Array:
+        """(N, 2, 2) derivatives of a place and its shift."""
+        slopes = np.empty((len(at), 2, 2))
+        _slopes(np.ascontiguousarray(at), self.coefficients, slopes)
+        slopes[:, 0, 0] += 1.0
+        slopes[:, 1, 1] += 1.0
+        return slopes
 
     def _mapped(self, points: npt.ArrayLike, forwards: bool) -> Array:
         given = np.ascontiguousarray(points, dtype=np.float64)
