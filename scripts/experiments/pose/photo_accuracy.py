@@ -10,9 +10,12 @@ import cv2
 import numpy as np
 
 from experiments.frame import error_of, nees, show, table_of, two
+from experiments.peers import visp_edges
 from rendezview import Camera, Pose, Recognizer, ViewModel, open_sequence
 from rendezview.calibration.as_built import ShapeEstimator, strained
 from rendezview.estimation.motion import extrapolate
+from rendezview.geometry.symmetry import nearest_alike
+from rendezview_ground.mesh.mesh import load_mesh
 
 RIGHT_DEG, WRONG_DEG, CLOSE_DEG = 5.0, 10.0, 2.0
 PRIOR_DEG, PRIOR_SHARE = 5.0, 0.02  # errors of the priors
@@ -35,14 +38,23 @@ def look(recognizer: Recognizer, picture: np.ndarray, truth: Pose, prior: Pose |
         "time_s": time.perf_counter() - began_s, "nees": None,
     }  # fmt: skip
     pose = seen.pose or next(iter(seen.candidates), None)
+    if pose is not None:
+        truth = nearest_alike(truth, pose, recognizer.model.symmetries)
+    if pose is not None and seen.covariance is not None:
+        row["nees"] = nees(error_of(pose, truth), seen.covariance)
+    return row | off(pose, truth)
+
+
+def off(pose: Pose | None, truth: Pose) -> dict[str, float]:
+    """Errors of a pose; of none, as large as can be."""
     if pose is None:
-        return row | {"rotation_deg": 180.0, "translation": 1.0}
+        return {"rotation_deg": 180.0, "translation": 1.0}
     error = error_of(pose, truth)
-    row["rotation_deg"] = float(np.rad2deg(np.linalg.norm(error[:3])))
-    row["translation"] = float(np.linalg.norm(error[3:]) / np.linalg.norm(truth.translation_m))
-    if seen.covariance is not None:
-        row["nees"] = nees(error, seen.covariance)
-    return row
+    far = np.linalg.norm(truth.translation_m)
+    return {
+        "rotation_deg": float(np.rad2deg(np.linalg.norm(error[:3]))),
+        "translation": float(np.linalg.norm(error[3:]) / far),
+    }
 
 
 def calibrated(
@@ -74,10 +86,12 @@ def row(name: str, rows: list[dict]) -> list[str]:
     if right.any():
         far = 100.0 * np.median(column("translation")[given])
         median, squares = f"{np.median(error[given]):.2f}°, {far:.2f} %", column("nees")[right]
-        normalised = f"{np.nanmedian(squares):.1f} / {np.nanmean(squares):.1f}"
+        if np.isfinite(squares).any():
+            normalised = f"{np.nanmedian(squares):.1f} / {np.nanmean(squares):.1f}"
+    times = two(time_s, 100, "{:.2f} / {:.2f}") if np.isfinite(time_s).all() else "–"
     return [
         name, str(len(rows)), *(f"{share.mean():.0%}" for share in kinds), median, normalised,
-        f"{error.mean():.1f}°", two(time_s, 100, "{:.2f} / {:.2f}"),
+        f"{error.mean():.1f}°", times,
     ]  # fmt: skip
 
 
@@ -85,10 +99,12 @@ def run(
     model: Path, folder: Annotated[Path, "with camera.json, test.json and images"], *,
     no_sketch: Annotated[bool, "without the search on sketches"] = False,
     folds: Annotated[int, "calibrate the shape on the others; 0: as modelled"] = 0, seed: int = 1,
+    mesh: Annotated[Path | None, "in metres: ViSP's edge tracker beside it, same priors"] = None,
 ) -> None:  # fmt: skip
     """Poses from photographs in the form of SPEED+, without a prior and near three priors.
 
-    A prior is 5° and 2 % of the distance off in a random direction.
+    A prior is 5° and 2 % of the distance off in a random direction. Poses that the target's
+    symmetries make alike are one.
     """
     cv2.setNumThreads(1)
     sequence = open_sequence(folder)
@@ -100,6 +116,8 @@ def run(
     rng = np.random.default_rng(seed)
     alone: list[dict] = []
     near_priors: list[dict] = []
+    asked: list[tuple[np.ndarray, Pose]] = []
+    truths: list[Any] = []
     for k, (frame, picture) in enumerate(zip(sequence, pictures, strict=True)):
         truth = frame.camera_from_target
         recognizer, starts = recognizers[k % len(recognizers)], [near(truth, rng) for _ in range(3)]
@@ -107,6 +125,8 @@ def run(
         others = [look(recognizer, picture, truth, start) for start in starts]
         alone.append(first)
         near_priors += others
+        asked += [(picture, start) for start in starts]
+        truths += [truth] * len(starts)
         errors = " ".join(f"{r['rotation_deg']:.1f}°" for r in (first, *others))
         print(f"{frame.name}: {first['status']}, {errors}", flush=True)
     columns = ("", "frames", "given", f"< {RIGHT_DEG:g}°", f"< {CLOSE_DEG:g}°", f"> {WRONG_DEG:g}°",
@@ -115,4 +135,14 @@ def run(
     table = table_of("poses of photographs", columns)
     table.add_row(*row("no prior", alone))
     table.add_row(*row("prior", near_priors))
+    if mesh:
+        answers = visp_edges.poses(load_mesh(mesh, "m"), camera, asked)
+        if answers is None:
+            print("absent: ViSP: not installed")
+        else:
+            peer = [
+                {"given": pose is not None, "time_s": None, "nees": None} | off(pose, truth)
+                for pose, truth in zip(answers, truths, strict=True)
+            ]
+            table.add_row(*row("prior, ViSP's edges", peer))
     show(table, width=150)
