@@ -62,7 +62,7 @@ def fitted(picture, radius, noise=2.02):
 @pytest.mark.parametrize("radius", [1.4, 2.7, 10.0])
 @pytest.mark.parametrize("runs_over", [False, True])
 def test_a_saturated_disc_is_where_it_is_claimed_to_be(radius, runs_over):
-    rng, normalised, off, sizes = np.random.default_rng(3), [], [], []
+    rng, normalised, off = np.random.default_rng(3), [], []
     for _ in range(40):
         x, y = rng.uniform(29.5, 30.5, 2)
         picture = disc(x, y, radius, 500.0, rng)
@@ -70,10 +70,8 @@ def test_a_saturated_disc_is_where_it_is_claimed_to_be(radius, runs_over):
         assert found[2] > 0.0
         off.append((found[0] - x, found[1] - y))
         normalised.append(np.square(off[-1]).sum() / (2.0 * found[2] ** 2))
-        sizes.append(found[3])
     assert 0.5 < np.mean(normalised) < 1.6
     assert np.sqrt(np.mean(np.square(off))) < (0.06 if runs_over else 0.01)
-    assert np.median(sizes) == pytest.approx(radius, rel=0.15 if radius < 2.0 else 0.05)
 
 
 def test_charge_that_runs_along_rows_is_left_out_too():

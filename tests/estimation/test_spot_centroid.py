@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
@@ -14,7 +13,6 @@ from rendezview.estimation.spot_centroid import (
     overlap_error,
     pixel_moments,
     ring_plane,
-    saturated_error,
     window_moments,
 )
 
@@ -154,29 +152,6 @@ def test_a_textured_ring_makes_the_error_larger():
     assert ring_plane(textured, NOTHING, (17, 23, 17, 23), 1.0)[3] > 10.0
 
 
-def test_a_saturated_spot_has_a_larger_error():
-    """Discs three times as bright as a pixel holds: errors as claimed, to a factor of two."""
-    assert saturated_error(0.01, 1, 1.0) == 0.01
-    rng = np.random.default_rng(6)
-    rows, columns = np.mgrid[:320, :320] / 8.0 - 0.4375  # 8 × 8 samples a pixel
-    for radius, blur in ((1.2, 0.7), (1.8, 1.0), (4.2, 0.7)):
-        ratios = []
-        for _ in range(200):
-            x, y = rng.uniform(19.0, 21.0, 2)
-            disc = (np.hypot(columns - x, rows - y) < radius).astype(np.float32)
-            light = cv2.GaussianBlur(disc, (0, 0), 8.0 * blur)
-            light = 12.0 + 760.0 * light.reshape(40, 8, 40, 8).mean((1, 3))
-            noisy = np.clip(np.rint(light + rng.normal(0.0, 1.5, light.shape)), 0, 255)
-            picture = noisy.astype(np.uint8)
-            found = centre_spot(
-                picture, NOTHING, (12.0, 0.0, 0.0, 0.0), (x, y, 0.7 * radius), 1.5,
-                np.empty(40), np.empty(40),
-            )  # fmt: skip
-            claimed = saturated_error(found[4], int((picture == 255).sum()), found[2])
-            ratios += [(found[0] - x) / claimed, (found[1] - y) / claimed]
-        assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 2.0
-
-
 def test_an_overlap_is_half_the_moment_of_what_differs_from_the_opposite_side():
     """In plain numpy; a spot by itself has none."""
     rng = np.random.default_rng(5)
@@ -187,7 +162,7 @@ def test_an_overlap_is_half_the_moment_of_what_differs_from_the_opposite_side():
     beside = alone + spot(25.0, 22.0, 1.5, 90.0)
     for light, overlapped in ((alone, False), (beside, True)):
         picture = np.clip(np.rint(light), 0, 255).astype(np.uint8)
-        told = overlap_error(picture, NOTHING, (x, y, size, peak), slopes, noise, False)
+        told = overlap_error(picture, NOTHING, (x, y, size, peak), slopes, noise)
         opposite = map_coordinates(picture.astype(float), [2 * y - rows, 2 * x - columns], order=1)
         dx, dy = columns - x, rows - y
         off = np.abs(picture - opposite - 2.0 * (slopes[0] * dx + slopes[1] * dy))

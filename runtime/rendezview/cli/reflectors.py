@@ -59,7 +59,7 @@ _READINGS_TO_HINT = 8
 class Glass(StrEnum):
     """Hourglasses."""
 
-    TARGET = "target"  # of the target's own triangles, every tilt to 45°
+    TARGET = "target"  # of the target's own triangles, every tilt to 65°
     PAPER = "paper"  # the lines of Book et al., figure 2
 
 

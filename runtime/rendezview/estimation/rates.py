@@ -51,7 +51,6 @@ from rendezview.geometry.pose import Array, Pose
 
 # Readings that are kept to go through again: 7 s at 30 Hz. Source: by construction, a bound of time
 _KEPT = 200
-_ONLY_BEST = 1e6  # × what a filter is behind: it does not count. Source: by construction
 _CHANGED = 1.5  # × the variance of the jitter: again. Source: by construction, a fifth of its σ
 
 
@@ -157,14 +156,10 @@ class RateBank:
             found = self._step(*reading)
         return found
 
-    def surprise(
-        self, time_s: float, pose: Pose, covariance: Array, odds: float = 1.0, enough: float = 0.0
-    ) -> float:
+    def surprise(self, time_s: float, pose: Pose, covariance: Array) -> float:
         """χ² (of six) of a pose against the motion so far, which it does not change; 0: unknown.
 
-        Neither a turn of the camera nor a move across the line of sight is a surprise. A kind of
-        motion that is less likely than the best costs ``odds`` times what it is behind; ∞: only
-        the best counts. Below ``enough`` the others are not tried, which takes a tenth of the time.
+        Neither a turn of the camera nor a move across the line of sight is a surprise.
         """
         if self._time_s is None or len(self._readings) < 2:
             return 0.0
@@ -174,8 +169,7 @@ class RateBank:
         return float(surprise(
             time_s - self._time_s, *self._kinds, self._rotations, self._places, self._states,
             self._covariances, self._scores, pose.rotation.copy(), pose.translation_m.copy(),
-            np.ascontiguousarray(covariance), self.options.frequency_walk, min(odds, _ONLY_BEST),
-            enough,
+            np.ascontiguousarray(covariance), self.options.frequency_walk,
         ))  # fmt: skip
 
     def _step(self, time_s: float, pose: Pose, covariance: Array) -> MotionRates | None:

@@ -60,11 +60,8 @@ _STRANGE = 4.0
 @njit(cache=True, nogil=True, error_model="numpy")
 def fit_rim(
     image: Grey, dark: Grey, plane: Plane, radius: float, noise: float, box: Box
-) -> tuple[float, float, float, float, float, float]:
-    """Centre x, y of a saturated spot and its error, one σ an axis; R, s, and the error of both.
-
-    All are px. The last is the error of √(R²/4 + s²), the spot's size. Errors are 0 where (1) does
-    not fit.
+) -> tuple[float, float, float]:
+    """Centre x, y of a saturated spot and its error, one σ an axis, px; 0 where (1) does not fit.
 
     Args:
         image: (H, W) picture; ``dark``: one to subtract, or (0, 0).
@@ -93,14 +90,9 @@ def fit_rim(
             copy_into(again, at)
             copy_matrix_into(sure, covariance)
     if not ratio < _STRANGE:
-        return plane[0], plane[1], 0.0, radius, _BLUR_PX, 0.0
-    excess, blur = math.sqrt(max(ratio, 1.0)), math.exp(at[5])
-    error = excess * math.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1]))
-    size = math.sqrt(0.25 * at[2] * at[2] + blur * blur)
-    by_radius, by_blur = 0.25 * at[2] / size, blur * blur / size
-    variance = by_radius * by_radius * covariance[2, 2] + by_blur * by_blur * covariance[5, 5]
-    variance += 2.0 * by_radius * by_blur * covariance[2, 5]
-    return at[0], at[1], error, at[2], blur, excess * math.sqrt(variance)
+        return plane[0], plane[1], 0.0
+    variance = 0.5 * (covariance[0, 0] + covariance[1, 1])
+    return at[0], at[1], math.sqrt(max(ratio, 1.0) * variance)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -38,11 +38,6 @@ _GRAIN_PX = 4.0  # px along the frame, likewise. Source: by construction, the ro
 # σ of a slope that counts, where one is kept and where none is. Source: by construction, the risk
 # of James and Stein's estimate of 2 σ and of 0
 _DOUBT, _FLAT = 1.2, 0.5
-# px⁵ of error a saturated pixel, over the fourth power of the spot's size: what is cut off of a
-# small spot tells where in its pixels it lies, of a large one the rim is left. Source: by hand,
-# discs at 0.8 to 6 m of 1.2, 2 and 4 times the range of a pixel, both simulators, seeds 5 and 8
-_SATURATED_PX5 = 0.0125
-_SATURATED_PX = 0.005  # px; and of a large one. Source: likewise
 
 # Two opposite pixels of one spot differ by less than so many σ of their noise, and by less than so
 # much of its peak, for which linear interpolation errs on the rim of a blurred disc (0.05) or on a
@@ -50,9 +45,6 @@ _SATURATED_PX = 0.005  # px; and of a large one. Source: likewise
 _OPPOSITE_SIGMA, _OPPOSITE_RIM, _OPPOSITE_ROUND = 5.0, 0.1, 0.5
 # × the shift, for what is below these limits. Source: experiment reflector-nees --kind clutter
 _BELOW_LIMIT = 1.5
-# × the rim's limit, and × the shift, of a saturated spot: its rim is steeper, and charge that runs
-# over takes the whole window with it. Source: reflector-nees --kind saturated, seed 8
-_CLIPPED_RIM, _CLIPPED_SHIFT = 1.7, 4.0
 
 # Numbers of the moments that `window_moments` gives
 TOTAL, MX, MY, MXX, MYY, NORM, LEVER = range(7)
@@ -238,7 +230,7 @@ def elongation(
 @njit(cache=True, nogil=True, error_model="numpy")
 def overlap_error(
     image: Grey, dark: Grey, spot: tuple[float, float, float, float], slopes: tuple[float, float],
-    noise: float, saturated: bool,
+    noise: float,
 ) -> float:  # fmt: skip
     """How far another light in its window may have moved the centre of a spot, px.
 
@@ -252,15 +244,13 @@ def overlap_error(
         spot: x, y, size and amplitude of `centre_spot`.
         slopes: of the background, grey a px along x and y.
         noise: of a pixel, grey.
-        saturated: whether the spot is; its own charge may be the other light.
     """
     height, width = image.shape
     has_dark = dark.shape[0] > 0
     x, y, size, amplitude = spot
     sigma = max(size, LEAST_WINDOW_PX)
     reach, f = _REACH * sigma, -0.5 / (sigma * sigma)
-    rim = _CLIPPED_RIM * _OPPOSITE_RIM if saturated else _OPPOSITE_RIM
-    round_off = amplitude * max(rim, _OPPOSITE_ROUND / (sigma * sigma))
+    round_off = amplitude * max(_OPPOSITE_RIM, _OPPOSITE_ROUND / (sigma * sigma))
     limit = max(_OPPOSITE_SIGMA * math.sqrt(2.0) * noise, round_off)
     moment = 0.0
     for v in range(max(math.ceil(y - reach), 0), min(math.floor(y), height - 1) + 1):
@@ -292,8 +282,6 @@ def overlap_error(
                 moment += math.exp(f * far2) * off * math.sqrt(far2)
     # Half of it, over the total (π σ² amplitude) and Newton's slope, which is a half too.
     share = math.pi * sigma * sigma * amplitude
-    if saturated:
-        moment *= _CLIPPED_SHIFT
     return _BELOW_LIMIT * moment / share if share > 0.0 else 0.0
 
 
@@ -386,12 +374,3 @@ def _on_frame(k: int, half_x: int, half_y: int) -> tuple[int, int]:
     if k < 2 * wide + high:
         return half_x - (k - wide - high), half_y
     return -half_x, half_y - (k - 2 * wide - high)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def saturated_error(error: float, saturated: int, size: float) -> float:
-    """The error of a spot of a size, one σ in px, with so many saturated pixels, px."""
-    if saturated <= 1:
-        return error
-    cut_off = _SATURATED_PX5 * saturated / max(size, LEAST_WINDOW_PX) ** 4
-    return math.hypot(error, math.hypot(cut_off, _SATURATED_PX))

@@ -17,15 +17,14 @@ from rendezview.geometry.pose import Array
 def surprise(
     dt: float, turns: Array, moves: Array, rotations: Array, places: Array, states: Array,
     covariances: Array, scores: Array, rotation: Array, place: Array, measured: Array,
-    frequency_walk: float, odds: float, enough: float,
+    frequency_walk: float,
 ) -> float:  # fmt: skip
     """χ² of a pose against the filters' predictions, which stay as they are; see
     `rate_filters.step_bank`.
 
-    Of each part the filter counts that explains the reading best, with what it is behind the best
-    as a cost, times ``odds``. Where the best of each part alone come below ``enough``, they count.
-    Neither a turn of the camera nor a move across is a surprise: the place is put on the bearing
-    predicted, and the attitude counts as it is or turned along, whichever is nearer.
+    Of each part the likeliest filter counts: others would allow anything after a gap. Neither a
+    turn of the camera nor a move across is a surprise: the place is put on the bearing predicted,
+    and the attitude counts as it is or turned along, whichever is nearer.
     """
     aimed, aimed_at, step = rotation.copy(), place.copy(), np.empty(3)
     state, covariance, own_at = np.empty(STATES), np.empty((STATES, STATES)), np.empty(3)
@@ -37,22 +36,12 @@ def surprise(
         own_at[i] = places[bests[1], i] + step[i]
     _aim(aimed, aimed_at, own_at)
     total = 0.0
-    for everyone in range(2):  # the best alone, then all
-        total = 0.0
-        for part in range(2):
-            kinds, best, least = moves if part else turns, bests[part], np.inf
-            for b in range(len(kinds)):
-                behind = 2.0 * odds * (scores[part, best] - scores[part, b])
-                if (b != best and not everyone) or behind > least:
-                    continue
-                far = _from_filter(
-                    part, dt, kinds[b], frequency_walk, states[part, b], covariances[part, b],
-                    rotations[b], places[b], (rotation, aimed), aimed_at, measured,
-                )  # fmt: skip
-                least = min(least, far + behind)
-            total += least
-        if total <= enough:
-            break
+    for part in range(2):
+        kinds, best = moves if part else turns, bests[part]
+        total += _from_filter(
+            part, dt, kinds[best], frequency_walk, states[part, best], covariances[part, best],
+            rotations[best], places[best], (rotation, aimed), aimed_at, measured,
+        )  # fmt: skip
     return total
 
 

@@ -15,7 +15,6 @@ from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions
 from rendezview.sensors.beacons.detect.cover import (
     compare_spots,
     middle,
-    uncovered,
     uncovered_sizes,
 )
 from rendezview.sensors.beacons.detect.spot_columns import (
@@ -95,13 +94,6 @@ def test_a_disc_that_is_covered_by_a_third_is_found_near_by(three, range_m):
             poses += 1
             right += min(found.pose.angle_to(t) for t in (truth, truth @ half_turn)) < 0.09
     assert right == poses >= 8
-
-
-def test_a_covered_spot_is_as_large_as_the_whole_one_and_others_keep_their_size():
-    assert uncovered(-0.3, 0.3, 0.22) == 0.0  # half hidden
-    assert -0.2 < uncovered(-0.3, 0.2, 0.0) < -0.15
-    for ratio, long in ((-0.3, 0.05), (0.3, 0.3), (-0.3, math.nan)):
-        assert uncovered(ratio, long, 0.0) == ratio
 
 
 @pytest.mark.parametrize("range_m", [0.8, 3.0])

@@ -291,7 +291,7 @@ def test_windows_keep_the_next_best_spot_beside_the_best():
     for half, rivals, near in ((16.0, 1.0, 44.0), (6.0, 0.0, np.nan)):
         table, rival, outcome = np.empty((1, COLUMNS)), np.empty((1, COLUMNS)), np.zeros(1, int)
         read_windows(
-            image, NO_DARK, expected, np.array([half]), np.array([30.0]), 2.0, (0.3, 0.4), table,
+            image, NO_DARK, expected, np.array([half]), np.array([30.0]), 2.0, table,
             rival, outcome,
         )  # fmt: skip
         np.testing.assert_allclose(table[0, [X, Y]], [30.3, 25.7], atol=0.1)
@@ -305,7 +305,7 @@ def test_windows_find_the_spot_and_the_noise():
     half, level = np.full(3, 8.0), np.full(3, 30.0)
     table, outcome = np.full((3, COLUMNS), np.nan), np.zeros(3, np.int64)
     rival = table.copy()
-    read_windows(image, NO_DARK, expected, half, level, 2.0, (0.3, 0.4), table, rival, outcome)
+    read_windows(image, NO_DARK, expected, half, level, 2.0, table, rival, outcome)
     assert outcome.tolist() == [VISIBLE, 0, 1]
     np.testing.assert_allclose(table[0, [X, Y]], [30.3, 25.7], atol=0.1)
     assert window_noise(image, NO_DARK, expected, half) == pytest.approx(2.0, rel=0.3)
@@ -325,7 +325,7 @@ def test_windows_move_by_the_last_step_and_grow_with_what_is_unknown():
     half, level = np.empty(3), np.empty(3)
     place_windows(
         expected, places, before, np.array([90.0, np.nan, 30.0]), np.array([0, 2, 0]), 0.5, 1,
-        (4.0, 6.0, 4.0, 0.45, 6.0, 12.0), half, level,
+        (4.0, 6.0, 4.0, 0.45, 12.0), half, level,
     )  # fmt: skip
     wanted = places + 0.5 * np.array([[2.0, 1.0], [1.0, 0.0], [1.5, 0.5]])
     np.testing.assert_allclose(expected[:, :2], wanted)

@@ -57,10 +57,10 @@ def test_a_steep_target_of_three_is_found(three):
 
 
 def test_a_limit_of_the_tilt_holds_for_all_poses(three):
-    flat = AcquisitionOptions(steepest_rad=math.radians(45.0))
+    flat = AcquisitionOptions(tilt_rad=math.radians(45.0))
     assert outcomes(three, (60.0, 70.0), 6, np.random.default_rng(53), flat) == (0, 0)
-    with pytest.raises(RendezviewError, match="steepest_rad"):
-        AcquisitionOptions(steepest_rad=2.0)
+    with pytest.raises(RendezviewError, match="tilt_rad"):
+        AcquisitionOptions(tilt_rad=2.0)
 
 
 def test_a_pose_that_its_spots_hardly_determine_converges(five):

@@ -1,4 +1,4 @@
-"""The tracker: following, losing, finding again, false lights, filter, batch."""
+"""The tracker: following, losing, finding again, false lights, filter."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from rendezview.sensors.beacons import (
     Spots,
     StereoTracker,
     TrackerOptions,
-    reprocess,
 )
 from rendezview.sensors.beacons.match.agreement import LightsFit, distance
 from rendezview.sensors.observation import Status
@@ -196,25 +195,6 @@ def test_the_filter_lives_through_two_lights_and_believes_a_jump(laboratory, sco
     last = observations[12].rig_from_target
     assert last.angle_to(jumped) < np.deg2rad(8.0)
     assert last.angle_to(POSE) > 1.0
-
-
-def test_a_log_at_once_is_the_tracker_one_by_one(laboratory, tracker, read):
-    rng = np.random.default_rng(10)
-    poses = laboratory.stage(np.deg2rad(np.arange(0.0, 60.0, 2.0)))
-    currents = laboratory.currents(poses, rng)
-    currents[7, 0, [0, 3]] = currents[7, 0, [3, 0]]
-    currents[12, :, 2:] = np.nan
-    out = reprocess(tracker, currents)
-    assert out.ok.tolist() == [k != 12 for k in range(len(poses))]
-    assert np.isnan(out.rotation[12]).all()
-    for k, reading in enumerate(currents):
-        observation = tracker.update(float(k), read(laboratory.rig, reading))
-        if out.ok[k]:
-            assert out.rotation[k] == pytest.approx(observation.fit.rotation, abs=3e-3)
-            told = np.linalg.inv(observation.fit.information)
-            assert np.diag(out.covariance[k]) == pytest.approx(np.diag(told), rel=0.05)
-    with pytest.raises(ValueError, match="currents must be"):
-        reprocess(tracker, currents[:, :1])
 
 
 def test_wrong_use_is_refused(laboratory, tracker, read):

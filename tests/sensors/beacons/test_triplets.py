@@ -7,6 +7,7 @@ import numpy as np
 
 from rendezview.sensors.beacons import Acquirer, SixNumbers, pose_of
 from rendezview.sensors.beacons.detect.discs import camera_numbers
+from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.beacons.match.judgement import judge
 from rendezview.sensors.beacons.match.matching import expect_spots
 from rendezview.sensors.beacons.match.triplets import search
@@ -38,7 +39,7 @@ def triplets_of(acquirer, spots, tolerance=0.14):
 
 
 def test_the_grid_finds_every_centre_spot_that_the_hourglass_holds(paper_camera, three):
-    acquirer = Acquirer(paper_camera, [three])
+    acquirer = Acquirer(paper_camera, [three], AcquisitionOptions(tilt_rad=math.radians(45.0)))
     spots = crowd(paper_camera, np.random.default_rng(3), 40, 1.6)
     # A tolerance of ln 40 lets any size stand for any base: the shape alone decides.
     found = {tuple(row) for row in triplets_of(acquirer, spots, tolerance=math.log(40.0)).tolist()}

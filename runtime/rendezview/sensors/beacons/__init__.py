@@ -23,7 +23,7 @@ from rendezview.sensors.beacons.observation import ReflectorObservation
 from rendezview.sensors.beacons.rig import Rig, RigCamera, Sights
 from rendezview.sensors.beacons.stereo_motion import MotionOptions
 from rendezview.sensors.beacons.stereo_observation import StereoObservation
-from rendezview.sensors.beacons.stereo_tracker import StereoTracker, TrackerOptions, reprocess
+from rendezview.sensors.beacons.stereo_tracker import StereoTracker, TrackerOptions
 from rendezview.sensors.beacons.track import TrackingOptions
 from rendezview.sensors.beacons.tracker import ReflectorSensor
 
@@ -51,7 +51,6 @@ __all__ = [
     "patterns_of",
     "pose_of",
     "predict_spots",
-    "reprocess",
     "six_numbers",
     "yaw_pitch_roll",
 ]

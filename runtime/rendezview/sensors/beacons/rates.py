@@ -56,10 +56,9 @@ class RateEstimator:
     ) -> bool:  # fmt: skip
         """Whether a pose of few spots, which do not confirm each other, breaks with the readings.
 
-        ``light`` (K,): χ² of each spot's size and brightness, added to that of the motion. After a
-        gap of the ``track`` only the likeliest motion counts: others would by then allow anything.
-        So it is in ``doubt`` about a spot, whose σ is no excuse then: it must agree as well as the
-        last pose without doubt.
+        ``light`` (K,): χ² of each spot's size and brightness, added to that of the motion. The
+        limit is lower after a gap of the ``track``, and in ``doubt`` about a spot, whose σ is no
+        excuse then: it must agree as well as the last pose without doubt.
         """
         if len(light) > FEW:
             return False
@@ -73,10 +72,9 @@ class RateEstimator:
         variances[:3] += turn**2
         variances[3:] += share**2 * float(place @ place)
         free = track is not None and not track.misses and not doubt
-        odds = options.jump_odds if free else math.inf
         limit = options.jump_limit if free else options.gap_limit
         limit -= float(light.sum())
-        return limit < 0.0 or self._bank.surprise(time_s, pose, covariance, odds, limit) > limit
+        return limit < 0.0 or self._bank.surprise(time_s, pose, covariance) > limit
 
     def add(
         self, time_s: float, pose: Pose, covariance: Array, face: Face, slow: Array | None = None

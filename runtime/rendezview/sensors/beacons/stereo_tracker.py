@@ -254,7 +254,9 @@ class StereoTracker:
     ) -> StereoObservation:
         options = self.options.motion
         if options is None:
-            self._last = Motion(time_s, fit.rotation, fit.translation, _NO_RATES, _NO_COVARIANCE)
+            self._last = Motion(
+                time_s, fit.rotation, fit.translation, np.zeros(6), np.zeros((12, 12))
+            )
             return self._calibrated(
                 StereoObservation.of_pose(
                     Status.OK, None, time_s, self._first, fit, None, restarted, named, self.names
@@ -300,54 +302,3 @@ class StereoTracker:
     def _lose(self, time_s: float) -> None:
         if self._last is not None and time_s - self._last.time_s > self.options.longest_outage_s:
             self._last = None
-
-
-_NO_RATES = np.zeros(6)  # Source: by construction
-_NO_COVARIANCE = np.zeros((12, 12))  # Source: by construction
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Poses:
-    """Poses of N readings, rig frame; NaN in all fields where ``ok`` is False."""
-
-    rotation: Array  # (N, 3, 3) rig from target
-    translation_m: Array  # (N, 3)
-    covariance: Array  # (N, 6, 6)
-    ok: npt.NDArray[np.bool_]  # (N,)
-
-
-def reprocess(tracker: StereoTracker, currents: npt.ArrayLike) -> Poses:
-    """Every reading's own pose, each started from the one before; the tracker does not change.
-
-    Args:
-        tracker: of a rig of photodiodes.
-        currents: (N, C, L, 4) x1 x2 y1 y2 of each light in each camera; NaN where not read.
-
-    Raises:
-        ValueError: a wrong shape, or a camera that is no photodiode.
-    """
-    given = np.asarray(currents, dtype=np.float64)
-    rig, leds = tracker.rig, tracker.leds
-    wanted = (len(rig), len(leds), 4)
-    if given.ndim != 4 or given.shape[1:] != wanted:
-        raise ValueError(f"currents must be (readings, {wanted}), not {given.shape}")
-    diodes = [camera.photodiode for camera in rig.cameras if camera.photodiode is not None]
-    if len(diodes) < len(rig):
-        raise ValueError("a log of currents needs a rig of photodiodes")
-    n = len(given)
-    out = Poses(
-        np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan), np.full((n, 6, 6), np.nan),
-        np.zeros(n, np.bool_),
-    )  # fmt: skip
-    for k, reading in enumerate(given):
-        spots = [diode.read(own) for diode, own in zip(diodes, reading, strict=True)]
-        sights = rig.sights(spots, len(leds))
-        fit: LightsFit | Disagreement | None = None
-        if k > 0 and out.ok[k - 1]:
-            fit = agree(rig, leds, sights, out.rotation[k - 1], out.translation_m[k - 1])
-        if not isinstance(fit, LightsFit):
-            fit = tracker.locate(sights)
-        if isinstance(fit, LightsFit):
-            out.rotation[k], out.translation_m[k], out.ok[k] = fit.rotation, fit.translation, True
-            out.covariance[k] = np.linalg.inv(fit.information)
-    return out

@@ -30,7 +30,6 @@ from rendezview.sensors.beacons.match.matching import expect_spots
 _DIAMETERS = (1.0, 0.87, 1.15, 0.75, 1.33)
 # Source: by construction, likewise
 _BLURS = (1.0, 1.4, 0.7, 2.0, 2.8, 4.0, 5.5)
-_LEAST_SURE = 8.0  # χ² of the triplet at most. Source: as AcquisitionOptions.sparse_limit
 _SAME_SHARE = 0.02  # of the range, between poses that agree. Source: by construction, 5 × the error
 _BLURRED = 0.75  # blur over size from which a size tells the blur. Source: by construction, σ / 2
 _REPORTED_DIAMETER, _REPORTED_BLUR = 0.05, 0.25  # ln, that is worth a word. Source: by construction
@@ -38,7 +37,8 @@ _REPORTED_SIGMA = (
     2.0  # of what a blur that is not known makes of the diameter. Source: by construction
 )
 _FEWEST, _READINGS = 3, 5  # whose diameters are averaged. Source: by construction
-_NEARER = 0.8  # × the range: the dots tell more and are measured again. Source: by construction
+# × the range: nearer, the dots tell more and are measured again. Source: by construction
+NEARER = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +71,7 @@ def fit_dots(
         for diameter, blur in trials:
             trial = replace(options, blur_px=blur * options.blur_px)
             found = Acquirer(camera, scaled(patterns, diameter), trial).acquire(spots)
-            if found.refined is None or found.score > _LEAST_SURE:
+            if found.refined is None or found.score > options.sparse_limit:
                 continue
             if best is not None and not _agree(best[3], found):
                 return None
@@ -167,10 +167,10 @@ class DotSizes:
         """
         camera, pattern, blur_px = self._given
         far = float(np.linalg.norm(pose.translation_m))
-        if far < _NEARER * self._range_m:
+        if far < NEARER * self._range_m:
             self.clear()
             self._range_m = far
-        if len(self._steps) >= _READINGS or _NEARER * far > self._range_m:
+        if len(self._steps) >= _READINGS or NEARER * far > self._range_m:
             return
         whole = spots.saturated_px < 1.0
         rows = [k for k, name in enumerate(names) if name is not None and whole[k]]

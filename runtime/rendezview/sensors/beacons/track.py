@@ -36,13 +36,6 @@ class TrackingOptions:
     coasting_px: float = 4.0
     # Of the distance to the next reflector, at most. Source: by construction, less than half
     window_share: float = 0.45
-    # ln of size over expected size. Source: by hand; uncritical halved or doubled
-    size_limit: float = 0.25
-    # Small over large axis. Source: by construction, looser than AcquisitionOptions
-    least_shape: float = 0.45
-    # Reflectors nearer than so many σ run together: not looked for. Source: by construction, 3 σ of
-    # each
-    apart_sizes: float = 6.0
     # Readings without a pose before the whole picture is searched again. Source: a chosen limit
     coast: int = 5
     memory: int = 50  # … and before the last range is no longer used. Source: a chosen limit
@@ -53,8 +46,6 @@ class TrackingOptions:
     # reflector-hidden --scene glint; steady, swinging and jittering motion stays below
     jump_limit: float = 20.0
     gap_limit: float = 8.0  # … after a reading without a pose. Source: likewise
-    # × the χ² by which a kind of motion is behind the likeliest: a cost. Source: likewise
-    jump_odds: float = 5.0
     # … whose σ is at least so many rad, and share of the range: a smaller jump misleads nobody.
     # Source: by construction, 5° and 3 % over the root of jump_limit; at half of it an
     # approach that slows down is lost
@@ -104,7 +95,6 @@ class Track:
     brightness: Array  # (N,) of each reflector when it was last visible, grey
     noise: float
     roll_ambiguous: bool
-    covariance: Array
     misses: int = 0
     branch: Branch = Branch.SURE
     unseen: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -121,7 +111,7 @@ class Track:
         nowhere, never = np.full((reflectors, 2), np.nan), np.zeros(reflectors, np.int64)
         return cls(
             time_s, pose, nowhere, nowhere.copy(), time_s, np.full(reflectors, np.nan), 2.0,
-            not roll_known, np.zeros((6, 6)), unseen=never,
+            not roll_known, unseen=never,
         )  # fmt: skip
 
     @classmethod
@@ -129,7 +119,7 @@ class Track:
         cls, last: Track | None, time_s: float, table: Array, refined: Refined, noise: float,
         ambiguous: bool, branch: Branch, coast: int, light: Array | None = None,
     ) -> Track:  # fmt: skip
-        """The memory after a reading; ``table`` (N, 24): its spots, NaN where not visible."""
+        """The memory after a reading; ``table`` (N, COLUMNS): its spots, NaN where not visible."""
         count = len(table)
         since, dim = np.zeros(count, np.int64), np.full(count, np.nan)
         before, before_s = np.full((count, 2), np.nan), time_s
@@ -144,7 +134,7 @@ class Track:
         bright, unseen = np.where(sure, table[:, AMPLITUDE], dim), np.where(visible, 0, since + 1)
         after = cls(
             time_s, refined.camera_from_target, table[:, :2].copy(), before, before_s, bright,
-            noise, ambiguous, refined.covariance, unseen=unseen, branch=branch,
+            noise, ambiguous, unseen=unseen, branch=branch,
         )  # fmt: skip
         if last is not None:
             after.aged = np.where(sure, 0, last.aged + 1)

@@ -23,7 +23,7 @@ from rendezview.sensors.beacons.observation import ReflectorObservation, missed,
 from rendezview.sensors.beacons.pose.refinement import Refined
 from rendezview.sensors.beacons.pose.shares import CAUSES
 from rendezview.sensors.beacons.rates import RateEstimator
-from rendezview.sensors.beacons.tolerance import DotSizes, fit_dots
+from rendezview.sensors.beacons.tolerance import NEARER, DotSizes, fit_dots
 from rendezview.sensors.beacons.track import (
     Branch,
     Doubt,
@@ -35,8 +35,6 @@ from rendezview.sensors.beacons.track import (
 from rendezview.sensors.beacons.window_fit import WindowFit
 from rendezview.sensors.beacons.windows import VISIBLE
 from rendezview.sensors.observation import Status
-
-_NEARER = 0.8  # × the range: a group that is left out is compared again. Source: by construction
 
 
 class ReflectorSensor:
@@ -150,8 +148,7 @@ class ReflectorSensor:
             if found.refined is not None:
                 light = self._fit.light_of(found, spots, self._track)
                 found = found.strange() if light.sum() > self.tracking.jump_limit else found
-        missing = found.status in (Status.NO_SPOTS, Status.NOT_FOUND)
-        if missing and frames.dark is not None and len(spots) <= MOST_CERTAIN:
+        if found.refined is None and frames.dark is not None and len(spots) <= MOST_CERTAIN:
             # Discs as faint as the threshold fall to pieces.
             faint = self._background.spots(time_s, frames, self.threshold, faint=True)
             again = self.acquirer.acquire(faint, prior)
@@ -269,7 +266,6 @@ class ReflectorSensor:
         if refined is None:
             track.misses += 1
             if len(seen) and track.misses <= self.tracking.coast:
-                fit.nudge(track, seen)
                 track.follow(time_s, seen, table)
             return missed(
                 time_s, spots, names, fit.missing(names), stage_ms, search=not self.is_tracking,
@@ -302,7 +298,7 @@ class ReflectorSensor:
         """
         several = track.roll_ambiguous and len(self.patterns) > 1
         range_m = math.inf if self._note is None else self.constellation.range_m(track.pose)
-        doubted = range_m < _NEARER * self._noted_m
+        doubted = range_m < NEARER * self._noted_m
         if not (several or doubted or refined is None or self._fit.misses(seen)):
             self._unconfirmed = None
             return None

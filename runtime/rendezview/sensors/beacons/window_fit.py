@@ -24,7 +24,6 @@ from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.match.judgement import least_facing
 from rendezview.sensors.beacons.match.matching import expect_spots
 from rendezview.sensors.beacons.match.mirrored_pose import mirror
-from rendezview.sensors.beacons.pose.collinearity import solve
 from rendezview.sensors.beacons.pose.refinement import Refined, loose_px, solve_spots
 from rendezview.sensors.beacons.pose.shares import CAUSES
 from rendezview.sensors.beacons.track import Branch, Track, TrackingOptions
@@ -39,7 +38,6 @@ Ints = npt.NDArray[np.int64]
 
 _SAME_RAD = 0.02  # rad: poses nearer than this, or than 4 σ, are one. Source: by construction
 _CONTINUITY = 3.0  # the nearer of two poses to the last, by this factor. Source: by construction
-_NUDGES = 20  # steps. Source: by construction, a bound only
 
 
 class WindowFit:
@@ -56,7 +54,7 @@ class WindowFit:
         self.camera, self.options, self.constellation = camera, tracking, constellation
         self._blur_px = acquisition.blur_px
         self._margin = acquisition.pose_margin
-        self._least_cosine = math.cos(1.2 * acquisition.tilt_rad)
+        self._least_cosine = acquisition.least_cosine
         self._lens = camera_numbers(camera, acquisition.blur_px)
         self._doubts = camera_doubts(camera)
         self._lens_scale = LensScale(camera, acquisition.blur_px)
@@ -79,12 +77,12 @@ class WindowFit:
         ``push`` (6,) is the target's acceleration, `checked_acceleration`.
         """
         self._place(time_s, track, push, threshold)
-        dark, limits = frames.dark_or_nothing, (self.options.size_limit, self.options.least_shape)
+        dark = frames.dark_or_nothing
         noise = window_noise(frames.lit, dark, self.expected, self.half)
         noise = track.noise if noise < 0.0 else noise
         read_windows(
-            frames.lit, dark, self.expected, self.half, self._level, noise, limits, self.table,
-            self.rival, self.outcome,
+            frames.lit, dark, self.expected, self.half, self._level, noise, self.table, self.rival,
+            self.outcome,
         )  # fmt: skip
         seen = self.outcome == VISIBLE
         rows = self.table[seen]
@@ -120,7 +118,7 @@ class WindowFit:
     def at_one_time(
         self, refined: Refined, table: Array, before: Array, step_s: float
     ) -> Refined | None:
-        """The pose of a table (N, 24) of a first find, whose reading before is (N, 24), too."""
+        """The pose of the table of a first find; ``before`` is that of the reading before."""
         if not self.options.readout_s:
             return refined
         readout_s, height = self.options.readout_s, self.camera.height
@@ -159,20 +157,14 @@ class WindowFit:
         No pose where four or fewer would be left: they may have their neighbours' names.
         """
         while True:
-            sigma = self._sigma(refined, table, seen)
-            off = np.abs(refined.residuals_px).max(axis=1) / sigma
+            off = np.abs(refined.residuals_px).max(axis=1) / self._sigma(refined, table, seen)
             if off.max() < self.options.gate_sigma:
                 return refined, seen
-            # The one without which the rest agree best.
-            trials = []
-            for k in range(len(seen) if len(seen) > FEW + 1 else 0):
-                trial = self.solve(start, table, np.delete(seen, k))
-                if trial is not None:
-                    trials.append((float(np.sum(trial.residuals_px**2)), k, trial))
-            if not trials:
+            seen = np.delete(seen, off.argmax())
+            fewer = self.solve(start, table, seen) if len(seen) > FEW else None
+            if fewer is None:
                 return None, seen[:0]
-            _, k, refined = min(trials, key=lambda item: item[:2])
-            seen = np.delete(seen, k)
+            refined = fewer
 
     def branch(self, track: Track, refined: Refined, table: Array, seen: Ints) -> Branch:
         """Whether the spots, or the motion, tell the pose from the mirrored one beside it."""
@@ -225,7 +217,7 @@ class WindowFit:
             expected, track.places, track.before, track.brightness, track.aged,
             step / span if span > 0.0 else 0.0, track.misses,
             (options.window_sizes, options.window_px, options.coasting_px, options.window_share,
-             options.apart_sizes, least),
+             least),
             self.half, self._level,
         )  # fmt: skip
 
@@ -254,20 +246,3 @@ class WindowFit:
             if inside and k not in visible:
                 return True
         return False
-
-    def nudge(self, track: Track, seen: Ints) -> None:
-        """Move the remembered pose by the least that brings it under the visible spots."""
-        if not track.covariance.any():
-            return
-        # The attitude may turn by 0.1 rad and the place move by 5 % meanwhile.
-        rotation, shift = np.array(track.pose.rotation), track.pose.apply(self._centre)
-        start = rotation.copy(), shift.copy()
-        free = np.diag([1e2, 1e2, 1e2, *([400.0 / float(shift @ shift)] * 3)])
-        rays = self.camera.rays(self.table[seen, :2])[None, :, :2]
-        _, _, done = solve(
-            rotation, shift, self._arms[seen], np.eye(3)[None], np.zeros((1, 3)),
-            np.ascontiguousarray(rays), np.full(rays.shape, 10.0 * self.camera.fx),
-            free, *start, _NUDGES, 1e-3, np.empty((6, 6)),
-        )  # fmt: skip
-        if done:
-            track.pose = Pose(rotation, shift - rotation @ self._centre)

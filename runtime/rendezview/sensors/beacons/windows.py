@@ -9,7 +9,6 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.linear_algebra import copy_into
-from rendezview.sensors.beacons.detect.cover import uncovered
 from rendezview.sensors.beacons.detect.labels import gather
 from rendezview.sensors.beacons.detect.spot_columns import (
     AMPLITUDE,
@@ -17,13 +16,8 @@ from rendezview.sensors.beacons.detect.spot_columns import (
     BOTTOM,
     COLUMNS,
     LEFT,
-    LONG_X,
-    LONG_XY,
     RIGHT,
     RIVALS,
-    SHAPE,
-    SIGMA,
-    SIZE,
     TOP,
     X,
     Y,
@@ -34,15 +28,11 @@ Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
 Ints = npt.NDArray[np.int64]
 
-_Options = tuple[float, float, float, float, float, float]  # see `place_windows`
+_Options = tuple[float, float, float, float, float]  # see `place_windows`
 
 # × the threshold, of a window's range where a spot may be: the threshold is a third of a Gaussian's
 # peak, and an even disc has two thirds of that peak.
 _CONTRAST = 1.8  # Source: by construction
-
-# × a spot's size: a σ that another light over it makes. Source: by construction, half of what
-# `window_centroid` gives
-_OVERLAPPED = 0.5
 
 _NO_WINDOW, _NOTHING, _STRANGER, VISIBLE = range(4)
 
@@ -50,7 +40,7 @@ _NO_WINDOW, _NOTHING, _STRANGER, VISIBLE = range(4)
 @njit(cache=True, nogil=True, error_model="numpy")
 def read_windows(
     lit: Grey, dark: Grey, expected: Array, half: Array, level: Array, noise: float,
-    limits: tuple[float, float], table: Array, rival: Array, outcome: Ints,
+    table: Array, rival: Array, outcome: Ints,
 ) -> None:  # fmt: skip
     """Look for one spot in each window.
 
@@ -60,9 +50,8 @@ def read_windows(
         half: (N,) half width of the windows, px.
         level: (N,) threshold of the difference, grey.
         noise: of one pixel of the difference, grey.
-        limits: largest |ln| of size over expected size, least shape (small over large axis).
-        table: (N, 24) rows of the spot table, filled where a spot is found.
-        rival: (N, 24) the second-best spot of each window, NaN where there is none.
+        table: (N, COLUMNS) rows of the spot table, filled where a spot is found.
+        rival: (N, COLUMNS) the second-best spot of each window, NaN where there is none.
         outcome: (N,) 0 window outside the picture, 1 nothing in it, 2 spots that are not a
             reflector, 3 visible.
     """
@@ -80,19 +69,18 @@ def read_windows(
         if x1 - x0 < 2 or y1 - y0 < 2:
             continue
         outcome[i] = _search_window(
-            lit, dark, expected[i], half[i], level[i], noise, limits, (x0, x1, y0, y1),
-            columns, rows, table[i], rival[i],
+            lit, dark, expected[i], half[i], level[i], noise, (x0, x1, y0, y1), columns,
+            rows, table[i], rival[i],
         )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _search_window(
     lit: Grey, dark: Grey, expected: Array, half: float, level: float, noise: float,
-    limits: tuple[float, float], box: tuple[int, int, int, int], columns: Array, rows: Array,
-    best_row: Array, next_row: Array,
+    box: tuple[int, int, int, int], columns: Array, rows: Array, best_row: Array, next_row: Array,
 ) -> int:  # fmt: skip
-    """Outcome of one window; the rows of the two spots nearest in place and size."""
-    (size_limit, least_shape), (x0, x1, y0, y1) = limits, box
+    """Outcome of one window; the rows of the two spots nearest in place."""
+    x0, x1, y0, y1 = box
     w, h = x1 - x0 + 1, y1 - y0 + 1
     # Copies: a view of a picture would be another type, for which all is compiled again.
     part, part_dark = np.empty((h, w), np.uint8), dark
@@ -103,7 +91,7 @@ def _search_window(
     outcome, best = _NOTHING, np.inf
     # A single picture: what is behind the spot may be darker than the window's rim.
     for attempt in range(2 if most - least > _CONTRAST * level else 1):
-        second, alike, next_row[X] = np.inf, 0, np.nan
+        second, spots, next_row[X] = np.inf, 0, np.nan
         floor = 0.5 * (least + most) if attempt else rim + level
         _mark(part, part_dark, floor, flat)
         for start in range(w * h):
@@ -114,36 +102,29 @@ def _search_window(
                 continue
             outcome = max(outcome, _STRANGER)
             inside = row[LEFT] > 0 and row[TOP] > 0 and row[RIGHT] < w - 1 and row[BOTTOM] < h - 1
-            if not inside or row[SHAPE] < least_shape:
+            if not inside:
                 continue
             for k in (8, 10, 12, 14):  # from window to picture
                 row[k] += x0
                 row[k + 1] += y0
-            rim_size = window_centroid(lit, dark, row, noise, columns, rows)
-            if rim_size > 0.0:
-                row[SIZE] = rim_size
-            ratio = uncovered(math.log(row[SIZE] / expected[2]), row[LONG_X], row[LONG_XY])
-            off = math.hypot(row[X] - expected[0], row[Y] - expected[1]) / half
-            # Where another light lies over a spot, its size tells nothing.
-            unlike = abs(ratio) > size_limit
-            other = unlike and row[SIGMA] < _OVERLAPPED * row[SIZE]
-            if other or (attempt and row[AMPLITUDE] < level):
+            window_centroid(lit, dark, row, noise, columns, rows)
+            if attempt and row[AMPLITUDE] < level:
                 continue
-            alike += 1
-            if off > 1.0:
+            spots += 1
+            off = math.hypot(row[X] - expected[0], row[Y] - expected[1])
+            if off > half:
                 continue
-            score = off * off + (ratio / size_limit) ** 2
-            if score < best and not unlike:
+            if off < best:
                 if best < second:
                     second = best
                     copy_into(best_row, next_row)
-                best, outcome = score, VISIBLE
+                best, outcome = off, VISIBLE
                 copy_into(row, best_row)
-            elif score < second:
-                second = score
+            elif off < second:
+                second = off
                 copy_into(row, next_row)
         if outcome == VISIBLE:
-            best_row[RIVALS] = alike - 1
+            best_row[RIVALS] = spots - 1
             break
     return outcome
 
@@ -226,15 +207,15 @@ def place_windows(
     mean step of the others. Threshold: a third of the brightness expected.
 
     Args:
-        expected: (N, 3) x, y, size at the last pose; moved in place, NaN where not to be sought.
+        expected: (N, 3) x, y, size at the last pose; moved in place, NaN where not visible.
         places, before: (N, 2) of the last reading and of the one before, NaN where not visible.
         brightness: (N,) grey, when last visible; unseen: (N,) readings ago.
         ratio: time to the next reading over time between the last two.
         misses: readings in a row without a pose.
-        options: window_sizes, window_px, coasting_px, window_share, apart_sizes, least_grey.
+        options: window_sizes, window_px, coasting_px, window_share, least_grey.
         half, level: (N,) results.
     """
-    (sizes, extra, coasting, share, apart, least), count = options, expected.shape[0]
+    (sizes, extra, coasting, share, least), count = options, expected.shape[0]
     mean_x = mean_y = usual = 0.0
     moving = shining = 0
     for i in range(count):
@@ -268,11 +249,5 @@ def place_windows(
                 )
         wide = sizes * expected[i, 2] + extra + coasting * (misses + unseen[i])
         half[i] = min(wide, share * nearest)
-        # Too near another the two run together, and neither is looked for.
-        if nearest < apart * expected[i, 2]:
-            half[i] = -1.0
         bright = brightness[i] if math.isfinite(brightness[i]) else usual
         level[i] = max(bright / 3.0, least)
-    for i in range(count):
-        if half[i] < 0.0:
-            expected[i, 0] = np.nan

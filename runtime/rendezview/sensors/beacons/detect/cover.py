@@ -45,7 +45,8 @@ _QUARTER = 0.25  # Source: likewise
 # across a target as wide as half its range. And ln(size) at most, half of a disc's.
 _APPARENT, _LARGEST = 0.1, 0.35  # Source: likewise
 _DIMMER = 2.0  # × elongation: σ of ln(brightness) of a covered disc. Source: likewise
-_SIZE_SIGMA = 0.035  # of ln(size). Source: AcquisitionOptions.size_sigma
+# Of ln(size): noise, focus, the disc's own tilt. Source: by hand; uncritical halved or doubled
+SIZE_SIGMA = 0.035
 # of ln(brightness) over its neighbours' since it was last certain, and a √reading since then.
 # Source: `reflector-hidden --scene glint`, seeds 7 and 1007; a walk of 0.05 lets more glints pass
 _BRIGHTNESS_SIGMA, _BRIGHTNESS_WALK = 0.05, 0.02
@@ -62,7 +63,7 @@ def compare_spots(
     """Compare the spots of one reading with each other.
 
     Args:
-        rows: (K, 24) of the spot table.
+        rows: (K, COLUMNS) of the spot table.
         pattern: the reflectors; which: (K,) whose spots these are.
         pose: of the target, near enough for the shape of its discs.
         focal_px: of the camera; blur_px: σ of the optics and a pixel's width together.
@@ -88,7 +89,7 @@ def compare_spots(
 
 
 def uncovered_sizes(rows: Array, blur_px: float) -> Array:
-    """(K,) sizes of spots (K, 24), px, those that seem partly hidden as they would be whole.
+    """(K,) sizes of spots (K, COLUMNS), px, those that seem partly hidden as they would be whole.
 
     Before there is a pose the middle of all spots stands for the shape that tilt gives a disc.
     """
@@ -141,7 +142,7 @@ def _compare(
                 unsure[i] = moved * math.exp(0.5 * (odd - _SURE**2))
         noise = (rows[i, SIGMA] / rows[i, SIZE]) ** 2
         smaller = _shrunk(hidden, share[i])
-        spread = _SIZE_SIGMA**2 + (_QUARTER * smaller) ** 2 + noise
+        spread = SIZE_SIGMA**2 + (_QUARTER * smaller) ** 2 + noise
         size = beside[2, i] + (smaller if beside[2, i] < 0.0 else 0.0)
         dim = _BRIGHTNESS_SIGMA**2 + _BRIGHTNESS_WALK**2 * aged[which[i]]
         dim += (_DIMMER * hidden) ** 2 + 2.0 * noise
@@ -168,15 +169,6 @@ def _moved(off: float, share: float, size: float) -> float:
 def _shrunk(off: float, share: float) -> float:
     """How much smaller, ln, an edge makes a spot whose elongation is off by so much."""
     return off * (_SMALLER + _SMALLER_YET * off / share)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def uncovered(ratio: float, long_x: float, long_xy: float) -> float:
-    """ln of a spot's size over what is expected, by its elongation as if it were whole."""
-    long = math.hypot(long_x, long_xy)
-    if ratio < 0.0 and long > _APPARENT:
-        return min(ratio + _shrunk(long, 1.0), 0.0)
-    return ratio
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

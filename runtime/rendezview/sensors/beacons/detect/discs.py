@@ -24,10 +24,13 @@ from rendezview.sensors.beacons.constellation import ReflectorPattern
 # σ of the law of light (1 retro-reflected, 0 even): even light is then 1.7 σ away, which leaves the
 # normalised error of either within 4 to 8. Source: experiment reflector-nees
 _LIGHT_SIGMA = 0.6
+# px, σ of the optics and of a pixel's width together. Source: by construction, √(0.7² + 1/12) with
+# optics of 0.7 px
+BLUR_PX = 0.75
 BLUR, LAW = LENS_LENGTH, LENS_LENGTH + 1  # places of what `camera_numbers` appends
 
 
-def camera_numbers(camera: Camera, blur_px: float = 0.75) -> Array:
+def camera_numbers(camera: Camera, blur_px: float = BLUR_PX) -> Array:
     """(LENS_LENGTH + 2,) of ``lens_vector``, the blur and the law of light, for the compiled loops.
 
     The law is 1 for a retro-reflector, whose light falls with range² across the disc, and 0 for
@@ -78,7 +81,7 @@ def predict_spots(
     camera: Camera,
     pattern: ReflectorPattern,
     camera_from_target: Pose,
-    blur_px: float = 0.75,
+    blur_px: float = BLUR_PX,
 ) -> Array:
     """(N, 2) centroids of all reflectors in the picture, px; NaN behind the camera."""
     out = np.empty((len(pattern), 2))

@@ -87,18 +87,10 @@ class HiddenNoise:
         compression = _STEP_VARIANCE * quantisation_step(frames.lit) ** 2
         if frames.dark is None:
             difference = cv2.subtract(frames.lit, background_of(frames.lit), dtype=cv2.CV_32F)
-            return cls(_slopes(difference, noise_grey(frames), len(_CELLS_PX)), compression, True)
+            return cls(_slopes(difference, noise_grey(frames)), compression, True)
         compression += _STEP_VARIANCE * quantisation_step(frames.dark) ** 2
-        noise = noise_grey(frames)
         table = np.zeros((0, COLUMNS)) if table is None else table
-        slow = _slow(frames, noise, table)
-        if slow.any():  # behind small spots, most of a smooth pattern goes with their ring's plane
-            lights = _lights(frames.lit.shape, table)
-            difference = cv2.subtract(frames.lit, frames.dark, dtype=cv2.CV_32F)
-            difference[lights > 0] = np.median(difference[::_EVERY, ::_EVERY])
-            slopes = _slopes(difference, noise, _DIFFERENCE_CELLS, lights)
-            slow = np.minimum(slow, slopes)
-        return cls(slow, compression)
+        return cls(_slow(frames, noise_grey(frames), table), compression)
 
     def widen(self, table: Array) -> None:
         """Add it to the errors of the spots of a table.
@@ -118,7 +110,7 @@ class HiddenNoise:
         table[:, SIGMA] = np.sqrt(np.maximum(table[:, SIGMA] ** 2 + hidden * moved**2, least))
 
 
-def _lights(shape: tuple[int, ...], table: Array, cell: int = 1) -> Grey:
+def _lights(shape: tuple[int, ...], table: Array, cell: int) -> Grey:
     """(H // cell, W // cell) 1 in cells with a spot's light: its box and half as far again."""
     mask = np.zeros((shape[0] // cell, shape[1] // cell), np.uint8)
     for left, top, right, bottom in table[:, LEFT : BOTTOM + 1].astype(int):
@@ -162,9 +154,7 @@ def _bands(picture: Grey, cell: int) -> Grey:
     return bands[:: 1 + _BAND * height * width // _MOST_CELLS].reshape(-1, cell * width)
 
 
-def _slopes(
-    difference: cv2.typing.MatLike, noise: float, cells: int, lights: Grey | None = None
-) -> Array:
+def _slopes(difference: cv2.typing.MatLike, noise: float) -> Array:
     """(4,) noise of a pixel beyond the white, as a centroid's window sees it behind a spot.
 
     A first moment under a Gaussian window is the slope of the smoothed picture, less that of the
@@ -172,20 +162,17 @@ def _slopes(
     after a Gaussian of s px.
     """
     found = np.zeros(len(_CELLS_PX))
-    for k, cell in enumerate(_CELLS_PX[:cells]):
+    for k, cell in enumerate(_CELLS_PX):
         size = cell / _CELLS_A_SIZE
         ring = _RING + _RING_PX / size
         left = 1.0 + ring**-4 - 2.0 * (2.0 / (1.0 + ring**2)) ** 2  # of the variance of white noise
         soft = cv2.GaussianBlur(difference, (0, 0), size)
         soft = (soft - cv2.GaussianBlur(difference, (0, 0), ring * size))[::_EVERY]
-        slopes = np.abs(np.diff(soft, axis=1))
-        slopes = slopes[lights[::_EVERY, 1:] == 0] if lights is not None else slopes.ravel()
-        if not len(slopes):
-            break
+        slopes = np.abs(np.diff(soft, axis=1)).ravel()
         rank = int(_MOST * (len(slopes) - 1))  # spots and edges are few
         sigma = float(np.partition(slopes, rank)[rank]) / _MOST_SIGMA
         variance = (sigma * math.sqrt(8.0 * math.pi) * size * size) ** 2 / left
-        found[k:] = variance - noise**2 if variance > _CHANCE * noise**2 else 0.0
+        found[k] = variance - noise**2 if variance > _CHANCE * noise**2 else 0.0
     return found
 
 

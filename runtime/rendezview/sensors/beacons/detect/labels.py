@@ -17,7 +17,6 @@ from rendezview.sensors.beacons.detect.spot_columns import (
     BINARY_X,
     BINARY_Y,
     BOTTOM,
-    DARK,
     LEFT,
     PEAK,
     RIGHT,
@@ -69,7 +68,7 @@ def gather(
     """Zero a spot out of the mask, layer by layer, and fill its row (8-connected)."""
     has_dark = dark.shape[0] > 0
     area = saturated = 0
-    bx = by = wx = wy = flux = peak = darkest = 0.0
+    bx = by = wx = wy = flux = peak = 0.0
     xx = yy = xy = 0.0
     left, right, top, bottom = width, -1, height, -1
     x_first, y_first = start % width, start // width
@@ -85,7 +84,6 @@ def gather(
             saturated += 1
         if has_dark:
             value -= dark[y, x]
-            darkest = max(darkest, float(dark[y, x]))
         weight = max(value - level, 0.0)
         dx, dy = float(x - x_first), float(y - y_first)
         area += 1
@@ -121,4 +119,3 @@ def gather(
     mean, half = 0.5 * (xx + yy) + 1.0 / 12.0, math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
     row[SHAPE] = math.sqrt(max(mean - half, 1e-6) / (mean + half))
     row[SIZE] = math.sqrt(mean)
-    row[DARK] = darkest

@@ -16,7 +16,7 @@ def at_middle_row(
     table: Array, before: Array, step_s: float, readout_s: float, height: int,
     before_is_raw: bool = False,
 ) -> None:  # fmt: skip
-    """Move spots (N, 24) to where they were when the middle row was exposed; in place.
+    """Move spots (N, COLUMNS) to where they were when the middle row was exposed; in place.
 
     A spot moves on as it did since the reading before; one that was not visible then, as the others
     on average. Nothing moves where that is not known.

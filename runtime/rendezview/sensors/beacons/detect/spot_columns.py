@@ -1,14 +1,12 @@
-"""Columns of the table of spots that the compiled loops fill."""
+"""Columns of the table of spots that the compiled loops fill.
+
+ROUGH: texture of the ring about a spot, grey², as white noise of a pixel. LONG_X, LONG_XY:
+elongation of the moments under its window, (xx − yy, 2 xy) / (xx + yy), NaN where saturated.
+RIVALS: spots like it beside it, where a window was read. COVER: px, the share of SIGMA by what lies
+over it.
+"""
 
 # Source: by construction
 X, Y, AREA, AMPLITUDE, PEAK, SIZE, SATURATED, SIGMA = range(8)
-BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DARK, ABOVE = range(
-    8, 19
-)
-# grey²: texture of the ring about it, as white noise of a pixel. Source: by construction
-ROUGH = 19
-# Elongation of the moments under its window: (xx − yy, 2 xy) / (xx + yy); NaN where saturated.
-LONG_X, LONG_XY = 20, 21  # Source: by construction
-RIVALS = 22  # spots like it beside it, where a window was read. Source: by construction
-COVER = 23  # px, the share of SIGMA by what lies over it. Source: by construction
-COLUMNS = 24  # Source: by construction
+BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, ABOVE = range(8, 18)
+ROUGH, LONG_X, LONG_XY, RIVALS, COVER, COLUMNS = range(18, 24)

@@ -22,7 +22,6 @@ from rendezview.estimation.spot_centroid import (
     elongation,
     overlap_error,
     ring_plane,
-    saturated_error,
 )
 from rendezview.geometry.pose import Array
 from rendezview.sensors.beacons.detect.blended import parted
@@ -38,7 +37,6 @@ from rendezview.sensors.beacons.detect.difference import (
     spot_mask,
     threshold_of,
 )
-from rendezview.sensors.beacons.detect.discs import expected_size
 from rendezview.sensors.beacons.detect.labels import label
 from rendezview.sensors.beacons.detect.spot_columns import (
     ABOVE,
@@ -66,20 +64,13 @@ from rendezview.sensors.beacons.detect.spot_columns import (
 
 _FEWEST = 3  # spots that can be a target. Source: by construction
 _RISES = 10  # of the threshold, each by a half: up to 38 times. Source: by construction
-# σ between two centroids of one spot: further apart, something overlaps it. Source: reflector-nees
-_OVERLAP = 4.0
 _SEVERAL = 0.75  # small over large axis: one that is longer may be several. Source: by construction
-# share of a spot's size: moved further, it may not be the spot. Source: reflector-nees --seed 101
-_DOMINATED = 0.1
 # px by which a saturated spot's light passes the threshold beyond its disc. Source: by
 # construction, one σ of the blur; a start only
 _SKIRT_PX = 0.7
 # share of a saturated spot's size: an error where its rim is not that of a disc. Source: by
 # construction, charge over a quarter of a flat disc's diameter at one end
 _RAN_OVER = 0.4
-# share of a saturated spot's size: an error up to which its rim tells it. Source: by construction,
-# less than AcquisitionOptions.size_limit
-_SIZE_KNOWN = 0.1
 # Among more, chance fits dots of another size, or fainter ones. Source: experiments
 # reflector-tolerance (0.1) and reflector-nees
 MOST_CERTAIN = 20
@@ -95,7 +86,7 @@ _RECORDED = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpotTable:
-    """Spots of one picture; ``table`` (N, 24) as the compiled loops use it."""
+    """Spots of one picture; ``table`` (N, COLUMNS) as the compiled loops use it."""
 
     table: Array
     overfull: bool = False  # more than MOST_SPOTS were found, and dropped
@@ -186,9 +177,9 @@ def _labelled(
 
 
 def _parted(frames: LitDark, pieces: Array, table: Array, noise: float, level: float) -> Array:
-    """The rows (N, 24), with several for spots that run together, if a fit of all explains them.
+    """The rows of `table`, with several for spots that run together, if a fit of all explains them.
 
-    ``pieces`` (M, 24) are those after cuts. Where fewer than three are found, a long one may be
+    ``pieces`` (M, COLUMNS): those after cuts. Where fewer than three are found, a long one may be
     several.
     """
     dark, starts, owners = frames.dark_or_nothing, table, np.arange(len(table))
@@ -229,19 +220,10 @@ def _label_faint(frames: LitDark, noise: float, options: ThresholdOptions, table
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place(lit: Grey, dark: Grey, table: Array, noise: float) -> None:
-    """Fill place, size and error of every spot by its window.
-
-    Sizes are compared, and the window of a saturated spot sees a flat top. So the sizes of all
-    saturated spots are those of their rims, or of none.
-    """
+    """Fill place, size and error of every spot by its window."""
     columns, rows = np.empty(lit.shape[1]), np.empty(lit.shape[0])
-    sizes, known = np.zeros(table.shape[0]), True
     for i in range(table.shape[0]):
-        sizes[i] = window_centroid(lit, dark, table[i], noise, columns, rows)
-        known = known and (sizes[i] > 0.0 or table[i, SATURATED] <= 1.0)
-    for i in range(table.shape[0]):
-        if known and sizes[i] > 0.0:
-            table[i, SIZE] = sizes[i]
+        window_centroid(lit, dark, table[i], noise, columns, rows)
 
 
 def recentre(table: Array, noise: float, centroid: Centroid) -> None:
@@ -260,10 +242,10 @@ def recentre(table: Array, noise: float, centroid: Centroid) -> None:
 @njit(cache=True, nogil=True, error_model="numpy")
 def window_centroid(
     lit: Grey, dark: Grey, row: Array, noise: float, columns: Array, rows: Array
-) -> float:
+) -> None:
     """Fill place, size, amplitude and error of a spot by a Gaussian window of its own size.
 
-    The place of a saturated spot is that of its rim, whose size is returned; 0 where it is unknown.
+    The place of a saturated spot is that of its rim.
     """
     x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
     box = (int(row[LEFT]), int(row[RIGHT]), int(row[TOP]), int(row[BOTTOM]))
@@ -280,23 +262,8 @@ def window_centroid(
     if ran or not error > 0.0:
         x, y, error = row[WEIGHTED_X], row[WEIGHTED_Y], max(error, away)
     elif amplitude > 0.0:
-        beside = overlap_error(
-            lit,
-            dark,
-            (x, y, size, amplitude),
-            (slope_x, slope_y),
-            max(rough, noise),
-            row[SATURATED] > 1.0,
-        )
-        if dark.shape[0] > 0 and row[ABOVE] > 0.0:
-            # What overlaps a spot moves the mean of all its light more than that of a window.
-            gap = math.hypot(x - row[WEIGHTED_X], y - row[WEIGHTED_Y])
-            chance = math.hypot(error, noise * row[SIZE] * math.sqrt(row[AREA]) / row[ABOVE])
-            if gap > _OVERLAP * chance:
-                beside = math.hypot(beside, gap)
-        # So bright a light may be what the window is centred on, and the spot what moves it.
-        error = math.hypot(error, beside if beside < _DOMINATED * size else size)
-    error = saturated_error(error, int(row[SATURATED]), size)
+        spot, slopes = (x, y, size, amplitude), (slope_x, slope_y)
+        error = math.hypot(error, overlap_error(lit, dark, spot, slopes, max(rough, noise)))
     row[X], row[Y], row[SIZE], row[SIGMA] = x, y, size, error
     row[ROUGH] = max(rough * rough - noise * noise, 0.0)
     if amplitude > 0.0:
@@ -304,24 +271,20 @@ def window_centroid(
     if row[SATURATED] <= 1.0:
         plane = (level - slope_x * at_x - slope_y * at_y, slope_x, slope_y)
         row[LONG_X], row[LONG_XY] = elongation(lit, dark, (x, y, size), plane)
-        return 0.0
+        return
     row[LONG_X], row[LONG_XY] = np.nan, np.nan
     x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
     here = level + slope_x * (x - at_x) + slope_y * (y - at_y)
-    return _use_rim(lit, dark, row, (x, y, here, slope_x, slope_y), max(rough, noise), away)
+    _use_rim(lit, dark, row, (x, y, here, slope_x, slope_y), max(rough, noise), away)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _use_rim(
-    lit: Grey, dark: Grey, row: Array, plane: Plane, noise: float, away: float
-) -> float:  # fmt: skip
-    """Take place and error of a saturated spot from its rim, if that is one of a disc; its size."""
+def _use_rim(lit: Grey, dark: Grey, row: Array, plane: Plane, noise: float, away: float) -> None:
+    """Take place and error of a saturated spot from its rim, if that is one of a disc."""
     box = (int(row[LEFT]), int(row[RIGHT]), int(row[TOP]), int(row[BOTTOM]))
     radius = max(math.sqrt(row[AREA] / math.pi) - _SKIRT_PX, _SKIRT_PX)
-    x, y, error, radius, blur, size_error = fit_rim(lit, dark, plane, radius, noise, box)
+    x, y, error = fit_rim(lit, dark, plane, radius, noise, box)
     if not error > 0.0 or max(abs(x - plane[0]), abs(y - plane[1])) > away:
         row[SIGMA] = math.hypot(row[SIGMA], _RAN_OVER * row[SIZE])
-        return 0.0
+        return
     row[X], row[Y], row[SIGMA], row[ROUGH] = x, y, error, 0.0
-    size = expected_size(blur, radius)
-    return size if size_error < _SIZE_KNOWN * size else 0.0

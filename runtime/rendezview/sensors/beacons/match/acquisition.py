@@ -94,11 +94,6 @@ class Acquirer:
             with contextlib.suppress(RendezviewError):  # no pose by the printed hourglass
                 self._left_out.append(Acquirer(camera, [pattern], without))
         self._mirrored: Acquirer | None = None
-        self._steeper: Acquirer | None = None
-        tilt_rad, shape = self.options.steepest_rad, self.options.steep_shape
-        if tilt_rad > self.options.tilt_rad and not self.options.paper_hourglass:
-            steep = replace(self.options, left_out=(), tilt_rad=tilt_rad, least_shape=shape)
-            self._steeper = Acquirer(camera, patterns, steep)
         self._triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)  # scratch
         self._lock = threading.Lock()  # of the scratch
 
@@ -110,12 +105,7 @@ class Acquirer:
             prior: the last pose: the range must agree with it (re-acquisition), and of several
                 poses that look the same the one with its roll is taken.
         """
-        straight = self._lens_scale.straightened(spots)
-        found = self._acquire(straight, prior)
-        reflectors = found.reflectors
-        whole = reflectors is not None and len(reflectors) == len(self.constellation)
-        if self._steeper is not None and not whole and found.status is not Status.CROWDED:
-            found = self._steeper._acquire(straight, prior)
+        found = self._acquire(self._lens_scale.straightened(spots), prior)
         if found.status not in (Status.OK, Status.NOT_FOUND):
             return found
         return self._against_left_out(found, spots)
@@ -309,7 +299,7 @@ class Acquirer:
                 self.constellation.normals[members], self.constellation.diameters_m[members],
                 camera.fx, options.blur_px,
                 (options.size_sigma, options.diameter_sigma, options.blur_sigma,
-                 options.peak_sigma, options.beam_sigma, math.cos(1.2 * options.tilt_rad),
+                 options.peak_sigma, options.beam_sigma, options.least_cosine,
                  options.beam_curve),
                 window, options.score_limit, scores, poses,
             )  # fmt: skip

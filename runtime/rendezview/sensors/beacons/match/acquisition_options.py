@@ -11,10 +11,16 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
+from rendezview.sensors.beacons.detect.cover import SIZE_SIGMA
+from rendezview.sensors.beacons.detect.discs import BLUR_PX
 from rendezview.sensors.beacons.detect.spot_columns import COLUMNS
 from rendezview.sensors.beacons.detect.spots import SpotTable
 from rendezview.sensors.beacons.pose.refinement import Refined
 from rendezview.sensors.observation import Status
+
+# × the tilt: that of a single reflector, which is seen at another angle than the middle. Source: by
+# construction, a base as wide as a third of its range
+_EACH = 1.2
 
 # Source: by construction, a message
 MIRRORED = (
@@ -36,20 +42,14 @@ class AcquisitionOptions:
     # Groups of the target that are said not to be there. Where the spots fit one of them better,
     # there is no pose.
     left_out: tuple[ReflectorPattern, ...] = ()
-    # Yaw and pitch against the line of sight. Source: Book et al. 1992, fig. 2, has ±40° on the
-    # boresight.
-    tilt_rad: float = math.radians(45.0)
-    # … where not all reflectors show a pose: the target may be steeper, and others then pass for
-    # it. Source: plain simulator, seeds 21 and 22, right to 75°
-    steepest_rad: float = math.radians(65.0)
+    # Yaw and pitch against the line of sight: of a steeper target others pass for it. Source: plain
+    # simulator, seeds 21 and 22, right to 75°
+    tilt_rad: float = math.radians(65.0)
     paper_hourglass: bool = False  # the lines of fig. 2 as printed, in place of the target's own
     nearest_m: float = 0.3  # m. Source: a chosen limit
     farthest_m: float = 150.0  # m. Source: a chosen limit
-    # σ of the optics and of a pixel's width together. Source: by construction, √(0.7² + 1/12) with
-    # optics of 0.7 px
-    blur_px: float = 0.75
-    # Of ln(size): noise, focus, the disc's own tilt. Source: by hand; uncritical halved or doubled
-    size_sigma: float = 0.035
+    blur_px: float = BLUR_PX  # σ of the optics and of a pixel's width together
+    size_sigma: float = SIZE_SIGMA
     # Of ln(brightness) of the centre spot against the outer two. Source: by hand; uncritical halved
     # or doubled
     peak_sigma: float = 0.08
@@ -67,10 +67,9 @@ class AcquisitionOptions:
     size_limit: float = 0.14
     # ln, between two spots. Source: by hand; uncritical halved or doubled
     peak_limit: float = 1.6
-    # Small over large axis: a disc at 40° has 0.77, an edge far less. Source: by construction,
+    # Small over large axis: a disc at tilt_rad has 0.42, an edge far less. Source: by construction,
     # between the two
-    least_shape: float = 0.55
-    steep_shape: float = 0.3  # … at steepest_rad. Source: likewise
+    least_shape: float = 0.3
     # χ² of three sizes and brightnesses. Source: by hand; uncritical halved or doubled
     score_limit: float = 18.0
     # χ² by which the best must win over other spots. Source: by hand; uncritical halved or doubled
@@ -99,8 +98,6 @@ class AcquisitionOptions:
     def __post_init__(self) -> None:
         if not 0.0 < self.tilt_rad < math.pi / 2:
             raise RendezviewError(f"tilt_rad must be between 0 and π/2, not {self.tilt_rad}")
-        if not self.steepest_rad < math.pi / 2:
-            raise RendezviewError(f"steepest_rad must be below π/2, not {self.steepest_rad}")
         if not 0.0 < self.nearest_m < self.farthest_m:
             raise RendezviewError(
                 f"nearest_m and farthest_m must rise from above 0: {self.nearest_m}, "
@@ -108,6 +105,11 @@ class AcquisitionOptions:
             )
         if not self.blur_px > 0.0:
             raise RendezviewError(f"blur_px must be positive, not {self.blur_px}")
+
+    @property
+    def least_cosine(self) -> float:
+        """Least cosine between a reflector's normal and its line of sight."""
+        return math.cos(_EACH * self.tilt_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +168,7 @@ class Acquisition:
         return tuple(names)
 
     def table(self, spots: SpotTable, count: int) -> Array:
-        """(N, 24) the spot of each of so many reflectors, NaN where it has none."""
+        """(N, COLUMNS) the spot of each of so many reflectors, NaN where it has none."""
         table = np.full((count, COLUMNS), np.nan)
         table[self.reflectors] = spots.table[self.spot_indices]
         return table

@@ -8,7 +8,7 @@ sizes or the last pose tell them apart; otherwise the picture is ambiguous.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from rendezview.sensors.beacons.detect.discs import camera_numbers
 from rendezview.sensors.beacons.detect.spots import SpotTable
 from rendezview.sensors.beacons.match.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.beacons.match.judgement import least_facing
-from rendezview.sensors.beacons.match.matching import expect_spots, match_all, size_score
+from rendezview.sensors.beacons.match.matching import match_all, size_score
 from rendezview.sensors.beacons.match.mirrored_pose import mirror
 from rendezview.sensors.beacons.pose.refinement import Refined, loose_px, refine
 from rendezview.sensors.observation import Status
@@ -37,17 +37,11 @@ _MOST_REFINED = 40  # Source: experiment reflector-hidden --seed 1
 # 8 m
 _SAME = 0.02
 _PRIOR = 0.35  # rad and share: the last pose chooses one this near. Source: by construction, 20°
+_PRIOR_RATIO = 3.0  # … and nearer by this factor than any other. Source: by construction
 # Of so few spots of a target with more, a pose tilted further may be chance's. Source: experiment
 # reflector-hidden, seed 21
-_STEEP_RAD = math.radians(54.0)
+_STEEP = math.cos(math.radians(54.0))
 FEW = 4  # spots that hardly contradict wrong names. Source: by construction, 8 numbers for 6
-# χ² that a reflector costs which should be visible and is not, and at most so many of a group: it
-# may be covered as a whole. Source: by construction, −2 ln of 1 in 10; tested down to 1 in 3
-_ABSENT, _MOST_ABSENT = 4.6, 2
-# Of the peak of the faintest spot that is visible: fainter ones may hide in the noise. Source: by
-# construction, half
-_FAINTEST = 0.5
-_PRIOR_RATIO = 3.0  # … and nearer by this factor than any other. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +112,7 @@ class Chooser:
                 Status.NOT_FOUND, "three spots pass for the target, but no pose fits them"
             )
         most = max(len(h.which) for h in found)
-        found = [self._beside_absent(h) for h in found if len(h.which) == most]
+        found = [h for h in found if len(h.which) == most]
         found.sort(key=lambda h: h.total)
         best = found[0]
         others = ~np.isin(triplets, best.where).all(axis=1)
@@ -166,7 +160,7 @@ class Chooser:
                 "file, names or spots may be wrong; measure it, give its position_sigma_m, or show "
                 "more reflectors",
             )
-        if redundant and most <= FEW and prior is None and not self._faces(chosen, _STEEP_RAD):
+        if redundant and most <= FEW and prior is None and not self._faces(chosen, _STEEP):
             reason = f"{most} spots show a steeply tilted target, or are chance: uncover more"
             return self._ambiguous(best, f"{reason} reflectors, give a prior, or look again")
         groups = set(self._group_of[chosen.which].tolist())
@@ -192,39 +186,6 @@ class Chooser:
             Status.AMBIGUOUS, reason, group=self._names[best.group], spot_indices=best.where,
             score=best.score,
         )  # fmt: skip
-
-    def _beside_absent(self, hypothesis: _Hypothesis) -> _Hypothesis:
-        """The hypothesis with the cost of reflectors that it expects in view and has no spot of."""
-        which, pattern, pose = hypothesis.which, self.constellation, hypothesis.pose
-        if len(which) == len(pattern):
-            return hypothesis
-        expected, blur = self._expected(pose), self.options.blur_px
-        sizes = expected[:, 2]
-        margin = 3.0 * sizes[:, None]
-        edge = np.array([self.camera.width - 1, self.camera.height - 1]) - margin
-        places = pose.apply(pattern.positions_m)
-        sight = places / np.linalg.norm(places, axis=1)[:, None]
-        facing = -np.einsum("ij,ij->i", pattern.normals @ pose.rotation.T, sight)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            shown = ((expected[:, :2] > margin) & (expected[:, :2] < edge)).all(axis=1)
-            shown &= facing > math.cos(self.options.tilt_rad)
-            # A retro-reflector's light falls with the square of the range; blur thins a small disc.
-            peaks = (1.0 - (blur / sizes) ** 2) / places[:, 2] ** 2
-            shown &= peaks > _FAINTEST * peaks[which].min()
-        shown[which] = False
-        counts = np.bincount(self._group_of[shown], minlength=len(self._names))
-        cost = _ABSENT * float(np.minimum(counts, _MOST_ABSENT).sum())
-        return replace(hypothesis, total=hypothesis.total + cost)
-
-    def _expected(self, pose: Pose) -> Array:
-        """(N, 3) place and size of every reflector at a pose."""
-        pattern, expected = self.constellation, np.empty((len(self.constellation), 3))
-        expect_spots(
-            self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
-            pose.rotation.copy(), pose.translation_m.copy(), self.camera.fx, self.options.blur_px,
-            expected,
-        )  # fmt: skip
-        return expected
 
     def _strangers(self, spots: SpotTable, usable: Ints, best: _Hypothesis) -> int:
         """How many spots as large as those of a hypothesis it leaves over."""
@@ -332,20 +293,20 @@ class Chooser:
             if count > 3:  # three have all their poses from P3P
                 mirrored = mirror(hypothesis.pose, pattern, names)
                 other = self._refined(spots, names, places, mirrored, group, score)
-                if other is not None and self._faces(other, 1.2 * self.options.tilt_rad):
+                if other is not None and self._faces(other, self.options.least_cosine):
                     made.append(other)
             made.sort(key=lambda h: -len(h.which))
         return made
 
-    def _faces(self, hypothesis: _Hypothesis, tilt_rad: float) -> bool:
-        """Whether all reflectors of a hypothesis face the camera, tilted by no more."""
+    def _faces(self, hypothesis: _Hypothesis, least_cosine: float) -> bool:
+        """Whether all reflectors of a hypothesis face the camera so much."""
         which, pattern, pose = hypothesis.which, self.constellation, hypothesis.pose
         return bool(
             least_facing(
                 pose.rotation.copy(), pose.translation_m.copy(),
                 pattern.positions_m[which], pattern.normals[which],
             )
-            > math.cos(tilt_rad)
+            > least_cosine
         )  # fmt: skip
 
     def _refined(

@@ -21,6 +21,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import between, orthonormalise, perturb_into
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview.sensors.beacons.detect.discs import (
+    BLUR_PX,
     LAW,
     camera_doubts,
     camera_numbers,
@@ -87,7 +88,7 @@ def refine(
     reflectors: npt.ArrayLike,
     start: Pose,
     sigma_px: npt.ArrayLike = 0.02,
-    blur_px: float = 0.75,
+    blur_px: float = BLUR_PX,
     *,
     saturated: bool = False,
 ) -> Refined | None:
