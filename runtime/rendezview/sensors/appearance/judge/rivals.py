@@ -34,6 +34,8 @@ from rendezview.sensors.appearance.sky import Sky
 # Of the difference of two pictures over its spread, of the merit of edges, and of that on a sketch
 # where one was drawn. Source: docs/notes/rivals.md
 DRAWN_WEIGHT, MERIT_WEIGHT, SKETCH_WEIGHT = 1.2, 10.0, 0.5
+# Of the pictures beside a sketch before a bright sky. Source: docs/notes/rivals.md
+DRAWN_BEFORE_BRIGHT = 0.35
 # Cells squared, of the spread: less says nothing. Source: docs/notes/rivals.md
 _LEAST_SPREAD = 0.1
 # Of the compared pixels: two poses whose pictures differ in fewer have nearly the same edges, and
@@ -105,14 +107,15 @@ class Rivals:
             return []
         explained = [one.under(suns[k]) for one, k in zip(each, kept, strict=True)]
         merits = merits[kept]
+        weight = DRAWN_WEIGHT if lines is None or sky.dark else DRAWN_BEFORE_BRIGHT
         lines = np.zeros(len(kept)) if lines is None else lines[kept]
-        scores = _scores(merits, lines, explained, window)
+        scores = _scores(merits, lines, explained, window, weight)
         if known is None:
             explained = _under_best_suns(scores, each, explained, look=False)
-            scores = _scores(merits, lines, explained, window)
+            scores = _scores(merits, lines, explained, window, weight)
             if posterior(scores).max() < _IN_DOUBT:
                 explained = _under_best_suns(scores, each, explained, look=True)
-                scores = _scores(merits, lines, explained, window)
+                scores = _scores(merits, lines, explained, window, weight)
         weighed = [
             replace(one, cost=np.inf, sun_camera=sun, probability=0.0)
             for one, sun in zip(hypotheses, suns, strict=True)
@@ -159,7 +162,9 @@ def line_scores(on_sketch: Array) -> Array:
     return np.asarray(SKETCH_WEIGHT * np.where(np.isnan(on_sketch), worst, on_sketch))
 
 
-def _scores(merits: Array, lines: Array, explained: list[Explained], window: Window) -> Array:
+def _scores(
+    merits: Array, lines: Array, explained: list[Explained], window: Window, weight: float
+) -> Array:
     """(N,) logarithms of probabilities, up to a constant: log odds against the likeliest.
 
     Two poses are compared cell by cell: what both leave unexplained cancels. The sum of the
@@ -174,7 +179,7 @@ def _scores(merits: Array, lines: Array, explained: list[Explained], window: Win
             spread = math.sqrt(float((better**2).sum()) + _LEAST_SPREAD)
             apart = np.abs(one.picture - other.picture) > window.tolerance_grey
             edges = min(1.0, float(apart.sum()) / (_OTHER_EDGES * len(window.seen)))
-            scores[k] += DRAWN_WEIGHT * better.sum() / spread
+            scores[k] += weight * better.sum() / spread
             scores[k] += MERIT_WEIGHT * edges * (merits[k] - merits[best])
         best = int(np.argmax(scores))
     return scores
