@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -12,8 +13,10 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.search.starts import within
-from rendezview.sensors.appearance.verdict import Near, contradiction
+from rendezview.sensors.appearance.verdict import Near, contradiction, refused
+from rendezview.sensors.observation import Status
 
 
 def turned(angle_deg: float) -> Pose:
@@ -54,6 +57,17 @@ def test_the_range_of_a_prior_is_as_right_as_its_attitude_a_quarter_at_most(shar
     arm = prior.rotation @ centre_m
     moved = Pose(prior.rotation, share * (prior.translation_m + arm) - arm)
     assert within(prior, np.deg2rad(error_deg), centre_m)(moved) == near
+
+
+def test_an_ambiguous_pose_is_as_likely_as_it_is_among_its_look_alikes():
+    weighed = (beside(turned(0.0), 0.55), beside(turned(90.0), 0.45))
+    choice = dataclasses.replace(found(turned(0.0)), weighed=weighed)
+    seen = refused(AppearanceObservation(Status.OK), choice)
+    assert seen.status is Status.AMBIGUOUS
+    assert choice.confidence > 0.9
+    assert seen.confidence == 0.55
+    unlikely = dataclasses.replace(choice, probability=0.2)  # a sketch counts them already
+    assert refused(AppearanceObservation(Status.OK), unlikely).confidence == 0.2
 
 
 def sketched(pose: Pose, probability: float) -> Found:

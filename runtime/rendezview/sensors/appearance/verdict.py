@@ -118,7 +118,7 @@ def refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObser
         reason=reason,
         pose=None,
         covariance=None,
-        confidence=None if found is None else found.confidence,
+        confidence=None if found is None else min(found.confidence, found.posterior),
         joints=None,
         outline=replace(seen.reading, points_m=np.zeros((0, 3))),
         found=found,

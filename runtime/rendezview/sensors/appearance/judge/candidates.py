@@ -15,7 +15,7 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.hypothesis import Aligned, Bound, Hypothesis
 from rendezview.sensors.appearance.judge.found import Found, merit
 from rendezview.sensors.appearance.judge.level import Level
-from rendezview.sensors.appearance.judge.rivals import MERIT_WEIGHT, edge_scores
+from rendezview.sensors.appearance.judge.rivals import MERIT_WEIGHT, line_scores
 from rendezview.sensors.appearance.judge.sketch_choice import sketch_merit
 from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
@@ -27,6 +27,8 @@ Indices = npt.NDArray[np.intp]
 # merit behind the best; shading is computed for poses closer than this. Source: by hand, seeds of
 # docs/notes/refinement.md
 _IN_DOUBT = 0.35
+# Log odds by edges behind the best; poses closer than this are drawn. Source: docs/notes/rivals.md
+_MOST_BEHIND = 5.0
 # rad; a pose, or the angle of a joint, further away is another answer, as in the experiments.
 # Source: the limit of a wrong pose there
 RIVAL_RAD = np.deg2rad(5.0)
@@ -106,20 +108,23 @@ class Candidates:
         within = np.inf if on_sketch is not None else merits.max() - (found.merit - _IN_DOUBT)
         apart = choose(merits, self._same, within=within, most=len(merits))
         assert apart is not None
-        asked, on_it = [self._all[k] for k in apart.answers], None
+        asked, lines = [self._all[k] for k in apart.answers], None
+        own = merits[list(apart.answers)]
         if on_sketch is not None:
             led = on_sketch([one.pose for one in asked])
             asked = [replace(one, on_sketch=there) for one, there in zip(asked, led, strict=True)]
-            on_it = np.array([np.nan if one is None else sketch_merit(one) for one in led])
-        edges = edge_scores(merits[list(apart.answers)], on_it)
+            lines = line_scores(
+                np.array([np.nan if one is None else sketch_merit(one) for one in led])
+            )
+        edges = MERIT_WEIGHT * own + (0.0 if lines is None else lines)
         order = np.argsort(-edges, kind="stable")
-        order = order[edges[order] >= edges.max() - MERIT_WEIGHT * _IN_DOUBT]
+        order = order[edges[order] >= edges.max() - _MOST_BEHIND]
         if on_sketch is not None:
             order = self._one_each(order, asked)
         order = order[:_MOST_RIVALS]
         weighed = rivals.weigh(
-            self.image, self.sky, [asked[k] for k in order], edges[order],
-            beside_sketch=on_sketch is not None,
+            self.image, self.sky, [asked[k] for k in order], own[order],
+            None if lines is None else lines[order],
         )  # fmt: skip
         if not weighed:
             return found

@@ -1,9 +1,9 @@
 """Drawn evidence: how well the picture that a pose predicts explains the frame.
 
 The craft is drawn at the pose, with cast shadows, under the Sun that fits the frame best, beside
-uniform light from all around. What is left is a robust cost in units of independent cells, so that
-its logarithm compares poses whose edges are alike. Every pose has its own Sun: a half-turned craft
-under the other pose's Sun would look worse than it can.
+uniform light from all around. What is left is a robust cost of each independent cell, so that two
+poses are compared where their pictures differ (``rivals``). Every pose has its own Sun: a
+half-turned craft under the other pose's Sun would look worse than it can.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _SHADOW_DEPTH_PX, _SHADOW_REACH_PX, _SHADOW_MOST_PX = 0.5, 1.6, 16.0
 # σ: small errors of the pose count little. Source: docs/notes/rivals.md, 1.5 is no better
 _OBSERVED_BLUR_PX, _DRAWN_BLUR_PX = 0.8, 1.0
 _BRIGHT_QUANTILE = 0.9  # of the levels where the craft is. Source: by construction, not the glints
-# Of the target's radius: errors of neighbouring pixels are alike. Source: fixed with COST_WEIGHT
+# Of the target's radius: errors of neighbouring pixels are alike. Source: fixed with DRAWN_WEIGHT
 _CELLS_ACROSS = 20.0
 # Of the two strengths of light. Source: docs/notes/rivals.md, three are too few
 _ROUNDS = 6
@@ -53,18 +53,38 @@ _AROUND_PX = 3
 _SKY_BLUR_PX = 12.0
 # σ before a picture is shrunk, of the times. Source: by construction, squares of as many have 0.29
 _SHRUNK_BLUR = 0.4
-_LEAST_COST = 1e-3  # its logarithm stays finite. Source: by construction
+# Of the hexagons in which a Sun is looked for: from less than half the spacing of the first
+# directions down to where shadows move by a pixel. Source: docs/notes/rivals.md
+_SUN_STEPS_RAD = np.deg2rad([12.0, 6.0, 3.0, 1.5])
+_MOST_SUN_MOVES = 3  # of each size. Source: docs/notes/rivals.md
+# Directions of a hemisphere that are tried first. Source: by construction, 30° apart
+_SUNS = 24
 # Of the target's radius; triangles are clipped there. Source: by construction
 _NEAR_RADII = 1e-3
+
+
+def _evenly(count: int) -> Array:
+    """(N, 3) directions over the hemisphere about +z, on a spiral."""
+    height, turn = 1.0 - (np.arange(count) + 0.5) / count, np.pi * (3.0 - math.sqrt(5.0))
+    across, angle = np.sqrt(1.0 - height**2), turn * np.arange(count)
+    return np.stack([across * np.cos(angle), across * np.sin(angle), height], axis=1)
+
+
+_HEMISPHERE = _evenly(_SUNS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explained:
     """What a pose leaves unexplained of a frame."""
 
-    cost: float  # independent cells that it does not explain
-    share: float  # the same of the cells of the craft; it may exceed 1
+    cells: Array  # (h, w) what it leaves of each independent cell of the window, 0 … 1
+    picture: Float32s  # (H, W) the levels that it predicts
     sun_camera: Array  # (3,) unit, towards the Sun that fits best
+
+    @property
+    def cost(self) -> float:
+        """Independent cells that it does not explain."""
+        return float(self.cells.sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +130,7 @@ class DrawnEvidence:
         length = np.linalg.norm(cross, axis=1, keepdims=True)
         self._normals = np.ascontiguousarray(cross / np.maximum(length, 1e-30))
         self._albedo = shape.albedo.astype(np.float64) * ALBEDO_UNIT
-        self._centre_m, self._radius_m = model.centre_m, model.target_radius_m
+        self.centre_m, self._radius_m = model.centre_m, model.target_radius_m
         self._camera = camera
 
     def with_camera(self, camera: Camera) -> DrawnEvidence:
@@ -121,7 +141,7 @@ class DrawnEvidence:
 
     def window(self, image: Picture, sky: Sky, pose: Pose) -> Window:
         """The part of a frame (H, W) about a pose, for it and its rivals."""
-        camera, centre = self._camera, pose.apply(self._centre_m)
+        camera, centre = self._camera, pose.apply(self.centre_m)
         radius_px = camera.fx * self._radius_m / float(np.linalg.norm(centre))
         times = max(1.0, radius_px / _RADIUS_PX)
         half = math.ceil((_WINDOW_RADII * radius_px + _WINDOW_MORE_PX) / times)
@@ -176,7 +196,7 @@ class DrawnEvidence:
             return None
         points, normals = np.empty((len(where), 3)), np.empty((len(where), 3))
         intrinsics = np.array([window.fx, window.fy, window.cx, window.cy])
-        rotation, centre = pose.rotation.copy(), pose.apply(self._centre_m)
+        rotation, centre = pose.rotation.copy(), pose.apply(self.centre_m)
         _surface_at(where, nearness, owner, intrinsics, rotation, centre, self._normals,
                     points, normals)  # fmt: skip
         albedo = self._albedo[owner.ravel()[where]]
@@ -187,7 +207,7 @@ class DrawnEvidence:
     ) -> tuple[Float32s, npt.NDArray[np.int32]]:
         """(H, W) nearness (1/z) and faces of the craft at a pose."""
         nearness, owner = empty_buffers(*shape)
-        vertices = self._vertices @ pose.rotation.T + pose.apply(self._centre_m)
+        vertices = self._vertices @ pose.rotation.T + pose.apply(self.centre_m)
         near_m = _NEAR_RADII * self._radius_m
         draw_perspective(vertices, self._faces, fx, fy, cx, cy, near_m, nearness, owner)
         return nearness, owner
@@ -224,10 +244,25 @@ class Drawn:
         drawn = window.sky.copy()
         drawn.ravel()[self.where] = strengths[0] * sunlit + strengths[1] * self.albedo
         drawn = np.asarray(cv2.GaussianBlur(drawn, (0, 0), _DRAWN_BLUR_PX))
-        cost = _unexplained(window.levels, drawn, window.seen, window.tolerance_grey)
-        cost /= window.cell_px
-        cells = len(self.where) / window.cell_px
-        return Explained(max(cost, _LEAST_COST), cost / cells, sun_camera)
+        side = max(1, round(math.sqrt(window.cell_px)))
+        cells = np.zeros([math.ceil(length / side) for length in drawn.shape])
+        _unexplained(window.levels, drawn, window.seen, window.tolerance_grey, side, cells)
+        return Explained(cells / window.cell_px, drawn, sun_camera)
+
+    def under_best_sun(self, seen: Explained) -> Explained:
+        """Under the Sun that explains the frame best, in front of the target or as ``seen``."""
+        towards = minimal_rotation(
+            np.array([0.0, 0.0, 1.0]), -self.pose.apply(self.evidence.centre_m)
+        )
+        seen = min([seen, *map(self.under, _HEMISPHERE @ towards.T)], key=cost_of)
+        for step_rad in _SUN_STEPS_RAD:
+            for _ in range(_MOST_SUN_MOVES):
+                around = [self.under(sun) for sun in _beside(seen.sun_camera, step_rad)]
+                best = min([seen, *around], key=cost_of)
+                if best is seen:
+                    break
+                seen = best
+        return seen
 
     def sunlit(self, sun_camera: Array) -> Array:
         """(N,) albedo times the cosine to a Sun (3,), 0 in shadow."""
@@ -242,17 +277,25 @@ def cost_of(explained: Explained) -> float:
     return explained.cost
 
 
+def _beside(sun: Array, angle_rad: float) -> Array:
+    """(6, 3) directions at an angle from one, as a hexagon."""
+    across = minimal_rotation(np.array([0.0, 0.0, 1.0]), sun)[:, :2]
+    turns = np.pi / 3.0 * np.arange(6)
+    ring = np.stack([np.cos(turns), np.sin(turns)])
+    return np.asarray(math.cos(angle_rad) * sun + math.sin(angle_rad) * (across @ ring).T)
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _unexplained(
-    levels: Float32s, drawn: Float32s, seen: npt.NDArray[np.intp], tolerance: float
-) -> float:
-    """Sum of r² / (1 + r²) over some pixels (Geman and McClure 1987)."""
-    total, width = 0.0, levels.shape[1]
+    levels: Float32s, drawn: Float32s, seen: npt.NDArray[np.intp], tolerance: float, side: int,
+    cells: Array,
+) -> None:  # fmt: skip
+    """Add r² / (1 + r²) of some pixels (Geman and McClure 1987) to their cells (h, w)."""
+    width = levels.shape[1]
     for k in range(len(seen)):
         y, x = seen[k] // width, seen[k] % width
         r = (levels[y, x] - drawn[y, x]) / tolerance
-        total += r * r / (1.0 + r * r)
-    return total
+        cells[y // side, x // side] += r * r / (1.0 + r * r)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)

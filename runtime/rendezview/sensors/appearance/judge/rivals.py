@@ -9,6 +9,7 @@ pictures leave unexplained of the frame, beside the merit of the edges, decides 
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from dataclasses import replace
 
@@ -19,15 +20,29 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.hypothesis import Hypothesis
-from rendezview.sensors.appearance.judge.drawn import Drawn, DrawnEvidence, Explained, cost_of
+from rendezview.sensors.appearance.judge.drawn import (
+    Drawn,
+    DrawnEvidence,
+    Explained,
+    Window,
+    cost_of,
+)
 from rendezview.sensors.appearance.judge.shading import FRONT, Shading
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.sky import Sky
 
-# Of the log of the cells that stay unexplained, and of the merit. Source: docs/notes/rivals.md
-COST_WEIGHT, MERIT_WEIGHT = 22.0, 18.0
-# The same where a sketch was drawn, and of the merit on it. Source: docs/notes/rivals.md
-COST_BESIDE_SKETCH, MERIT_BESIDE_SKETCH, SKETCH_WEIGHT = 13.0, 12.0, 0.65
+# Of the difference of two pictures over its spread, of the merit of edges, and of that on a sketch
+# where one was drawn. Source: docs/notes/rivals.md
+DRAWN_WEIGHT, MERIT_WEIGHT, SKETCH_WEIGHT = 1.2, 10.0, 0.5
+# Of the pictures beside a sketch before a bright sky. Source: docs/notes/rivals.md
+DRAWN_BEFORE_BRIGHT = 0.35
+# Cells squared, of the spread: less says nothing. Source: docs/notes/rivals.md
+_LEAST_SPREAD = 0.1
+# Of the compared pixels: two poses whose pictures differ in fewer have nearly the same edges, and
+# their merits differ by chance. Source: docs/notes/rivals.md
+_OTHER_EDGES = 0.1
+_IN_DOUBT = 0.99  # probability; below it Suns are looked for on the picture. Source: the same
+_ROUNDS = 2  # of comparisons with the likeliest. Source: by construction
 
 
 class Rivals:
@@ -65,8 +80,8 @@ class Rivals:
         return found
 
     def weigh(
-        self, image: Picture, sky: Sky, hypotheses: list[Hypothesis], edges: Array, *,
-        beside_sketch: bool = False,
+        self, image: Picture, sky: Sky, hypotheses: list[Hypothesis], merits: Array,
+        lines: Array | None = None,
     ) -> list[Hypothesis]:  # fmt: skip
         """Hypotheses of one frame with cost and probability, likeliest first; [] if none is seen.
 
@@ -74,8 +89,8 @@ class Rivals:
             image: (H, W) frame.
             sky: behind the target. If it knows the Sun, that one counts.
             hypotheses: one at least, with their Suns as the surface points have them.
-            edges: (N,) of ``edge_scores``.
-            beside_sketch: the lines of a sketch are among the edges.
+            merits: (N,) of their grey edges.
+            lines: (N,) of ``line_scores``, if there is a sketch.
         """
         known = sky.sun_camera
         suns = [FRONT if one.sun_camera is None else one.sun_camera for one in hypotheses]
@@ -83,24 +98,32 @@ class Rivals:
             suns = [known] * len(hypotheses)
         if len(hypotheses) == 1:
             return [replace(hypotheses[0], sun_camera=suns[0], probability=1.0)]
-        cost_weight = COST_BESIDE_SKETCH if beside_sketch else COST_WEIGHT
         window = self._evidence.window(image, sky, hypotheses[0].pose)
         drawn = [self._evidence.drawn(window, one.pose) for one in hypotheses]
+        kept = [k for k, one in enumerate(drawn) if one is not None]
         window = window.beside([one for one in drawn if one is not None])
-        drawn = [None if one is None else replace(one, window=window) for one in drawn]
-        explained = [
-            Explained(np.inf, np.inf, sun) if one is None else one.under(sun)
-            for one, sun in zip(drawn, suns, strict=True)
-        ]
-        if known is None:
-            explained = _under_best_suns(edges, cost_weight, drawn, explained)
-        scores = _scores(edges, cost_weight, explained)
-        if not np.isfinite(scores.max()):
+        each = [replace(one, window=window) for one in drawn if one is not None]
+        if not each:
             return []
+        explained = [one.under(suns[k]) for one, k in zip(each, kept, strict=True)]
+        merits = merits[kept]
+        weight = DRAWN_WEIGHT if lines is None or sky.dark else DRAWN_BEFORE_BRIGHT
+        lines = np.zeros(len(kept)) if lines is None else lines[kept]
+        scores = _scores(merits, lines, explained, window, weight)
+        if known is None:
+            explained = _under_best_suns(scores, each, explained, look=False)
+            scores = _scores(merits, lines, explained, window, weight)
+            if posterior(scores).max() < _IN_DOUBT:
+                explained = _under_best_suns(scores, each, explained, look=True)
+                scores = _scores(merits, lines, explained, window, weight)
         weighed = [
-            replace(one, cost=seen.cost, sun_camera=seen.sun_camera, probability=float(share))
-            for one, seen, share in zip(hypotheses, explained, posterior(scores), strict=True)
+            replace(one, cost=np.inf, sun_camera=sun, probability=0.0)
+            for one, sun in zip(hypotheses, suns, strict=True)
         ]
+        for k, seen, share in zip(kept, explained, posterior(scores), strict=True):
+            weighed[k] = replace(
+                weighed[k], cost=seen.cost, sun_camera=seen.sun_camera, probability=float(share)
+            )
         return sorted(weighed, key=lambda one: -one.probability)
 
     def weigh_coarse(self, image: Picture, sky: Sky, pose: Pose) -> list[Hypothesis]:
@@ -113,34 +136,50 @@ class Rivals:
 
 
 def _under_best_suns(
-    edges: Array, cost_weight: float, drawn: list[Drawn | None], explained: list[Explained]
+    scores: Array, drawn: list[Drawn], explained: list[Explained], *, look: bool
 ) -> list[Explained]:
-    """Each under the Suns of the two likeliest, too."""
-    order = np.argsort(-_scores(edges, cost_weight, explained), kind="stable")
-    others = [explained[k].sun_camera for k in order[:2]]
+    """Each under the Suns of the two likeliest, too; ``look``: as their pictures show them best."""
+    order = np.argsort(-scores, kind="stable")[:2]
+    if look:
+        explained = list(explained)
+        for k in order:
+            explained[k] = drawn[k].under_best_sun(explained[k])
+    others = [explained[k].sun_camera for k in order]
     return [
-        seen if one is None else min([seen, *map(one.under, others)], key=cost_of)
+        min([seen, *map(one.under, others)], key=cost_of)
         for one, seen in zip(drawn, explained, strict=True)
     ]
 
 
-def edge_scores(merits: Array, on_sketch: Array | None = None) -> Array:
-    """(N,) logarithms of probabilities by edges alone, up to a constant.
+def line_scores(on_sketch: Array) -> Array:
+    """(N,) logarithms of probabilities by a sketch alone, up to a constant.
 
     Args:
-        merits: (N,) of grey edges.
-        on_sketch: (N,) on the sketch, if there is one; NaN: no hold, which counts as the worst of
-            the others.
+        on_sketch: (N,) merits; NaN: no hold, which counts as the worst of the others.
     """
-    if on_sketch is None:
-        return MERIT_WEIGHT * merits
     held = on_sketch[~np.isnan(on_sketch)]
     worst = float(held.min()) if len(held) else 0.0
-    sketch = np.where(np.isnan(on_sketch), worst, on_sketch)
-    return np.asarray(MERIT_BESIDE_SKETCH * merits + SKETCH_WEIGHT * sketch)
+    return np.asarray(SKETCH_WEIGHT * np.where(np.isnan(on_sketch), worst, on_sketch))
 
 
-def _scores(edges: Array, cost_weight: float, explained: list[Explained]) -> Array:
-    """(N,) logarithms of probabilities, up to a constant."""
-    costs = np.array([one.cost for one in explained])
-    return np.asarray(edges - cost_weight * np.log(costs))
+def _scores(
+    merits: Array, lines: Array, explained: list[Explained], window: Window, weight: float
+) -> Array:
+    """(N,) logarithms of probabilities, up to a constant: log odds against the likeliest.
+
+    Two poses are compared cell by cell: what both leave unexplained cancels. The sum of the
+    differences counts in units of its spread (Vuong 1989).
+    """
+    best = int(np.argmin([one.cost for one in explained]))
+    scores = lines
+    for _ in range(_ROUNDS):
+        other, scores = explained[best], lines - lines[best]
+        for k, one in enumerate(explained):
+            better = other.cells - one.cells
+            spread = math.sqrt(float((better**2).sum()) + _LEAST_SPREAD)
+            apart = np.abs(one.picture - other.picture) > window.tolerance_grey
+            edges = min(1.0, float(apart.sum()) / (_OTHER_EDGES * len(window.seen)))
+            scores[k] += weight * better.sum() / spread
+            scores[k] += MERIT_WEIGHT * edges * (merits[k] - merits[best])
+        best = int(np.argmax(scores))
+    return scores
