@@ -238,6 +238,24 @@ def test_merits_of_poses_that_look_the_same_decide_nothing(model: ViewModel, dru
     assert weighed[0].probability < 0.9
 
 
+def test_what_tells_poses_apart_counts_less_where_the_materials_are_unlike_the_mesh(
+    model: ViewModel, drum: Mesh
+) -> None:
+    poses = under([SIDE, aside(SIDE, 60.0)])
+    odds = []
+    for spots in (0.0, 60.0):
+        frame = picture(drum, SIDE).astype(np.float64)
+        # Patches of 16 px, lighter and darker than the mesh says.
+        patches = np.random.default_rng(3).choice([-spots, spots], (20, 20))
+        frame += np.where(frame > 40.0, np.kron(patches, np.ones((16, 16))), 0.0)
+        grey = np.clip(np.rint(frame), 0, 255).astype(np.uint8)
+        weighed = Rivals(model, CAMERA).weigh(grey, Sky.of(grey), poses, np.zeros(2))
+        share = next(one.probability for one in weighed if one.pose is SIDE)
+        odds.append(np.log(share / (1.0 - share)))
+    assert odds[0] > 2.0 * odds[1]
+    assert odds[1] > -1.0
+
+
 def test_a_sun_is_found_that_explains_as_much_as_the_true_one(model: ViewModel, drum: Mesh) -> None:
     """From one behind the camera, in six of eight frames; plane sides leave some Suns open."""
     rng, evidence, found = np.random.default_rng(1), DrawnEvidence(model.shape, model, CAMERA), 0

@@ -34,6 +34,9 @@ from rendezview.sensors.appearance.sky import Sky
 # Of the difference of two pictures over its spread, of the merit of edges, and of that on a sketch
 # where one was drawn. Source: docs/notes/rivals.md
 DRAWN_WEIGHT, MERIT_WEIGHT, SKETCH_WEIGHT = 1.2, 10.0, 0.5
+# Of the craft's cells, that stay unexplained where its materials are known. Where more do, errors
+# of neighbouring cells are alike, and their differences count less. Source: docs/notes/rivals.md
+_KNOWN_SHARE = 0.12
 # Of the pictures beside a sketch before a bright sky. Source: docs/notes/rivals.md
 DRAWN_BEFORE_BRIGHT = 0.35
 # Cells squared, of the spread: less says nothing. Source: docs/notes/rivals.md
@@ -107,15 +110,20 @@ class Rivals:
             return []
         explained = [one.under(suns[k]) for one, k in zip(each, kept, strict=True)]
         merits = merits[kept]
-        weight = DRAWN_WEIGHT if lines is None or sky.dark else DRAWN_BEFORE_BRIGHT
-        lines = np.zeros(len(kept)) if lines is None else lines[kept]
-        scores = _scores(merits, lines, explained, window, weight)
+        bright = lines is not None and not sky.dark
+        beside = np.zeros(len(kept)) if lines is None else lines[kept]
+
+        def scored(explained: list[Explained]) -> Array:
+            weight = DRAWN_BEFORE_BRIGHT if bright else _drawn_weight(each, explained)
+            return _scores(merits, beside, explained, window, weight)
+
+        scores = scored(explained)
         if known is None:
             explained = _under_best_suns(scores, each, explained, look=False)
-            scores = _scores(merits, lines, explained, window, weight)
+            scores = scored(explained)
             if posterior(scores).max() < _IN_DOUBT:
                 explained = _under_best_suns(scores, each, explained, look=True)
-                scores = _scores(merits, lines, explained, window, weight)
+                scores = scored(explained)
         weighed = [
             replace(one, cost=np.inf, sun_camera=sun, probability=0.0)
             for one, sun in zip(hypotheses, suns, strict=True)
@@ -133,6 +141,15 @@ class Rivals:
             shade = self._shading.of(image, sky, one)
             hypotheses.append(Hypothesis(one, sun_camera=None if shade is None else shade.sun))
         return self.weigh(image, sky, hypotheses, np.zeros(len(hypotheses)))
+
+
+def _drawn_weight(drawn: list[Drawn], explained: list[Explained]) -> float:
+    """Of the pictures: less where none explains the craft as one of known materials would."""
+    shares = [
+        seen.cost * one.window.cell_px / len(one.where)
+        for one, seen in zip(drawn, explained, strict=True)
+    ]
+    return DRAWN_WEIGHT * min(1.0, _KNOWN_SHARE / max(min(shares), 1e-9))
 
 
 def _under_best_suns(
