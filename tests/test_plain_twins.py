@@ -91,8 +91,12 @@ def sunlight_of_a_craft(rng):
 def unexplained_light(rng):
     levels, made = rng.normal(size=(2, 7, 5)).astype(np.float32)
     seen = np.flatnonzero(rng.random(35) < 0.5)
-    square = ((levels.astype(float) - made) / 0.7).ravel()[seen] ** 2
-    return drawn._unexplained(levels, made, seen, 0.7), np.sum(square / (1.0 + square))
+    cells = np.zeros((3, 2))  # of three pixels a side
+    drawn._unexplained(levels, made, seen, 0.7, 3, cells)
+    square = ((levels.astype(float) - made) / 0.7) ** 2
+    left, plain = np.zeros((9, 6)), square / (1.0 + square)
+    left[np.divmod(seen, 5)] = plain.ravel()[seen]
+    return cells, left.reshape(3, 3, 2, 3).sum(axis=(1, 3))
 
 
 @TWINS.append
