@@ -13,12 +13,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import trimesh
 
 from rendezview import Camera, Pose
 from rendezview_ground.mesh.mesh import Mesh
 
 SOURCE = Path(__file__).with_suffix(".cpp")
-_FLAT = 0.9999  # cosine between normals of one face. Source: by construction
+_FLAT_RAD = 0.01  # between the normals of one flat face. Source: by construction
 
 
 def poses(
@@ -49,29 +50,14 @@ def cao_of(mesh: Mesh) -> str:
     """The outlines of a mesh's flat faces in ViSP's CAO format."""
     places, which = np.unique(np.round(mesh.vertices_m, 9), axis=0, return_inverse=True)
     faces = which.reshape(-1)[mesh.faces]
-    outlines = [loop for flat in _flat_faces(places, faces) for loop in _loops(faces[flat])]
+    body = trimesh.Trimesh(places, faces, process=False)
+    side_by_side = body.face_adjacency[body.face_adjacency_angles < _FLAT_RAD]
+    flat = trimesh.graph.connected_components(side_by_side, nodes=np.arange(len(faces)))
+    outlines = [loop for group in flat for loop in _loops(faces[group])]
     lines = ["V1", str(len(places)), *(f"{x:.9g} {y:.9g} {z:.9g}" for x, y, z in places)]
     lines += ["0", "0", str(len(outlines))]  # no lines; faces by lines; faces by points
     lines += [f"{len(loop)} {' '.join(map(str, loop))}" for loop in outlines]
     return "\n".join([*lines, "0", "0", ""])
-
-
-def _flat_faces(places: np.ndarray, faces: np.ndarray) -> list[list[int]]:
-    """Triangles that lie side by side in one plane."""
-    a, b, c = (places[faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    by_edge: dict[tuple[int, int], list[int]] = {}
-    for k, face in enumerate(faces):
-        for i in range(3):
-            one, other = sorted((int(face[i]), int(face[i - 1])))
-            by_edge.setdefault((one, other), []).append(k)
-    group = np.arange(len(faces))
-    for beside in by_edge.values():
-        for k in beside[1:]:
-            if normals[k] @ normals[beside[0]] > _FLAT:
-                group[group == group[k]] = group[beside[0]]
-    return [np.flatnonzero(group == g).tolist() for g in np.unique(group)]
 
 
 def _loops(faces: np.ndarray) -> list[list[int]]:
