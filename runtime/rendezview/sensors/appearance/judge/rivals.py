@@ -198,5 +198,8 @@ def _scores(
             edges = min(1.0, float(apart.sum()) / (_OTHER_EDGES * len(window.seen)))
             scores[k] += weight * better.sum() / spread
             scores[k] += MERIT_WEIGHT * edges * (merits[k] - merits[best])
-        best = int(np.argmax(scores))
+        likeliest = int(np.argmax(scores))
+        if likeliest == best:
+            break
+        best = likeliest
     return scores
