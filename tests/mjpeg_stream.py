@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from itertools import count
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from tests.http_server import http_server
 
 
 @contextmanager
@@ -38,8 +38,5 @@ def mjpeg_stream(
         def log_message(self, *_: Any) -> None:
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Pictures)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield f"http://user:word@127.0.0.1:{server.server_port}/stream.mjpg"
-    server.shutdown()
-    server.server_close()
+    with http_server(Pictures) as port:
+        yield f"http://user:word@127.0.0.1:{port}/stream.mjpg"

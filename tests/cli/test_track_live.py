@@ -5,16 +5,19 @@ from __future__ import annotations
 import functools
 import http.client
 import json
+import socket
+import struct
 import threading
 from collections.abc import Iterator
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import SimpleHTTPRequestHandler
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.waiting import MOST_S
+from tests.http_server import http_server
+from tests.waiting import MOST_S, wait_until
 
 from rendezview.cli.live_view import LiveView
 from rendezview.geometry.pose import Pose
@@ -44,11 +47,8 @@ def stream(
         video.write(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
     video.release()
     save_camera(camera, folder / "camera.yaml")
-    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=folder))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield f"http://127.0.0.1:{server.server_address[1]}/v.avi", folder / "camera.yaml", pose
-    server.shutdown()
-    server.server_close()
+    with http_server(functools.partial(Quiet, directory=folder)) as port:
+        yield f"http://127.0.0.1:{port}/v.avi", folder / "camera.yaml", pose
 
 
 def test_poses_of_a_camera_are_lines_on_the_screen(run, refining_model, stream, tmp_path):
@@ -130,3 +130,19 @@ def test_a_browser_gets_the_newest_picture_and_the_end():
     assert answer.read().startswith(b"--picture")  # and then the end
     page.close()
     viewer.close()
+
+
+def test_a_viewer_that_breaks_off_leaves_nothing_on_the_screen(capsys):
+    before = threading.active_count()
+    with LiveView() as view:
+        host = ("127.0.0.1", int(view.address.rsplit(":", 1)[1].rstrip("/")))
+        view.add(np.zeros((480, 640, 3), np.uint8))
+        for asked in (b"GET / HT", b"GET /pictures HTTP/1.0\r\n\r\n"):
+            viewer = socket.create_connection(host, timeout=MOST_S)
+            viewer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            viewer.sendall(asked)
+            wait_until(lambda: threading.active_count() > before + 1)
+            viewer.close()  # the connection is reset
+            view.add(np.zeros((480, 640, 3), np.uint8))
+        wait_until(lambda: threading.active_count() == before + 1)
+    assert capsys.readouterr() == ("", "")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import os
 import threading
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
 import httpx
 import pytest
+from tests.http_server import http_server
 from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
@@ -159,14 +160,11 @@ def test_the_client_waits_for_a_session_that_goes_on_in_a_moment():
         def log_message(self, *_: object) -> None:
             pass
 
-    server = HTTPServer(("127.0.0.1", 0), Answers)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    url = f"http://127.0.0.1:{server.server_port}"
-    with Client(url) as client:
-        assert client.sessions() == client.sessions() == []
-    assert len(asked) == 4
-    del asked[1:]
-    with Client(url) as client, pytest.raises(ServiceError, match="in a moment"):
-        client.sessions()  # it was not reached before: the answer is passed on
-    server.shutdown()
-    server.server_close()
+    with http_server(Answers) as port:
+        url = f"http://127.0.0.1:{port}"
+        with Client(url) as client:
+            assert client.sessions() == client.sessions() == []
+        assert len(asked) == 4
+        del asked[1:]
+        with Client(url) as client, pytest.raises(ServiceError, match="in a moment"):
+            client.sessions()  # it was not reached before: the answer is passed on

@@ -8,12 +8,13 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from tests.http_server import http_server
 from tests.io.bags import START_S, Shot, write_foxglove, write_ros1, write_ros2
 
 from rendezview.errors import RendezviewError
@@ -58,10 +59,7 @@ class _NetworkCamera(BaseHTTPRequestHandler):
             image = np.full((48, 64), 20 + 10 * (k % 20), np.uint8)
             jpeg = cv2.imencode(".jpg", image)[1].tobytes()
             head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-            try:
-                self.wfile.write(head.encode() + jpeg + b"\r\n")
-            except ConnectionError:  # who looked has gone
-                return
+            self.wfile.write(head.encode() + jpeg + b"\r\n")
             time.sleep(0.01)
 
     def log_message(self, *_: object) -> None:
@@ -70,11 +68,8 @@ class _NetworkCamera(BaseHTTPRequestHandler):
 
 @pytest.fixture
 def network_camera() -> Iterator[str]:
-    server = ThreadingHTTPServer(("127.0.0.1", 0), _NetworkCamera)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield f"http://eve:secret@127.0.0.1:{server.server_port}/stream"
-    server.shutdown()
-    server.server_close()
+    with http_server(_NetworkCamera) as port:
+        yield f"http://eve:secret@127.0.0.1:{port}/stream"
 
 
 def test_a_network_stream_is_opened_again_when_it_breaks_off(network_camera, monkeypatch) -> None:

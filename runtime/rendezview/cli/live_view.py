@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -21,14 +22,22 @@ _WAIT_S = 1.0  # s; a viewer learns of the end so late at most. Source: a chosen
 _QUALITY = 85  # of JPEG. Source: by construction, edges are clean
 
 
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """A viewer that has gone is no fault; any other is."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)  # type: ignore[arg-type]
+
+
 class LiveView:
     """The newest picture of a run, to all browsers that look. Viewers never hold up the run."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._picture, self._number, self._ended = b"", 0, False
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
-        self._server.daemon_threads = True
+        self._server = _Server(("127.0.0.1", 0), self._handler())
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     @property
@@ -80,13 +89,10 @@ class LiveView:
                 self.send_header("Content-Type", kind)
                 self.end_headers()
                 number = 0
-                try:
-                    while (found := view._next(number)) is not None:
-                        picture, number = found
-                        head = b"--%s\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n"
-                        self.wfile.write(head % (_BOUNDARY, len(picture)) + picture + b"\r\n")
-                except OSError:
-                    return  # the viewer has gone
+                while (found := view._next(number)) is not None:
+                    picture, number = found
+                    head = b"--%s\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n"
+                    self.wfile.write(head % (_BOUNDARY, len(picture)) + picture + b"\r\n")
 
             def log_message(self, *_: object) -> None:
                 """Nothing: the screen is the run's."""
