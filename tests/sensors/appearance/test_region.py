@@ -211,6 +211,25 @@ def test_edges_that_the_sketch_contradicts_give_no_pose(recognizer, bumpy_mesh, 
     assert "grey edges and the sketch show poses" in seen.reason
 
 
+def test_a_refusal_before_a_wall_says_how_the_likeliest_body_fits(recognizer, bumpy_mesh):
+    """The grey levels of the wall are not why a body beside it is not the target."""
+    model, pose = recognizer.model, pose_of(recognizer.model, 4)
+    frame, mask = room(bumpy_mesh, pose, 4)
+    rows, columns = np.nonzero(mask)
+    middle = (int(columns.mean()), int(rows.mean()))
+    cv2.ellipse(frame, middle, (90, 35), 20.0, 0.0, 360.0, 200.0, -1)  # another body
+    seen = recognizer.recognize(frame)
+    assert seen.pose is None
+    assert "grey level" not in seen.reason
+    assert seen.reason.endswith("if this is not the target, give a box around it (roi)")
+    assert seen.candidates
+    assert seen.stage_ms["windows"] > 0.0
+    boxed = recognizer.recognize(frame, roi=told(pose, model))
+    assert boxed.pose is None
+    assert "grey level" not in boxed.reason
+    assert "(roi)" not in boxed.reason
+
+
 def test_quarter_turns_turn_the_target_about_its_middle(recognizer):
     model, pose = recognizer.model, pose_of(recognizer.model, 1)
     turned = rotated_by(pose, quarter_turns(model), model.centre_m)

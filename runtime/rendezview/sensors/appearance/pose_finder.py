@@ -182,7 +182,7 @@ class PoseFinder:
             doubt = contradiction(given, sketched, self.model.symmetries)
         if given is not None and doubt is None:
             return self._given(self.outline.seen(traced, given.best.pose, clock), given)
-        seen = refused(self.outline.recognize(traced, None, None, clock), surer)
+        seen = refused(self.outline.recognize(traced, None, None, clock), surer, dark=sky.dark)
         if doubt is None or self.region is None:
             return seen
         return contradicted(seen, doubt, boxed=not self.region.is_open)
@@ -211,15 +211,18 @@ class PoseFinder:
             return bool(apart <= NEAR_RAD)
 
         choice = choose([look.score for look, _ in given], same)
-        if choice is None:
-            return seen
-        if choice.rivals:
+        if choice is not None and choice.rivals:
             reason = f"{len(given)} bodies look like the target: give a box around it (roi)"
             return replace(seen, status=Status.RIVALS, reason=reason)
-        best = given[choice.best][0]
-        best.stage_ms.clear()
-        best.stage_ms.update(seen.stage_ms)
-        return best
+        if choice is not None:
+            best = given[choice.best][0]
+        else:  # the likeliest says why there is none
+            likely = [one for one in looks if one.found is not None] or [seen]
+            best = max(likely, key=lambda one: one.confidence or 0.0)
+            if self.region is None or self.region.is_open:
+                reason = f"{best.reason}; if this is not the target, give a box around it (roi)"
+                best = replace(best, reason=reason)
+        return replace(best, stage_ms=seen.stage_ms)
 
     def _next_to(
         self, search: PoseSearch, frame: Picture, sky: Sky, near: Near, enough_inliers: float,
@@ -264,7 +267,7 @@ class PoseFinder:
             given = near.bounds(given)
             clock.lap("refine")
         if given is None:
-            return refused(view, surer)
+            return refused(view, surer, dark=sky.dark)
         if not sky.dark and self.trees:
             view = self.outline.seen_from(frame, given.best.pose, clock, bright_sky=True)
         elif given is not found:

@@ -82,15 +82,22 @@ def beside_look_alikes(
     )
 
 
-def refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObservation:
-    """The observation without a pose, and with the reason why refinement gives none."""
+def refused(
+    seen: AppearanceObservation, found: Found | None, *, dark: bool = True
+) -> AppearanceObservation:
+    """The observation without a pose, and with the reason why refinement gives none.
+
+    Args:
+        seen: of the outline.
+        dark: the sky is; else the outline does not say why.
+    """
     status, reason = seen.status, seen.reason
     if found is None:
         if status in _WHOLE_OUTLINE:
             status, reason = Status.UNRECOGNIZED, "no pose of the target fits the edges"
-    elif found.on_sketch and status not in _WHOLE_OUTLINE:
+    elif found.on_sketch and dark and status not in _WHOLE_OUTLINE:
         pass  # the outline says why
-    elif len(found.weighed) > 1 and found.posterior < LEAST_POSTERIOR:
+    elif len(found.weighed) > 1 and found.weighed[0].probability < LEAST_POSTERIOR:
         first, second = found.weighed[:2]
         apart = first.pose.angle_to(second.pose)
         status = Status.AMBIGUOUS
