@@ -11,7 +11,6 @@ import secrets
 import shutil
 import signal
 import sys
-import tempfile
 import time
 from collections import deque
 from pathlib import Path
@@ -20,6 +19,7 @@ from pydantic import PrivateAttr
 
 from rendezview.errors import RendezviewError
 from rendezview_service.hub.model_store import ModelStore
+from rendezview_service.hub.temporary import TemporaryFolder
 from rendezview_service.messages.model_messages import JobInfo, JobState
 
 log = logging.getLogger("rendezview_service")
@@ -43,6 +43,7 @@ main()
 class Job(JobInfo):
     """One training job, and its process."""
 
+    _temporary: TemporaryFolder | None = None
     _folder: Path = Path()
     _arguments: list[str] = PrivateAttr(default_factory=list)
     _started_s: float | None = None
@@ -121,7 +122,8 @@ class Jobs:
         path = self._store.path_for(model)
         if any(job.model == model and not job.is_over for job in self._jobs.values()):
             raise RendezviewError(f"model {model}: is being trained: choose another name")
-        folder = Path(tempfile.mkdtemp(prefix="rendezview-job-"))
+        temporary = TemporaryFolder("rendezview-job-")
+        folder = temporary.path
         target = folder / f"{model}{suffix}"
         shutil.move(mesh, target)
         arguments = [str(target), "-o", str(folder / path.name)]
@@ -132,7 +134,7 @@ class Jobs:
         for name, value in options.items():
             arguments += [f"--{name}", value]
         job = Job(id=secrets.token_hex(6), model=model, created_unix_s=time.time())
-        job._folder, job._arguments = folder, arguments
+        job._temporary, job._folder, job._arguments = temporary, folder, arguments
         self._jobs[job.id] = job
         self._waiting.append(job)
         self._next()
@@ -208,7 +210,8 @@ class Jobs:
         job.count_time()
         job.state, job._started_s = state, None
         log.info("training", extra={"job": job.id, "state": str(state), "reason": job.reason})
-        shutil.rmtree(job._folder, ignore_errors=True)
+        assert job._temporary is not None
+        job._temporary.remove()
         over = [j for j in self._jobs.values() if j.is_over]
         for old in over[:-_KEPT]:
             del self._jobs[old.id]

@@ -14,7 +14,6 @@ import os
 import re
 import secrets
 import shutil
-import tempfile
 import threading
 import time
 import weakref
@@ -27,6 +26,7 @@ from rendezview.geometry.pose import Array
 from rendezview.io.files import atomic_write, make_folder, write_error
 from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance import ViewModel
+from rendezview_service.hub.temporary import TemporaryFolder
 from rendezview_service.messages.model_messages import ModelInfo
 from rendezview_service.tracker.model_geometry import geometry
 
@@ -191,6 +191,7 @@ class ModelStore:
         Raises:
             RendezviewError: the folder cannot be made.
         """
+        self._temporary: list[TemporaryFolder] = []  # they live as long as the store
         self.folder = self._made(folder)
         self._copies = self._made(None if state is None else state / BY_HASH)
         self._shared = shared
@@ -202,8 +203,8 @@ class ModelStore:
 
     def _made(self, folder: Path | None) -> Path:
         if folder is None:
-            folder = Path(tempfile.mkdtemp(prefix="rendezview-models-"))
-            weakref.finalize(self, shutil.rmtree, folder, True)
+            self._temporary.append(TemporaryFolder("rendezview-models-"))
+            folder = self._temporary[-1].path
         make_folder(folder)
         return folder
 
