@@ -8,7 +8,14 @@ import sys
 import pytest
 
 from rendezview.errors import RendezviewError
-from rendezview.io.files import atomic_write, atomic_write_text, make_folder, read_json, read_text
+from rendezview.io.files import (
+    atomic_write,
+    atomic_write_text,
+    make_folder,
+    read_json,
+    read_text,
+    read_toml,
+)  # fmt: skip
 
 
 def names(folder):
@@ -155,6 +162,14 @@ def test_bad_json_is_named(tmp_path, content, message):
     path.write_bytes(content)
     with pytest.raises(RendezviewError, match=message):
         read_json(path, "a thing")
+
+
+@pytest.mark.parametrize("content", ["a = [1, 2", "a = " + "[" * 200_000])
+def test_bad_toml_is_named(tmp_path, content):
+    path = tmp_path / "a.toml"
+    path.write_text(content)
+    with pytest.raises(RendezviewError, match=r"a\.toml: not valid TOML"):
+        read_toml(path, "a thing")
 
 
 def test_reading_names_what_is_missing_a_folder_or_too_long(tmp_path):

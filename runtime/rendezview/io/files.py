@@ -161,7 +161,7 @@ def read_toml(path: StrPath, what: str) -> dict[str, Any]:
     """
     try:
         return tomllib.loads(read_text(path, f"{what} (TOML)"))
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from error
 
 

@@ -136,7 +136,7 @@ def test_a_cluster_that_fails_stops_the_catalogue(folder):
         ('unit = "m"\n\n[[targets]]', 'units = "m"\n\n[[targets]]', "units"),
         ('name = "far"', 'name = "near"', "or names two"),
         ('name = "far"', 'name = "../far"', "not a valid name"),
-        ("[[lighting]]", "[[lighting]", "not a TOML file"),
+        ("[[lighting]]", "[[lighting]", "not valid TOML"),
         ("[[targets]]", "[[goals]]", "goals|targets"),
     ],
 )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import threading
-import tomllib
 from collections.abc import Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
-from rendezview.io.files import make_folder, read_bytes
+from rendezview.io.files import make_folder, read_toml
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview_ground.learn.job import provenance, train
 from rendezview_ground.learn.jobs.shard_executor import ClusterError, ShardExecutor
@@ -78,11 +77,9 @@ def read_catalogue(path: Path) -> list[Entry]:
     Raises:
         RendezviewError: no such file, unknown keys or options, or two models with one name.
     """
+    content = read_toml(path, "a catalogue file")
     try:
-        content = tomllib.loads(read_bytes(path, "a catalogue file").decode("utf-8"))
         file = TypeAdapter(_File).validate_python(content)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RendezviewError(f"{path}: not a TOML file: {error}") from None
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
