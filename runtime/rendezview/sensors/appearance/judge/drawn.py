@@ -18,11 +18,13 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.camera import Camera
+from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.geometry.so3 import rotate_back_into
 from rendezview.geometry.zbuffer import draw_parallel, draw_perspective, empty_buffers
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.lighting import TOLERANCE, light_strengths
+from rendezview.sensors.appearance.judge.gloss import GLOSS_ORDER, add_gloss
 from rendezview.sensors.appearance.judge.shading import LEAST_POINTS
 from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT
@@ -130,6 +132,7 @@ class DrawnEvidence:
         length = np.linalg.norm(cross, axis=1, keepdims=True)
         self._normals = np.ascontiguousarray(cross / np.maximum(length, 1e-30))
         self._albedo = shape.albedo.astype(np.float64) * ALBEDO_UNIT
+        self._facets = Geodesic.of_order(GLOSS_ORDER).nearest(self._normals)
         self.centre_m, self._radius_m = model.centre_m, model.target_radius_m
         self._camera = camera
 
@@ -199,8 +202,9 @@ class DrawnEvidence:
         rotation, centre = pose.rotation.copy(), pose.apply(self.centre_m)
         _surface_at(where, nearness, owner, intrinsics, rotation, centre, self._normals,
                     points, normals)  # fmt: skip
-        albedo = self._albedo[owner.ravel()[where]]
-        return Drawn(self, window, pose, where, points, normals, albedo)
+        faces = owner.ravel()[where]
+        albedo, facets = self._albedo[faces], self._facets[faces]
+        return Drawn(self, window, pose, where, points, normals, albedo, facets)
 
     def _geometry(
         self, pose: Pose, shape: tuple[int, ...], fx: float, fy: float, cx: float, cy: float
@@ -234,6 +238,7 @@ class Drawn:
     points: Array  # (N, 3) m from the view centre, target axes
     normals: Array  # (N, 3) towards the camera
     albedo: Array  # (N,)
+    facets: npt.NDArray[np.intp]  # (N,) their directions, of the sphere of gloss
 
     def under(self, sun_camera: Array) -> Explained:
         """What stays unexplained under a Sun (3,)."""
@@ -241,8 +246,11 @@ class Drawn:
         seen = window.levels.ravel()[self.where].astype(np.float64)
         strengths = np.empty(2)
         light_strengths(seen, sunlit, self.albedo, window.tolerance_grey, strengths, _ROUNDS)
+        levels = strengths[0] * sunlit + strengths[1] * self.albedo
+        width, tolerance = window.levels.shape[1], window.tolerance_grey
+        add_gloss(self.where, width, self.facets, sunlit, seen, tolerance, window.cell_px, levels)
         drawn = window.sky.copy()
-        drawn.ravel()[self.where] = strengths[0] * sunlit + strengths[1] * self.albedo
+        drawn.ravel()[self.where] = levels
         drawn = np.asarray(cv2.GaussianBlur(drawn, (0, 0), _DRAWN_BLUR_PX))
         side = max(1, round(math.sqrt(window.cell_px)))
         cells = np.zeros([math.ceil(length / side) for length in drawn.shape])
