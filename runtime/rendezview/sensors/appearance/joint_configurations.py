@@ -13,8 +13,8 @@ from rendezview.geometry.joint import Joint, apart
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
 from rendezview.sensors.appearance.hypothesis import Hypothesis
-from rendezview.sensors.appearance.judge.candidates import RIVAL_RAD
 from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.rivals import RIVAL_RAD
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 

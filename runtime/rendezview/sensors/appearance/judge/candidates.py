@@ -15,7 +15,7 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.hypothesis import Aligned, Bound, Hypothesis
 from rendezview.sensors.appearance.judge.found import Found, merit
 from rendezview.sensors.appearance.judge.level import Level
-from rendezview.sensors.appearance.judge.rivals import MERIT_WEIGHT, line_scores
+from rendezview.sensors.appearance.judge.rivals import MERIT_WEIGHT, RIVAL_RAD, line_scores
 from rendezview.sensors.appearance.judge.sketch_choice import sketch_merit
 from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
@@ -28,11 +28,8 @@ Indices = npt.NDArray[np.intp]
 # docs/notes/refinement.md
 _IN_DOUBT = 0.35
 # Log odds by edges behind the best; poses closer than this are drawn. Source: docs/notes/rivals.md
-_MOST_BEHIND = 5.0
-# rad; a pose, or the angle of a joint, further away is another answer, as in the experiments.
-# Source: the limit of a wrong pose there
-RIVAL_RAD = np.deg2rad(5.0)
-_MOST_RIVALS = 16  # that are drawn, of most merit. Source: by construction, a bound of time
+_MOST_BEHIND = 8.0
+_MOST_RIVALS = 32  # that are drawn, of most merit. Source: by construction, a bound of time
 
 
 @dataclass(slots=True, eq=False)

@@ -44,6 +44,9 @@ _LEAST_SPREAD = 0.1
 # Of the compared pixels: two poses whose pictures differ in fewer have nearly the same edges, and
 # their merits differ by chance. Source: docs/notes/rivals.md
 _OTHER_EDGES = 0.1
+# rad; a pose, or the angle of a joint, further away is another answer, as in the experiments.
+# Source: the limit of a wrong pose there
+RIVAL_RAD = np.deg2rad(5.0)
 _IN_DOUBT = 0.99  # probability; below it Suns are looked for on the picture. Source: the same
 _ROUNDS = 2  # of comparisons with the likeliest. Source: by construction
 
@@ -124,6 +127,12 @@ class Rivals:
             if posterior(scores).max() < _IN_DOUBT:
                 explained = _under_best_suns(scores, each, explained, look=True)
                 scores = scored(explained)
+        for _ in range(_ROUNDS):
+            best = int(np.argmax(scores))
+            explained = self._turned_in_place(each, explained, best)
+            scores = scored(explained)
+            if int(np.argmax(scores)) == best:
+                break
         weighed = [
             replace(one, cost=np.inf, sun_camera=sun, probability=0.0)
             for one, sun in zip(hypotheses, suns, strict=True)
@@ -133,6 +142,25 @@ class Rivals:
                 weighed[k], cost=seen.cost, sun_camera=seen.sun_camera, probability=float(share)
             )
         return sorted(weighed, key=lambda one: -one.probability)
+
+    def _turned_in_place(
+        self, drawn: list[Drawn], explained: list[Explained], best: int
+    ) -> list[Explained]:
+        """Look-alikes of the likeliest pose drawn in its place, too, if they explain more there.
+
+        Edges that mislead may have moved only one of them.
+        """
+        explained = list(explained)
+        for there in self.look_alikes(drawn[best].pose):
+            apart = [one.pose.angle_to(there) for one in drawn]
+            k = int(np.argmin(apart))
+            turned = None
+            if k != best and apart[k] <= RIVAL_RAD:
+                turned = self._evidence.drawn(drawn[best].window, there)
+            if turned is not None:
+                suns = (explained[best].sun_camera, explained[k].sun_camera)
+                explained[k] = min([explained[k], *map(turned.under, suns)], key=cost_of)
+        return explained
 
     def weigh_coarse(self, image: Picture, sky: Sky, pose: Pose) -> list[Hypothesis]:
         """A pose that no edges have moved, beside its look-alikes; no edges count."""

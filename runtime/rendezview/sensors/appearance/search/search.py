@@ -18,7 +18,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.refinement import Refiner
-from rendezview.sensors.appearance.hypothesis import Bound
+from rendezview.sensors.appearance.hypothesis import Bound, Hypothesis
 from rendezview.sensors.appearance.judge.candidates import Candidates
 from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.model.signature import Outlines
@@ -170,20 +170,31 @@ class PoseSearch:
         if rivals is None or found is None:
             return found
         asked: list[Pose] = []
-        for _ in range(_ROUNDS):
-            if found is None or found.best.pose in asked:
-                break
-            asked.append(found.best.pose)
-            others = rivals.look_alikes(found.best.pose)
+
+        def ask(best: Hypothesis) -> bool:
+            """Align the look-alikes of a pose, unless they have been."""
+            if best.pose in asked:
+                return False
+            asked.append(best.pose)
+            others = rivals.look_alikes(best.pose)
             if not candidates.sky.dark:  # boxes of rooms look alike after quarter turns
-                others += rotated_by(found.best.pose, self._quarter_turns, self.model.centre_m)
-            candidates.refine(others, least=found.best.inlier_ratio - _MOST_BEHIND)
+                others += rotated_by(best.pose, self._quarter_turns, self.model.centre_m)
+            candidates.refine(others, least=best.inlier_ratio - _MOST_BEHIND)
+            return True
+
+        for _ in range(_ROUNDS):
+            if found is None or not ask(found.best):
+                break
             found = candidates.choose()
-        if sketched is None:
-            return candidates.weighed()
-        # Grey edges have no hold there: it has their least merit.
-        candidates.add([replace(sketched.best, outline=0.0, inner=0.0)])
-        return candidates.weighed(sketched.aligned)
+        on_sketch = None
+        if sketched is not None:
+            # Grey edges have no hold there: it has their least merit.
+            candidates.add([replace(sketched.best, outline=0.0, inner=0.0)])
+            on_sketch = sketched.aligned
+        found = candidates.weighed(on_sketch)
+        if found is not None and ask(found.best):  # pictures speak for another than edges do
+            found = candidates.weighed(on_sketch)
+        return found
 
     def _voted(self, outlines: Outlines, most: int, sky: Sky) -> tuple[Array, Array]:
         """Starting poses in the order of similarity and votes together, likeliest first."""
