@@ -36,7 +36,7 @@ from rendezview.sensors.appearance.sky import Sky
 DRAWN_WEIGHT, MERIT_WEIGHT, SKETCH_WEIGHT = 1.2, 10.0, 0.5
 # Of the craft's cells, that stay unexplained where its materials are known. Where more do, errors
 # of neighbouring cells are alike, and their differences count less. Source: docs/notes/rivals.md
-_KNOWN_SHARE = 0.12
+_KNOWN_SHARE = 0.1
 # Of the pictures beside a sketch before a bright sky. Source: docs/notes/rivals.md
 DRAWN_BEFORE_BRIGHT = 0.35
 # Cells squared, of the spread: less says nothing. Source: docs/notes/rivals.md
