@@ -38,9 +38,9 @@ class BoundedProtocol(HttpToolsProtocol):
     """
 
     most = 1000
-    # Without a request in progress, in order of time: that have sent none to its end, and others.
-    _strangers: dict[BoundedProtocol, None]
-    _known: dict[BoundedProtocol, None]
+    # Without a request in progress, and since when: that have sent none to its end, and others.
+    _strangers: dict[BoundedProtocol, float]
+    _known: dict[BoundedProtocol, float]
     _unread: set[BoundedProtocol]  # whose answers wait for their readers
     opened: Collection[Any] = ()  # all, of WebSockets too
 
@@ -64,7 +64,7 @@ class BoundedProtocol(HttpToolsProtocol):
         self._has_read = False
         super().connection_made(transport)
         type(self).opened = self.connections
-        self._strangers[self] = None
+        self._strangers[self] = self.loop.time()
         self._await_head()
         self._limit()
 
@@ -114,7 +114,8 @@ class BoundedProtocol(HttpToolsProtocol):
             self._await_reader()
         idle = self._head_bytes is None and self.cycle.response_complete
         if idle and not self.transport.is_closing():
-            (self._strangers if self.cycle.more_body else self._known)[self] = None
+            waiting = self._strangers if self.cycle.more_body else self._known
+            waiting[self] = self.loop.time()
             self._limit()
 
     def timeout_keep_alive_handler(self) -> None:
@@ -141,12 +142,18 @@ class BoundedProtocol(HttpToolsProtocol):
     def _limit(self) -> None:
         """Close what is too much, after a moment for the heads that have come and are not read."""
         if len(self.connections) > self.most:
-            self.loop.call_later(_ROOM_S, self._make_room, self.most)
-        self._make_room(2 * self.most)
+            self.loop.call_later(_ROOM_S, self._make_room, self.most, 0.5 * _ROOM_S)
+        self._make_room(2 * self.most, 0.0)
 
-    def _make_room(self, most: int) -> None:
-        while len(self.connections) > most and (waiting := self._strangers or self._known):
-            next(iter(waiting)).abort()
+    def _make_room(self, most: int, waited_s: float) -> None:
+        """Close those that have waited for so long, as long as there are more than so many."""
+        before_s = self.loop.time() - waited_s
+        for waiting in (self._strangers, self._known):
+            while len(self.connections) > most and waiting:
+                oldest, since_s = next(iter(waiting.items()))
+                if since_s > before_s:
+                    break
+                oldest.abort()
 
     def _await_head(self) -> None:
         self._head_bytes = 0
