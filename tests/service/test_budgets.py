@@ -115,13 +115,13 @@ def test_bodies_that_trickle_make_room_for_a_neighbour(served, camera, tour):
 
 
 @pytest.mark.parametrize(
-    ("kind", "most_mb"), [("models", 0.5 * BODIES_MB), ("frames", 1.5 * BODIES_MB),
-                          ("messages", 2.5 * BODIES_MB)],
+    ("kind", "most_mb"), [("models", 0.5 * BODIES_MB), ("frames", 1.25 * BODIES_MB),
+                          ("messages", 1.25 * BODIES_MB)],
 )  # fmt: skip
 def test_what_many_send_holds_no_more_than_its_budget_and_is_given_back(
     served, camera, tour, kind, most_mb
 ):
-    """Models go to the disk. The buffer of a message is copied now and then as it grows."""
+    """Models go to the disk."""
     _neighbour(served, camera, tour)
     before_mb = _resident_mb(served)
     with contextlib.ExitStack() as stack:

@@ -28,7 +28,10 @@ from rendezview_service.messages.message_parts import BudgetUse
 _PATIENCE_S = 10.0  # s, without moving on … Source: chosen
 _SLOWEST = 50_000.0  # … and a second more for so many bytes. Source: chosen, a slow radio link
 _TOLD_S = 10.0  # s, for which health says that somebody was refused. Source: chosen
-_MUCH = 16_000_000  # bytes; what bodies of more have held is given back. Source: chosen
+# Bytes; a buffer of more grows without a copy, and goes back to the system when it is not needed.
+# glibc otherwise keeps what it once gave back on its heap. Source: glibc's own first value
+_MUCH = 131_072
+_MMAP_THRESHOLD = -3  # of glibc's mallopt. Source: its malloc.h
 KEEP = "rendezview.keep"  # key of a WebSocket's scope: see `Socket.keep`
 _TRY_AGAIN = 1013  # WebSocket: try again later. Source: IANA's registry
 
@@ -114,7 +117,9 @@ class Bodies(Limit):
     def __init__(self, most: int) -> None:
         """``most``: bytes of all together."""
         super().__init__(most)
-        self._peak = 0
+        allocate = getattr(ctypes.CDLL(None), "mallopt", None)  # absent without glibc
+        if allocate is not None:
+            allocate(_MMAP_THRESHOLD, _MUCH)
         self._open: set[Share] = set()
 
     def enter(self, share: Share) -> None:
@@ -131,7 +136,6 @@ class Bodies(Limit):
             return
         share.held += count
         self.held += count
-        self._trim()
         while count > 0 and self.held > self.most:
             self.exceed()
             reason = "the service receives too much at the moment: try again"
@@ -147,16 +151,6 @@ class Bodies(Limit):
         self._open.discard(share)
         self.held -= share.held
         share.held = 0
-        self._trim()
-
-    def _trim(self) -> None:
-        """Give memory back once little of much is left: open streams may hold a little."""
-        self._peak = max(self._peak, self.held)
-        if self._peak > _MUCH and self.held < _MUCH // 2:
-            self._peak = 0
-            trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # absent without glibc
-            if trim is not None:
-                asyncio.get_running_loop().call_later(0.1, trim, 0)
 
 
 class Body:
