@@ -24,7 +24,7 @@ ARRIVES = "rendezview.arrives"  # key of a WebSocket's scope: takes who is told 
 _READ_S = 10.0  # s, in which an answer that waits for its reader … Source: chosen
 _LEAST_READ = 50_000  # … must become shorter by so many bytes. Source: chosen, a slow radio link
 _MOST_UNREAD = 32_000_000  # bytes of all answers that wait for their readers. Source: chosen
-_ROOM_S = 0.5  # s, that too many connections are borne, for their heads. Source: chosen
+_ROOM_S = 0.05  # s, that too many connections are borne, for their heads. Source: chosen
 _CLOSE_S = 1.0  # s, for the other side's part of a WebSocket's end. Source: chosen
 MOST_HEAD = 65_536  # bytes of them. Source: a chosen limit, four times that of most servers
 
