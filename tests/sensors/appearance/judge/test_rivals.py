@@ -235,7 +235,7 @@ def test_what_no_pose_explains_does_not_hide_the_part_that_tells(
     side = seen(Rotation.from_euler("xyz", [30.0, 15.0, 20.0], degrees=True))
     grains = np.random.default_rng(7).normal(0.0, 1.0, CAMERA_SHAPE)
     grains = cv2.GaussianBlur(grains, (0, 0), 1.5)
-    foil = 1.0 + 0.2 * grains / grains.std()
+    foil = 1.0 + 0.25 * grains / grains.std()
     frame = np.clip(picture(drum, side) * foil, 0.0, 255.0).astype(np.uint8)
     poses = [aside(side, angle) for angle in (30.0, 0.0, 330.0)]
     weighed = Rivals(model, CAMERA).weigh(frame, Sky.of(frame), under(poses), np.ones(3))

@@ -33,12 +33,10 @@ from rendezview.sensors.appearance.sky import Sky
 
 # Of the difference of two pictures over its spread, of the merit of edges, and of that on a sketch
 # where one was drawn. Source: docs/notes/rivals.md
-DRAWN_WEIGHT, MERIT_WEIGHT, SKETCH_WEIGHT = 1.2, 10.0, 0.5
+DRAWN_WEIGHT, MERIT_WEIGHT, SKETCH_WEIGHT = 1.5, 10.0, 0.5
 # Of the craft's cells, that stay unexplained where its materials are known. Where more do, errors
 # of neighbouring cells are alike, and their differences count less. Source: docs/notes/rivals.md
 _KNOWN_SHARE = 0.1
-# Of the pictures beside a sketch before a bright sky. Source: docs/notes/rivals.md
-DRAWN_BEFORE_BRIGHT = 0.35
 # Cells squared, of the spread: less says nothing. Source: docs/notes/rivals.md
 _LEAST_SPREAD = 0.1
 # Of the compared pixels: two poses whose pictures differ in fewer have nearly the same edges, and
@@ -113,12 +111,10 @@ class Rivals:
             return []
         explained = [one.under(suns[k]) for one, k in zip(each, kept, strict=True)]
         merits = merits[kept]
-        bright = lines is not None and not sky.dark
         beside = np.zeros(len(kept)) if lines is None else lines[kept]
 
         def scored(explained: list[Explained]) -> Array:
-            weight = DRAWN_BEFORE_BRIGHT if bright else _drawn_weight(each, explained)
-            return _scores(merits, beside, explained, window, weight)
+            return _scores(merits, beside, explained, window, _drawn_weight(each, explained))
 
         scores = scored(explained)
         if known is None:
