@@ -20,6 +20,7 @@ from rendezview.sensors.appearance.edges.network import Sketch
 from rendezview.sensors.appearance.model.sketches import COVER, MAPS
 from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search import windows
+from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.search.starts import quarter_turns, rotated_by
 from rendezview_ground.simulate.scene import SceneOptions, render_frame
@@ -169,27 +170,53 @@ def test_a_tracker_that_lost_its_target_looks_where_it_was_in_any_attitude(recog
     assert looks[1].angle_to(turned) < RIGHT_RAD
 
 
-class Halves:
-    """A sketcher whose network sees a body of 140 × 120 px of a frame, wherever it is looked."""
+class Network:
+    """A sketcher whose network sees some bodies (4,) of a frame, wherever it is looked.
 
-    body = np.array([150.0, 100.0, 290.0, 220.0])
+    In a coarse sketch they are 6 px too large on each side.
+    """
 
-    def look(self, frame, box) -> Sketch:
+    def __init__(self, *bodies: list[float]) -> None:
+        self.bodies = np.array(bodies)
+
+    def look(self, frame, box, most_px=(256, 256)) -> Sketch:
         left, top, right, bottom = np.round(np.clip(box, 0.0, [640.0, 480.0, 640.0, 480.0]))
-        maps = np.zeros((MAPS, int(bottom - top), int(right - left)), np.float32)
-        x0, y0, x1, y1 = (self.body - [left, top, left, top]).astype(int)
-        maps[COVER, max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)] = 1.0
+        maps, fineness = np.zeros((MAPS, int(bottom - top), int(right - left)), np.float32), 1.0
+        grown = np.zeros(4)
+        if max(most_px) < 256:
+            fineness, grown = 0.5, np.array([-6.0, -6.0, 6.0, 6.0])
+        for x0, y0, x1, y1 in (self.bodies + grown - [left, top, left, top]).astype(int):
+            maps[COVER, max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)] = 1.0
         crossed = np.zeros((2, 2), bool)
-        return Sketch(maps, maps[0].astype(np.uint8), 1.0, -left, -top, crossed, 1.0)
+        return Sketch(maps, maps[0].astype(np.uint8), 1.0, -left, -top, crossed, fineness)
 
 
 def test_a_body_that_every_window_cuts_is_looked_at_whole(monkeypatch):
     alike = SimpleNamespace(likeness=lambda sketch: 1.0)
     cut = [(150.0 - x, 60.0, 250.0 - x, 300.0) for x in (20.0, 40.0)]
     monkeypatch.setattr(windows, "_windows", lambda height, width: iter(cut))
-    frame = np.zeros((480, 640), np.uint8)
-    [body] = windows.bodies_in_windows(Halves(), alike, frame, 3)
-    assert body.box_px == pytest.approx(Halves.body, abs=1.0)
+    frame, there = np.zeros((480, 640), np.uint8), [150.0, 100.0, 290.0, 220.0]
+    [body] = windows.bodies_in_windows(Network(there), alike, frame, 3)
+    assert body.box_px == pytest.approx(there, abs=1.0)
+
+
+def test_bodies_of_windows_are_placed_and_ordered_by_a_finer_sketch_of_each():
+    wide, tall = [80.0, 60.0, 220.0, 160.0], [400.0, 250.0, 480.0, 400.0]
+
+    def likeness(sketch: Sketch) -> float:
+        """In coarse sketches the wide one is more like the target, in finer ones the tall one."""
+        rows, columns = np.nonzero(sketch.maps[COVER])
+        is_wide = np.ptp(columns) > np.ptp(rows)
+        return float(is_wide if sketch.fineness < 1.0 else not is_wide)
+
+    frame, alike = np.zeros((480, 640), np.uint8), SimpleNamespace(likeness=likeness)
+    bodies = windows.bodies_in_windows(Network(wide, tall), alike, frame, 3)
+    assert [body.box_px.tolist() for body in bodies] == [
+        pytest.approx(box, abs=0.6) for box in (tall, wide)
+    ]
+    assert [body.likeness for body in bodies] == [1.0, 0.0]
+    [first] = windows.bodies_in_windows(Network(wide, tall), alike, frame, 1)
+    assert first.box_px == pytest.approx(tall, abs=0.6)
 
 
 def test_edges_that_the_sketch_contradicts_give_no_pose(recognizer, bumpy_mesh, monkeypatch):
@@ -202,13 +229,43 @@ def test_edges_that_the_sketch_contradicts_give_no_pose(recognizer, bumpy_mesh, 
         found = best(self, frame, sky, sketch)
         rotation = Rotation.from_rotvec([0.0, 2.0, 0.0]).as_matrix() @ found.best.pose.rotation
         there = Pose(rotation, pose.apply(model.centre_m) - rotation @ model.centre_m)
-        return replace(found, best=replace(found.best, pose=there), probability=0.3)
+        other = replace(found.best, pose=there)
+        return replace(found, best=other, rival=found.best, probability=0.55)
 
     assert recognizer.recognize(frame, roi=box).pose.angle_to(pose) < RIGHT_RAD
     monkeypatch.setattr(SketchSearch, "best", another)
     seen = recognizer.recognize(frame, roi=box)
     assert seen.pose is None
     assert "grey edges and the sketch show poses" in seen.reason
+
+
+def test_where_the_sketch_shows_nothing_likely_a_box_costs_no_search_on_grey_edges(
+    recognizer, bumpy_mesh, monkeypatch
+):
+    """They could give no pose alone, and a pose that the sketch doubts is none."""
+    model, pose = recognizer.model, pose_of(recognizer.model, 1)
+    frame, _ = room(bumpy_mesh, pose, 1)
+    box, best, probability = told(pose, model), SketchSearch.best, 0.45
+    asked, proposed = [], PoseSearch.proposed
+
+    def doubtful(self, frame, sky, sketch):
+        return replace(best(self, frame, sky, sketch), probability=probability)
+
+    def counted(self, *args, **named):
+        asked.append(args)
+        return proposed(self, *args, **named)
+
+    monkeypatch.setattr(SketchSearch, "best", doubtful)
+    monkeypatch.setattr(PoseSearch, "proposed", counted)
+    monkeypatch.setattr(PoseSearch, "anywhere", counted)  # is not asked at all
+    seen = recognizer.recognize(frame, roi=box)
+    assert seen.pose is None
+    assert seen.confidence == probability
+    assert not asked
+    probability = 0.55
+    seen = recognizer.recognize(frame, roi=box)
+    assert seen.pose.angle_to(pose) < RIGHT_RAD
+    assert len(asked) == 1
 
 
 def test_a_refusal_before_a_wall_says_how_the_likeliest_body_fits(recognizer, bumpy_mesh):

@@ -16,7 +16,7 @@ from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
-from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.found import HELD_FOR_WRONG, Found
 from rendezview.sensors.appearance.judge.rivals import Rivals
 from rendezview.sensors.appearance.judge.sketch_choice import NEAR_RAD
 from rendezview.sensors.appearance.model.joint_angles import JointAngles
@@ -44,7 +44,8 @@ from rendezview.sensors.appearance.verdict import (
 )
 from rendezview.sensors.observation import Status
 
-# Confidence of the likeliest starts: with less, they propose nothing beside a sketch.
+# Confidence of the likeliest starts: with less, they propose nothing beside a sketch, and
+# look-alikes of what a sketch in doubt proposes are not tried.
 # Source: by hand, seeds 5 and 6 of rendezview simulate --trajectory random
 _LEAST_CONFIDENT = 0.1
 # merit; chance decides between two poses nearer to each other, where no look-alike was drawn.
@@ -154,31 +155,35 @@ class PoseFinder:
     ) -> AppearanceObservation:
         """Without a prior: by the outline, then on a sketch."""
         traced = self.outline.trace(frame, None, clock, bright_sky=not sky.dark)
+        # In a window of a bright frame other things have edges, too: two estimators must agree.
+        alone = sky.dark or self.sketch is None or self.region is None
         found, sketched = None, None
-        if traced.outlines is not None:
+        if alone and traced.outlines is not None:
             give_up = 0.0 if self.sketch is None else _LEAST_CONFIDENT
             found = search.anywhere(frame, sky, traced.outlines, give_up=give_up)
             clock.lap("refine")
-        # In a window of a bright frame other things have edges, too: two estimators must agree.
-        alone = sky.dark or self.sketch is None or self.region is None
-        given, surer = found if alone and self._confident(found) else None, found
+        given, surer = found if self._confident(found) else None, found
         if given is None and self.sketch is not None:
             sketched = self.sketch.best(frame, sky, traced.sketch)
             clock.lap("sketch")
-            if sketched is not None:
+            surer = sketched
+            likely = sketched is not None and sketched.confidence >= HELD_FOR_WRONG
+            if sketched is not None and (alone or likely):
                 # Grey edges judge what the sketch proposes, and are the finer ones.
                 answers = sketched.answers
                 if found is not None and found.confidence >= _LEAST_CONFIDENT:
                     answers += found.answers
                 doubted = not self._confident(sketched) or sketched.margin < CLOSE_MARGIN
                 proposed = search.proposed(
-                    frame, sky, answers, traced.outlines, half_turns=doubted, sketched=sketched
-                )
+                    frame, sky, answers, traced.outlines, half_turns=doubted, sketched=sketched,
+                    give_up=0.0 if likely else _LEAST_CONFIDENT,
+                )  # fmt: skip
                 found = found if proposed is None else proposed
-            given, surer = self._chosen(search, frame, sky, found, sketched)
+            if alone or likely:
+                given, surer = self._chosen(search, frame, sky, found, sketched)
             clock.lap("refine")
         doubt = None
-        if given is not None and not alone:
+        if given is not None and sketched is not None and not alone:
             doubt = contradiction(given, sketched, self.model.symmetries)
         if given is not None and doubt is None:
             return self._given(self.outline.seen(traced, given.best.pose, clock), given)

@@ -11,7 +11,7 @@ import numpy as np
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.hypothesis import Hypothesis
-from rendezview.sensors.appearance.judge.found import HELD_FOR_WRONG, Found
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.sketch_choice import NEAR_RAD
 from rendezview.sensors.appearance.observation import CLOSE_MARGIN, AppearanceObservation
 from rendezview.sensors.observation import Status
@@ -132,21 +132,15 @@ def refused(
     )
 
 
-def contradiction(
-    given: Found, sketched: Found | None, symmetries: Sequence[Symmetry]
-) -> str | None:
+def contradiction(given: Found, sketched: Found, symmetries: Sequence[Symmetry]) -> str | None:
     """Why a sketch speaks against a pose of grey edges; None: it does not.
 
     Among other things grey edges alone are no evidence: those have edges, too.
     """
-    if sketched is None:
-        return "grey edges show a pose, and the sketch shows none"
     apart_rad = angle_between(given.best.pose, sketched.best.pose, symmetries)
-    if apart_rad > NEAR_RAD:
-        return f"grey edges and the sketch show poses {np.rad2deg(apart_rad):.0f}° apart"
-    if sketched.confidence < HELD_FOR_WRONG:
-        return f"by its sketch the pose is right with a probability of {sketched.confidence:.2f}"
-    return None
+    if apart_rad <= NEAR_RAD:
+        return None
+    return f"grey edges and the sketch show poses {np.rad2deg(apart_rad):.0f}° apart"
 
 
 def contradicted(seen: AppearanceObservation, why: str, *, boxed: bool) -> AppearanceObservation:

@@ -110,6 +110,24 @@ def test_an_empty_frame_bears_no_proposal_out(refining_model, camera, truth):
     assert found is None or found.confidence < 0.5
 
 
+@pytest.mark.parametrize(("give_up", "asked"), [(0.0, 1), (0.5, 1), (1.0, 0)])
+def test_look_alikes_of_proposals_that_fit_too_little_are_not_tried(
+    refining_model, bumpy_mesh, camera, draw, truth, monkeypatch, give_up, asked
+):
+    search, bests = PoseSearch(refining_model, camera), []
+    frame = draw(bumpy_mesh, truth, camera)
+
+    def beside(self, candidates, found, sketched):
+        bests.append(found.best)
+        return found
+
+    monkeypatch.setattr(PoseSearch, "_beside_look_alikes", beside)
+    found = search.proposed(frame, Sky.of(frame), [truth], None, give_up=give_up)
+    assert 0.9 < found.confidence < 1.0
+    assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
+    assert len(bests) == asked
+
+
 def test_where_coarse_stages_lead_away_from_a_prior_the_pose_next_to_it_counts_too(
     refining_model, bumpy_mesh, camera, draw, truth, monkeypatch
 ):

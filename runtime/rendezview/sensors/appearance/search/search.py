@@ -253,7 +253,7 @@ class PoseSearch:
 
     def proposed(
         self, image: Picture, sky: Sky, proposals: list[Pose], outlines: Outlines | None, *,
-        half_turns: bool = True, sketched: Found | None = None,
+        half_turns: bool = True, sketched: Found | None = None, give_up: float = 0.0,
     ) -> Found | None:  # fmt: skip
         """The best of some poses that another estimator proposes, and of half turns of it.
 
@@ -261,6 +261,7 @@ class PoseSearch:
             proposals: right to a few degrees, or another answer; the first tells the size.
             half_turns: ``False`` where the second estimator has ruled them out.
             sketched: what a sketch shows; it is weighed, too.
+            give_up: confidence that the proposals must reach, else their look-alikes are not tried.
         """
         candidates = self._candidates(image, sky, proposals[0], outlines)
         candidates.refine(proposals)
@@ -268,7 +269,9 @@ class PoseSearch:
             best = candidates.most_inliers
             pose, inliers = (proposals[0], 0.0) if best is None else (best.pose, best.inlier_ratio)
             self._half_turned(candidates, pose, inliers)
-        found = self._beside_look_alikes(candidates, candidates.choose(), sketched)
+        found = candidates.choose()
+        if found is not None and found.confidence >= give_up:
+            found = self._beside_look_alikes(candidates, found, sketched)
         return self.levels.finished(found, image, sky)
 
     def near(

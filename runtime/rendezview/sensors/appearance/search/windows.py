@@ -31,6 +31,10 @@ from rendezview.sensors.appearance.search.by_sketch import SketchRetrieval
 # Sides of the windows, of the frame's shorter side: a target of any size between a tenth and
 # two thirds of it has one that is 1.2 to 2.5 times larger. Source: by construction
 _SIDES = (1.0, 0.62, 0.38)
+# Sketch px a side: it shows where bodies are, and roughly which are like the target.
+# Source: Mitsuba rooms, photographs of everyday objects
+_WINDOW_PX = 128, 128
+_CLOSER = 4  # of the likeliest bodies, sketched again as fine as others. Source: the same
 _STEP = 0.5  # of a window, to the next one. Source: by construction, a body is whole in one
 # Of a window: a smaller body has a smaller window of its own. Source: by construction
 _LEAST_SIDE = 0.25
@@ -57,16 +61,26 @@ def bodies_in_windows(
     """
     found, cut = list[Body](), list[Box]()
     for window in _windows(*frame.shape):
-        sketch = sketcher.look(frame, window)
-        found += [Body(np.array(box), retrieval.likeness(part)) for part, box in _whole(sketch)]
+        sketch = sketcher.look(frame, window, _WINDOW_PX)
+        found += _whole(sketch, retrieval)
         for box in _cut(sketch, frame.shape):
             if all(overlap(box, other) < SAME_BODY for other in cut):
                 cut.append(box)
     for box in cut:
-        sketch = sketcher.look(frame, around(box))
-        found += [Body(np.array(box), retrieval.likeness(part)) for part, box in _whole(sketch)]
+        found += _whole(sketcher.look(frame, around(box), _WINDOW_PX), retrieval)
+    closer = list[Body]()
+    for body in _likeliest(found, _CLOSER, may_be):
+        left, top, right, bottom = body.box_px.tolist()
+        shown = _whole(sketcher.look(frame, around((left, top, right, bottom))), retrieval)
+        same = [one for one in shown if overlap(one.box_px, body.box_px) >= SAME_BODY]
+        closer += same or [body]
+    return _likeliest(closer, most, may_be)
+
+
+def _likeliest(bodies: list[Body], most: int, may_be: Callable[[Array], bool] | None) -> list[Body]:
+    """Of some bodies those most like the target that are not the same, ``most`` at most."""
     kept: list[Body] = []
-    for body in sorted(found, key=lambda b: -b.likeness):
+    for body in sorted(bodies, key=lambda b: -b.likeness):
         if len(kept) == most:
             break
         told = may_be is None or may_be(body.box_px)
@@ -91,11 +105,12 @@ def _starts(whole: int, side: float) -> Array:
     return np.linspace(0.0, room, 1 + int(np.ceil(room / (_STEP * side))))
 
 
-def _whole(sketch: Sketch) -> Iterator[tuple[Sketch, Box]]:
-    """Each body that lies whole within a sketch: the sketch of it alone, and its box, frame px."""
+def _whole(sketch: Sketch, retrieval: SketchRetrieval) -> Iterator[Body]:
+    """Each body that lies whole within a sketch."""
     for inside, box, crossed in _bodies(sketch):
         if not crossed.any():
-            yield replace(sketch, maps=sketch.maps * inside), sketch.box_in_frame(box)
+            alone = replace(sketch, maps=sketch.maps * inside)
+            yield Body(np.array(sketch.box_in_frame(box)), retrieval.likeness(alone))
 
 
 def _cut(sketch: Sketch, shape: tuple[int, int]) -> Iterator[Box]:
