@@ -39,7 +39,7 @@ WHITE = SensorOptions(bias_share=0.0)
 # Nothing moves unasked: one model without noise.
 STILL = MotionOptions(
     angular=0.0, accelerations=(0.0,), lasting_accelerations=(0.0,), stays_s=(60.0,),
-    jitters=(0.0,), jitters_s=(0.4,), slews=(0.0,),
+    jitters=(0.0,), jitters_s=(0.4,),
 )  # fmt: skip
 QUIET = FusionOptions(motion=STILL, pose=WHITE, ring=WHITE, range=WHITE, ring_other_edge=0.0)
 

@@ -22,7 +22,7 @@ from rendezview.geometry import so3
 ACCELERATIONS = np.array(
     [[5e-4, 1e-3, 30.0, 60.0], [2e-3, 1e-2, 30.0, 40.0], [3e-2, 2e-2, 9.0, 5.0]]
 )
-JITTERS = np.array([[6e-3, 0.4, 1e-4], [7e-3, 2.0, 4e-4]])
+JITTERS = np.array([[6e-3, 0.4], [7e-3, 2.0]])
 
 
 def exp(vector):
@@ -226,21 +226,22 @@ def test_a_prediction_is_that_of_dense_matrices(dt):
     rng = np.random.default_rng(5)
     state, n = nominal(rng), 23
     x, p, weights = models(rng, 6, n)
-    fading, angular, stay_s = rng.uniform(0.01, 0.1, (n - MOTION, 2)), 0.01, 300.0
-    found = predicted(*state, x, p, weights, fading, dt, angular, ACCELERATIONS, JITTERS, stay_s)
+    fading, angular, slew = rng.uniform(0.01, 0.1, (n - MOTION, 2)), 0.01, 2e-4
+    rest = ACCELERATIONS, JITTERS, slew, 300.0
+    found = predicted(*state, x, p, weights, fading, dt, angular, *rest)
     after = after_step(state, dt)
     for one, expected in zip(found[:4], after, strict=True):
         assert one == pytest.approx(expected, abs=1e-12)
     squares = after[1] @ after[1] + 1e-6, state[1] @ state[1] + 1e-6  # m²: a place may be zero
     neared = 0.5 * abs(math.log(squares[0] / squares[1]))
     fade = np.exp(-dt * fading[:, 0] - neared * fading[:, 1])
-    moves = np.kron(changes(ACCELERATIONS[:, 3].copy(), dt), changes(np.full(2, stay_s), dt))
+    moves = np.kron(changes(ACCELERATIONS[:, 3].copy(), dt), changes(np.full(2, 300.0), dt))
     mixed_x, mixed_p, later = mixed(x, p, weights, moves)
     assert found[6] == pytest.approx(later)
     assert later.sum() == pytest.approx(1.0)
     for m in range(6):
         white, sigma, tau, _ = ACCELERATIONS[m // 2]
-        swing, swing_s, slew = JITTERS[m % 2]
+        swing, swing_s = JITTERS[m % 2]
         jitter, lasting = math.exp(-dt / swing_s), math.exp(-dt / tau)
         step = design_of_step(dt, jitter, lasting, after, fade)
         expected = step @ mixed_p[m] @ step.T
@@ -261,7 +262,7 @@ def test_two_halves_of_a_step_are_nearly_the_whole():
     state = rotation, 30.0 * place, 0.1 * rate, 0.1 * velocity
     x, p, weights = models(rng, 6, 24)
     fading = np.full((6, 2), 0.01)
-    rest = 1e-4, ACCELERATIONS, JITTERS, 300.0
+    rest = 1e-4, ACCELERATIONS, JITTERS, 2e-4, 300.0
     x[:], p[:] = x[0], p[0]  # of models that are alike: else the mixing differs
     whole = predicted(*state, x, p, weights, fading, 0.1, *rest)
     half = predicted(*state, x, p, weights, fading, 0.05, *rest)
@@ -312,7 +313,7 @@ def test_a_rotation_stays_one_over_thousands_of_steps():
     now = (rotation, place, np.array([0.1, -0.2, 0.3]), 0.0 * velocity, *models(rng, 1, MOTION))
     for _ in range(3000):
         now = predicted(
-            *now, np.zeros((0, 2)), 0.1, 0.0, ACCELERATIONS[:1], JITTERS[:1], 300.0
+            *now, np.zeros((0, 2)), 0.1, 0.0, ACCELERATIONS[:1], JITTERS[:1], 0.0, 300.0
         )  # fmt: skip
     assert np.abs(now[0] @ now[0].T - np.eye(3)).max() < 1e-14
     assert so3.between(now[0], rotation @ exp([30.0, -60.0, 90.0])) == pytest.approx(

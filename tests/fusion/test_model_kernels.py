@@ -72,13 +72,10 @@ def test_a_circle_beside_the_expected_one_is_that_of_numpy(sign):
     measured, given = centre + 0.1 * rng.standard_normal(3), covariance_of(rng, 6)
     normal = sign * (axis + 0.05 * rng.standard_normal(3))
     normal /= np.linalg.norm(normal)
-    residual, whole = circle_parts(
-        measured, normal, given, centre, axis, basis, 1.2, 0.1, 0.02
-    )  # fmt: skip
+    residual, whole = circle_parts(measured, normal, given, centre, axis, basis, 1.2)
     flat = np.zeros((5, 6))
     flat[:3, :3], flat[3:, 3:] = np.eye(3), sign * basis.T  # a circle has no front
     expected = 1.2 * flat @ given @ flat.T
-    expected += np.diag([0.02**2 * (measured @ measured)] * 3 + [0.1**2] * 2)
     off = np.concatenate([measured - centre, basis.T @ (sign * normal - axis)])
     assert residual == pytest.approx(off, abs=1e-12)
     assert whole == pytest.approx(expected, rel=1e-12, abs=1e-14)

@@ -23,15 +23,15 @@ def test_options_take_the_keys_of_files_and_the_names_of_fields(tmp_path):
 
 @pytest.mark.parametrize(
     ("part", "key"),
-    [("motion", key) for key in ("linear", "along", "pointing")]
+    [("motion", key) for key in ("linear", "along", "pointing", "slews")]
     + [
         (part, key)
         for part in ("pose", "ring", "range")
         for key in ("gate", "lock_after", "loose_after", "unlock_after", "window", "nis_limit")
     ]
-    + [(None, "recent_s")],
+    + [("pose", "floor_rad"), ("ring", "floor_range"), (None, "recent_s")],
 )
-def test_keys_of_version_0_1_are_ignored_and_named(part, key, tmp_path):
+def test_keys_of_earlier_versions_are_ignored_and_named(part, key, tmp_path):
     file = tmp_path / "options.json"
     kept = '"history_s": 7.0'
     inner = f'"{key}": 0.001'
@@ -57,7 +57,7 @@ def test_an_old_key_of_a_named_sensor_is_ignored_and_the_rest_is_taken(tmp_path)
         ({"angular": -1.0}, "angular must not be negative"),
         ({"accelerations": (1e-3,)}, "one entry for each"),
         ({"stays_s": (60.0, 40.0, 0.0)}, "must be positive"),
-        ({"jitters": (), "jitters_s": (), "slews": ()}, "1 to 4"),
+        ({"jitters": (), "jitters_s": ()}, "1 to 4"),
     ],
 )
 def test_wrong_motion_options_are_named(wrong, words):
@@ -70,7 +70,6 @@ def test_wrong_motion_options_are_named(wrong, words):
     [
         ({"inflation": 0.0}, "inflation"),
         ({"bias_share": 1.0}, "lasting"),
-        ({"floor_rad": -1.0}, "floor"),
         ({"bias_s": 0.0}, "lasting_s"),
         ({"outliers": 0.6}, "outliers"),
     ],

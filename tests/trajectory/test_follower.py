@@ -160,7 +160,7 @@ def test_corrections_hold_a_flight_to_its_plan():
         shape=Shape.DRIFT, kind=plan.kind, numbers=plan.numbers, end_s=1200.0, orbit=plan.orbit,
         segment_s=200.0, deviation=True,
     )  # fmt: skip
-    options = FollowerOptions(turn_rad=None, segment_s=200.0, reach=0.5, spin=False)
+    options = FollowerOptions(turn_rad=None, segment_s=100.0, spin=False)
     follower = PathFollower(CENTRE, plan=plan, options=options)
     noise = np.random.default_rng(6)
 

@@ -26,12 +26,11 @@ from rendezview.geometry.pose import Array, Pose
 _READINGS = 5  # Source: by construction, a cubic and one more
 _LARGEST_TURN = 1.0  # rad in five readings: beyond, no cubic. Source: by construction
 _MEMORY = 400.0  # readings; a camera's mount hardly changes. Source: by construction, ±10 %
-_OVERLAP = 2.6  # × the variance of a mean: windows of five share readings. Source: by construction
-_SURE = 4.0  # σ of what chance makes of (1). Source: by construction, none in 10⁴ readings
+# σ of what chance makes of (1), were windows that share readings independent: 4 σ of those that do.
+_SURE = 6.5  # Source: white errors without jitter, 400 tracks: 0.2 % of readings show one
 # The mean of what a variance may be is by this over the number of windows above its estimate.
 # Source: by construction, an inverse gamma distribution of 2 / 3 of a degree of freedom a window
 _FEW = 3.0
-_BOUND = 3.0  # σ of chance, up to which (1) allows for a jitter. Source: by construction
 # sums: number of windows, u·v less its expectation and its variance by chance, the same of v·v, and
 # of u² about the line of sight
 _COUNT, _SHARED, _CHANCE, _BEARING, _BEARING_CHANCE, _ROLL = range(6)
@@ -66,11 +65,11 @@ class PointingJitter:
         count, shared, chance, bearing, bearing_chance, roll = self._sums.tolist()
         if not count > 0.0:
             return 0.0, 0.0
-        doubt, share = math.sqrt(_OVERLAP * chance), (1.0 + _FEW / count) / count
+        doubt, share = math.sqrt(chance), (1.0 + _FEW / count) / count
         if shared > _SURE * doubt:
             return 0.5 * share * shared, max(share * roll, 0.0)
-        if bearing > _SURE * math.sqrt(_OVERLAP * bearing_chance):
-            across = 0.5 * share * max(min(bearing, shared + _BOUND * doubt), 0.0)
+        if bearing > _SURE * math.sqrt(bearing_chance):
+            across = 0.5 * share * max(min(bearing, shared + _SURE * doubt), 0.0)
             return across, min(max(share * roll, 0.0), across)
         return 0.0, 0.0
 

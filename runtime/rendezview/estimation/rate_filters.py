@@ -44,7 +44,7 @@ def begin(kind: Array, state: Array, covariance: Array) -> None:
 def step_bank(
     dt: float, turns: Array, moves: Array, rotations: Array, places: Array, states: Array,
     covariances: Array, scores: Array, rotation: Array, place: Array, measured: Array,
-    kept: float, frequency_walk: float, behind: float, least: float, mean: Array, spread: Array,
+    kept: float, frequency_walk: float, behind: float, mean: Array, spread: Array,
 ) -> bool:  # fmt: skip
     """Predict all filters by ``dt``, update them with a pose, mix their rates.
 
@@ -56,7 +56,6 @@ def step_bank(
         kept: share of the scores that is kept.
         frequency_walk: of the logarithm of k, a √s.
         behind: a filter whose score is that far below the best restarts.
-        least: weight in the mixture, of the best filter's, that none falls below.
         mean, spread: out, (6,) and (6, 6) of angular rate and velocity.
 
     Returns:
@@ -85,7 +84,7 @@ def step_bank(
             if kinds[b, FREQUENCY] > 0.0 and math.exp(state[_LOG_K]) * dt > _LARGEST_STEP:
                 scores[part, b] = -_NEVER
         best = largest_at(scores[part])
-        mix(scores[part], states[part], covariances[part], 3 * part, least, mean, spread)
+        mix(scores[part], states[part], covariances[part], 3 * part, mean, spread)
         for b in range(len(kinds)):
             if scores[part, b] < scores[part, best] - behind:
                 restart(kinds[b], best, b, states[part], covariances[part])
@@ -256,18 +255,16 @@ def update(off: Array, error: Array, state: Array, covariance: Array, step: Arra
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def mix(
-    scores: Array, states: Array, covariances: Array, first: int, least: float, mean: Array,
-    spread: Array,
-) -> None:  # fmt: skip
+    scores: Array, states: Array, covariances: Array, first: int, mean: Array, spread: Array
+) -> None:
     """Add mean and covariance of the rates of B filters, weighted by their scores.
 
-    To the three elements of ``mean`` from ``first`` on, and to their block of ``spread``. No weight
-    is less than ``least`` of the best one's: another motion may have begun unseen.
+    To the three elements of ``mean`` from ``first`` on, and to their block of ``spread``.
     """
     count, total, best = len(scores), 0.0, scores[largest_at(scores)]
     weights, rates = np.empty(count), np.empty((count, 3))
     for b in range(count):
-        weights[b] = max(math.exp(scores[b] - best), least)
+        weights[b] = math.exp(scores[b] - best)
         total += weights[b]
     for b in range(count):
         weights[b] /= total

@@ -8,7 +8,7 @@ angular rate of a free body with an axis of symmetry. Other free bodies come nea
 Turns and moves are filtered apart, with 13 states for three numbers: attitude or place, mean rate,
 swing about it, the swing's derivative, and the logarithm of its angular frequency k:
 ω = mean + swing, d²swing/dt² = −k² swing. Where k is 0 the swing is a rate that the derivative
-changes. White jerks disturb the derivative and white accelerations the mean. A wrong k is a jerk,
+changes. White jerks disturb the derivative, white accelerations steady rates. A wrong k is a jerk,
 too: the covariance's part of second order is added to the jerks' density.
 
 Each filter counts as much as it foretold the readings of the last seconds (a multiple-model
@@ -61,12 +61,11 @@ class RateOptions:
     # rad/s² √s of white accelerations. Source: reflector-rates (0.1), a free body, a drive
     steady_walks: tuple[float, ...] = (1e-4, 1e-3)
     # rad/s³ √s of white jerks. Source: experiment reflector-rates (0.1), a robot's arm to a hand
-    jerks: tuple[float, ...] = (1e-2, 1e-1, 1.0)
+    jerks: tuple[float, ...] = (1e-1, 1.0)
     # rad/s of swings, periods of 42 to 2.6 s; each estimates its own. Source: reflector-rates (0.1)
     frequencies: tuple[float, ...] = (0.15, 0.3, 0.6, 1.2, 2.4)
     frequency_spread: float = 0.35  # of the logarithm: half the step. Source: by construction
     swing_jerk: float = 1e-4  # rad/s³ √s of the swings. Source: reflector-rates (0.1)
-    swing_walk: float = 3e-5  # rad/s² √s of their means. Source: reflector-rates (0.1)
     frequency_walk: float = 1e-3  # of the logarithm, a √s. Source: reflector-rates (0.1)
     linear_per_angular_m: float = 0.3  # m/rad. Source: by construction, an arm's length
     first_rate: float = 0.5  # rad/s, σ before the first reading. Source: by construction
@@ -75,9 +74,6 @@ class RateOptions:
     # of the logarithm of a likelihood: that far behind, a filter restarts. Source: reflector-rates
     # (0.1)
     behind: float = 12.0
-    # of the best filter's weight, 0 to 1; no other has less. With 1e-3 the covariance holds a push
-    # that began unseen, and is too large in steady motion. Source: experiment reflector-rates (0.1)
-    least_weight: float = 0.0
 
     def kinds(self) -> Array:
         """(B, 7) the filters, a row each."""
@@ -86,7 +82,7 @@ class RateOptions:
         pushed = [(jerk, 0.0, 0.0, 0.0, rate, change, 0.0) for jerk in self.jerks]
         half = math.sqrt(0.5) * rate
         swinging = [
-            (self.swing_jerk, self.swing_walk, k, half, half, change, self.frequency_spread)
+            (self.swing_jerk, 0.0, k, half, half, change, self.frequency_spread)
             for k in self.frequencies
         ]
         return np.array(steady + pushed + swinging)
@@ -187,7 +183,7 @@ class RateBank:
             dt, self._kinds[0], self._kinds[1], self._rotations, self._places, self._states,
             self._covariances, self._scores, pose.rotation.copy(), pose.translation_m.copy(),
             np.ascontiguousarray(covariance),
-            kept, options.frequency_walk, options.behind, options.least_weight, rates, spread,
+            kept, options.frequency_walk, options.behind, rates, spread,
         )  # fmt: skip
         if not sound:
             self._begin(time_s, pose, covariance)

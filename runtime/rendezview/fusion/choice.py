@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from rendezview.fusion.hypothesis import Found, Hypothesis, judged, look, mixtur
 from rendezview.fusion.options import FusionOptions
 from rendezview.fusion.rivals import (
     CONTRADICTS,
+    FAST_PRIOR,
     FITTING,
     LOSES,
     PATIENCE_S,
@@ -53,10 +53,6 @@ _CAP, _WIN = 12.0, 6.0
 _FORGETS = 0.9  # of a sensor's earlier ratio at each reading. Source: by construction
 # s without a reading that agrees, after which a new start has no lower prior. Source: fusion-faults
 _CONTEST_S = 20.0
-# s; a sensor that spoke so lately must be heard, twice, before a new start wins. Source: as
-# coasting_after_s
-_RECENT_S = 5.0
-_HEARD_LEAST = 3  # readings before it goes. Source: by construction, as FITTING
 _WIDER = 4.0  # of the variance of rates that another filter has left. Source: twice the σ
 
 
@@ -65,7 +61,6 @@ class Snapshot(NamedTuple):
 
     main: Hypothesis | None = None
     rivals: tuple[Rival, ...] = ()
-    heard_s: Mapping[str, float] = MappingProxyType({})  # last pose or ring of each sensor
     starts: int = 0
     log_likelihood: float = 0.0  # of the last measurement
     note: str | None = None  # why it last restarted
@@ -115,8 +110,6 @@ def step(
 ) -> tuple[Snapshot, Verdict]:
     """The filter after a measurement that is not earlier than those before."""
     name, time_s, size = measurement.sensor, measurement.time_s, measurement.size
-    if size > 1:
-        before = before._replace(heard_s={**before.heard_s, name: time_s})
     if before.main is None:
         if isinstance(measurement, PoseMeasurement):
             return _start(before, measurement, options, "begun")
@@ -152,7 +145,7 @@ def step(
         ratio = mixture(outliers, seen.log_likelihood, chance) - own
         rival, fits = _scored(rival, measurement, seen, ratio, options)
         score = rival.score + _relief(rival, main, time_s)
-        if score > _WIN and _may_win(rival, before, time_s):
+        if score > _WIN and rival.fitting >= FITTING:
             after, verdict = _won(before, rival, measurement, seen, fits)
             return after._replace(rivals=_outlived(rival, main, rivals, time_s)), verdict
         if _stays(rival, score, time_s):
@@ -168,7 +161,7 @@ def step(
             before = before._replace(contested_s=time_s)
         if main.trusts[name].locked:
             reason += f", {main.trusts[name].rejected} times in a row: locked out"
-        kept += new_rivals(before.heard_s, forecast, kept, measurement, options)
+        kept += new_rivals(forecast, kept, measurement, options)
     alone = mixture(outliers, found.log_likelihood, outlier_log(found.peak, size))
     after = before._replace(main=main, rivals=tuple(kept), log_likelihood=alone)
     if believed and found.forecast.other_edge:
@@ -207,11 +200,8 @@ def _start(
     }
     slow = begun(begin(pose, options), pose, trusts)
     quick = begin(pose, options, None, (motion.fast_rate, motion.fast_velocity))
-    fast = Rival(Kind.FAST, begun(quick, pose, trusts), PRIOR[Kind.FAST], pose.time_s)
-    after = Snapshot(
-        slow, (fast,), before.heard_s, before.starts + 1, 0.0,
-        reason if before.starts else None,
-    )  # fmt: skip
+    fast = Rival(Kind.FAST, begun(quick, pose, trusts), FAST_PRIOR, pose.time_s)
+    after = Snapshot(slow, (fast,), before.starts + 1, 0.0, reason if before.starts else None)
     return after, Verdict(pose.sensor, pose.time_s, True, reason, None, 6, began=True)
 
 
@@ -231,7 +221,7 @@ def resumed(
     state = state._replace(confirmed=confirmed)
     accepted = options.start_with if confirmed else 1
     main = Hypothesis(state, {}, accepted, pose.time_s, pose.time_s)
-    return Snapshot(main, (), {}, 1)
+    return Snapshot(main, (), 1)
 
 
 def _heard(trusts: Mapping[str, Trust], name: str, time_s: float) -> Mapping[str, Trust]:
@@ -254,9 +244,8 @@ def _scored(
         ratio = 0.0  # wrong again in the same way says nothing new
     total = _FORGETS * rival.ratios.get(name, 0.0) + ratio
     ratios = {**rival.ratios, name: max(-_CAP, min(_CAP, total))}
-    heard = {**rival.heard, name: rival.heard.get(name, 0) + 1}
     fitting = rival.fitting + (fits and seen.size > 1)
-    rival = rival._replace(prior=prior, ratios=ratios, heard=heard, fitting=fitting)
+    rival = rival._replace(prior=prior, ratios=ratios, fitting=fitting)
     return rival._replace(hypothesis=hypothesis), fits
 
 
@@ -273,7 +262,7 @@ def _relief(rival: Rival, main: Hypothesis, time_s: float) -> float:
         return 0.0
     supporters = sum(ratio > 0.5 * _CAP for ratio in rival.ratios.values())
     if time_s - main.seen_s > _CONTEST_S or supporters > 1:
-        return max(PRIOR[Kind.START] - rival.prior, 0.0)
+        return max(PRIOR - rival.prior, 0.0)
     return 0.0
 
 
@@ -282,18 +271,7 @@ def _stays(rival: Rival, score: float, time_s: float) -> bool:
     doubt = rival.kind is Kind.DOUBT
     since_s = rival.hypothesis.seen_s if doubt else rival.born_s
     patient = time_s - since_s <= PATIENCE_S[rival.kind] or (score >= 0.0 and not doubt)
-    few = sum(rival.heard.values()) < _HEARD_LEAST
-    return score > LOSES[rival.kind] and (patient or few)
-
-
-def _may_win(rival: Rival, before: Snapshot, time_s: float) -> bool:
-    """Whether it has been tried enough: a new start, by every sensor that speaks."""
-    if rival.fitting < FITTING[rival.kind]:
-        return False
-    return rival.kind is not Kind.START or all(
-        time_s - heard_s >= _RECENT_S or rival.heard.get(name, 0) >= 2
-        for name, heard_s in before.heard_s.items()
-    )
+    return patient and (score > LOSES or not doubt)
 
 
 def _outlived(

@@ -27,7 +27,6 @@ from rendezview.sensors.measurement import (
 from rendezview.sensors.observation import Status
 from rendezview.sensors.protection import ESTIMATORS_DISAGREE, Protection
 
-_ROUNDING_S = 1e-9  # Source: by construction
 _ORDER_LEAD = 1.0  # by which the other order must be likelier, nats. Source: by construction
 # Of a variance, in directions in which readings share no error. Source: by construction, nothing
 _LEAST_SHARE = 1e-6
@@ -183,7 +182,7 @@ class Fusion:
             return Estimate(time_s, Status.WAITING, reason, None, None, None)
         state = snapshot.main.state
         ahead_s = time_s - state.time_s
-        if ahead_s < -_ROUNDING_S:
+        if time_s < self._floor_s:
             raise ValueError(
                 f"{time_s} s is before the earliest remembered time ({state.time_s} s)"
             )

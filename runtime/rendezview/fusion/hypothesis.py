@@ -28,12 +28,13 @@ from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
 # Readings over which the white share and the jitter are learnt: at first, and at last. Source:
 # drawn white errors: 0.7 and 0.8 after 100 readings, 0.8 and 1.0 after 200
-_SHARE_FIRST, _SHARE_LAST, _JITTER_FIRST, _JITTER_LAST = 8.0, 40.0, 4.0, 30.0
+_SHARE_FIRST, _JITTER_FIRST, _LAST = 8.0, 5.0, 40.0
 _LEAST_SHARE, _MOST_SHARE = 0.05, 4.0  # Source: by construction, twice the reported σ
 # Ratio of two σ: slower changes are those of range and time, which biases follow. Source:
 # fusion-approach and fusion-faults: 1 restarts a camera 10 σ off, 0.7 to 0.9 are alike
 _SAME_SIGMA = 0.8
-_LEAST_JITTER, _MOST_JITTER = 3e-5, 2e-2  # rad. Source: by construction, 0.002° and 1.1°
+# rad. Source: plain situations; of a tumbling target, which 0 leaves too sure
+_LEAST_JITTER = 1e-4
 
 
 class Hypothesis(NamedTuple):
@@ -134,7 +135,7 @@ def judged(
     if not believed:
         return before._replace(trusts=trusts), False
     whole = found.size > 1
-    accepted = before.accepted + (1 if whole and not found.forecast.other_edge else 0)
+    accepted = before.accepted + (whole and not found.forecast.other_edge)
     state = _taken(found, measurement, options.motion)
     if accepted >= options.start_with and not state.confirmed:
         state = state._replace(confirmed=True)
@@ -150,38 +151,37 @@ def _taken(found: Found, measurement: Measurement, motion: MotionOptions) -> Fil
         state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
         state.covariances, state.weights, logs, across, lowers, whites,
     )  # fmt: skip
-    white, readings, sigmas = state.white, state.readings, state.sigmas
+    white, count = state.white, state.readings.get(name, 0)
+    span = min(_LAST, _JITTER_FIRST + count)
+    sigmas = state.sigmas
     if not forecast.other_edge:
         sigmas = {**sigmas, name: forecast.sigmas}
     if forecast.teaches:
-        count = readings.get(name, 0)
         gained = white_share(forecast.shares, forecast.root, weights, lowers, whites)
-        span = min(_SHARE_LAST, _SHARE_FIRST + count)
-        share = np.clip(forecast.shares + gained / span, _LEAST_SHARE, _MOST_SHARE)
-        white, readings = {**white, name: share}, {**readings, name: count + 1}
-    jitter, taught, pose_s = state.jitter, state.jitter_readings, state.pose_s
+        share = np.clip(
+            forecast.shares + gained / min(_LAST, _SHARE_FIRST + count), _LEAST_SHARE, _MOST_SHARE
+        )
+        white, count = {**white, name: share}, count + 1
+    jitter, pose_s = state.jitter, state.pose_s
     if isinstance(measurement, PoseMeasurement):
         since_s = measurement.time_s - pose_s
         known = state.turning is not None and state.turning_s >= pose_s  # nothing to learn from
         if since_s > 1e-3 and not known:
-            jitter = _learnt_jitter(state, forecast, weights, lowers, whites, since_s, motion)
-            taught += 1
+            jitter = _learnt_jitter(state, forecast, weights, lowers, whites, since_s, span, motion)
         pose_s = measurement.time_s
     return state._replace(
         rotation=rotation, place_m=place, rate=rate, velocity=velocity,
         deviations=deviations, covariances=covariances, weights=weights, white=white,
-        readings=readings, sigmas=sigmas, jitter=jitter, jitter_readings=taught, pose_s=pose_s,
+        readings={**state.readings, name: count}, sigmas=sigmas, jitter=jitter, pose_s=pose_s,
     )  # fmt: skip
 
 
 def _learnt_jitter(
     state: FilterState, forecast: Forecast, weights: Array, lowers: Array, whites: Array,
-    since_s: float, motion: MotionOptions,
+    since_s: float, span: float, motion: MotionOptions,
 ) -> float:  # fmt: skip
     gained = 1.0 - math.exp(-2.0 * min(since_s, 10.0) / motion.jitters_s[0])
     step_rad2 = jitter_step(
         forecast.design, weights, lowers, whites, gained, len(motion.jitters)
     )  # fmt: skip
-    span = min(_JITTER_LAST, _JITTER_FIRST + 1.0 + state.jitter_readings)
-    square = state.jitter**2 + step_rad2 / span
-    return math.sqrt(min(max(square, _LEAST_JITTER**2), _MOST_JITTER**2))
+    return math.sqrt(max(state.jitter**2 + step_rad2 / span, _LEAST_JITTER**2))

@@ -163,7 +163,7 @@ def switches(accelerations: Array, kinds: int, jitter_stay_s: float, dt: float) 
 def predicted(
     rotation: Array, place: Array, rate: Array, velocity: Array, deviations: Array,
     covariances: Array, weights: Array, fading: Array, dt: float, angular: float,
-    accelerations: Array, jitters: Array, jitter_stay_s: float,
+    accelerations: Array, jitters: Array, slew: float, jitter_stay_s: float,
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
     """Rotation, place, rate, velocity, deviations, covariances and weights ``dt`` later.
 
@@ -171,7 +171,8 @@ def predicted(
         fading: (n - 18, 2) how fast each bias is forgotten: 1/s, and per ln of the range.
         angular: rad/s² √s.
         accelerations: (A, 4) m/s² √s, lasting σ, its correlation, mean stay.
-        jitters: (J, 3) σ rad, correlation s, slew rad/√s. Model a J + j has both.
+        jitters: (J, 2) σ rad, correlation s. Model a J + j has both.
+        slew: rad/√s, wander of the camera's attitude.
     """
     count, n = deviations.shape
     kinds = len(jitters)
@@ -195,7 +196,7 @@ def predicted(
         fade[i] = math.exp(-dt * fading[i, 0] - neared * fading[i, 1])
     for m in range(count):
         white, sigma, tau, _ = accelerations[m // kinds]
-        swing, swing_s, slew = jitters[m % kinds]
+        swing, swing_s = jitters[m % kinds]
         jitter, lasting = math.exp(-dt / swing_s), math.exp(-dt / tau)
         transit(
             x[m], dt, jitter, lasting, turn, new_rotation, new_place, new_velocity, fade

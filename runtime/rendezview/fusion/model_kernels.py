@@ -74,13 +74,13 @@ def ring_parts(
 @njit(cache=True, nogil=True, error_model="numpy")
 def circle_parts(
     measured_centre: Array, measured_axis: Array, covariance: Array, centre: Array, axis: Array,
-    basis: Array, inflation: float, floor_rad: float, floor_range: float,
+    basis: Array, inflation: float,
 ) -> tuple[Array, Array]:  # fmt: skip
     """(5,) residual and (5, 5) covariance of a circle beside the expected one.
 
     Args:
         covariance: (6, 6) of centre and axis.
-        inflation, floor_rad, floor_range: of `SensorOptions`.
+        inflation: of the covariance.
     """
     facing = 0.0
     for i in range(3):
@@ -103,11 +103,6 @@ def circle_parts(
             for k in range(6):
                 whole[i, j] += half[i, k] * flat[j, k]
             whole[i, j] *= inflation
-    square = measured_centre[0] ** 2 + measured_centre[1] ** 2 + measured_centre[2] ** 2
-    for i in range(3):
-        whole[i, i] += floor_range**2 * square
-    for i in range(3, 5):
-        whole[i, i] += floor_rad**2
     return residual, whole
 
 

@@ -74,9 +74,8 @@ def _forecast(
 ) -> Forecast | None:  # fmt: skip
     """With the bias's columns; None where the covariance cannot be used."""
     slot = state.slots[measurement.sensor]
-    start = slot.start + bias
     fits, design, noise, root, sigmas = with_bias(
-        motion, whole, shares, start, state.deviations.shape[1]
+        motion, whole, shares, slot.start + bias, state.deviations.shape[1]
     )  # fmt: skip
     if not fits:
         return None
@@ -123,9 +122,8 @@ def _ring(
         measurement.centres_m, measurement.axes, measurement.covariances, strict=True
     ):
         residual, whole = circle_parts(
-            place, normal, covariance, centre, axis, basis, _RING_INFLATION * sensor.inflation,
-            sensor.floor_rad, sensor.floor_range,
-        )  # fmt: skip
+            place, normal, covariance, centre, axis, basis, _RING_INFLATION * sensor.inflation
+        )
         residual += known  # the columns of radius and depth have it
         edge = _forecast(
             state, measurement, residual, motion, whole, shares, sensor.late_s,

@@ -34,12 +34,12 @@ def _key(field_name: str) -> Any:
 
 
 def _without(content: Any, keys: tuple[str, ...]) -> Any:
-    """The content of a file without keys of version 0.1 that set what is learnt now."""
+    """The content of a file without keys of earlier versions, which nothing needs now."""
     found = [key for key in keys if isinstance(content, dict) and key in content]
     if not found:
         return content
     warnings.warn(
-        f"fusion options: {', '.join(found)} of version 0.1 are ignored: the filter learns them",
+        f"fusion options: {', '.join(found)} of earlier versions are ignored: they are not needed",
         DeprecationWarning,
         stacklevel=2,
     )
@@ -72,9 +72,9 @@ class MotionOptions:
     # has 5 mrad; without the second a swing of 0.3° at 0.15 Hz restarts the filter
     jitters: tuple[float, ...] = (6e-3, 7e-3)
     jitters_s: tuple[float, ...] = (0.4, 2.0)  # s, their correlation. Source: as the jitters
-    # rad/√s, wander of the camera's mean attitude. Source: fusion-faults, uncritical 1e-4 to 4e-4
-    slews: tuple[float, ...] = (1e-4, 4e-4)
-    jitter_stay_s: float = 300.0  # s, mean stay in each. Source: plain simulation, uncritical
+    # s, mean stay in each. Source: plain situations; without an end, spins are 1.4 times as often
+    # beyond their level
+    jitter_stay_s: float = 300.0
     # σ of the unknown first rates: of a slow target, and of a tumbling one that is passed fast. The
     # first few readings choose between them.
     first_rate: float = 0.03  # rad/s. Source: chosen, 1.7°/s
@@ -85,7 +85,7 @@ class MotionOptions:
     @model_validator(mode="before")
     @classmethod
     def _old_keys(cls, content: Any) -> Any:
-        return _without(content, ("linear", "along", "pointing"))
+        return _without(content, ("linear", "along", "pointing", "slews"))
 
     def __post_init__(self) -> None:
         for name in (f.name for f in fields(self)):
@@ -111,7 +111,7 @@ class MotionOptions:
 _MOST_MODELS = 4
 _BESIDE = {
     "accelerations": ("lasting_accelerations", "stays_s"),
-    "jitters": ("jitters_s", "slews"),
+    "jitters": ("jitters_s",),
 }
 
 
@@ -129,8 +129,6 @@ class SensorOptions:
 
     # Of the variance that the sensor reports.
     inflation: float = 1.0  # Source: by construction, neutral
-    floor_rad: float = 0.0  # rad, σ added to its attitude or axis. Source: by construction, off
-    floor_range: float = 0.0  # σ added to its place, over the range. Source: by construction, off
     # Of the variance, that is a bias, at first. Source: plain simulation: below 0.3 good poses are
     # rejected before it is learnt
     bias_share: Annotated[float, _key("bias_share")] = 0.6
@@ -149,7 +147,7 @@ class SensorOptions:
     @classmethod
     def _old_keys(cls, content: Any) -> Any:
         old = ("gate", "lock_after", "loose_after", "unlock_after", "window", "nis_limit")
-        return _without(content, old)
+        return _without(content, (*old, "floor_rad", "floor_range"))
 
     def __post_init__(self) -> None:
         if not (0.0 < self.inflation < math.inf and 0.0 <= self.bias_share < 1.0):
@@ -157,8 +155,6 @@ class SensorOptions:
                 f"inflation must be positive and lasting from 0 to below 1: "
                 f"{self.inflation}, {self.bias_share}"
             )
-        if not (0.0 <= self.floor_rad < math.inf and 0.0 <= self.floor_range < math.inf):
-            raise ValueError("floor_rad and floor_range must not be negative")
         if not (self.bias_s > 0.0 and self.bias_range > 0.0):
             raise ValueError("lasting_s and lasting_range must be positive")
         if not 0.0 <= self.late_s < math.inf:

@@ -25,18 +25,9 @@ from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
 CONTRADICTS = 2  # readings of one sensor turned away in a row. Source: one may be an outlier
-# Readings that confirm a hypothesis; against it a new start has a lower prior, unless two sensors
-# speak for it, or nothing has agreed for long. Source: fusion-faults
-_CONFIRMED = 10
-# s ago that velocity or rate have jumped: since the sensor's reading before, within limits. Source:
-# fusion-faults, a thrust
-_JUMP_S, _MOST_JUMP_S = 0.7, 10.0
-# σ of the rates that a new start takes over. Source: those of a slow target, `MotionOptions`
-_NEW_RATE, _NEW_VELOCITY = 0.03, 0.5
 # Probability that a new start gives to a fault of the others, a doubt to its own sensor. Source: by
 # construction
 _PRESUMED = 0.9
-_UNIT = np.eye(3)  # Source: by construction
 
 
 class Kind(StrEnum):
@@ -44,25 +35,26 @@ class Kind(StrEnum):
 
     FAST = "a fast target"
     MANOEUVRE = "a manoeuvre"
-    TURN = "a sudden turn"
     START = "a new start"
     DOUBT = "a state without a reading that was believed"
 
 
-# Of each: prior, least number of readings that fit, s after which a rival without a lead goes.
-# Source: fusion-faults; with two fitting poses a wrong first one looks like a fast target
-PRIOR = {Kind.FAST: -2.0, Kind.MANOEUVRE: -3.0, Kind.TURN: -4.0, Kind.START: -4.0}
-# σ of the jump, m/s, rad/s. Source: a thruster's burn; an object that a hand turns
-_JUMPS = {Kind.MANOEUVRE: (0.1, 0.0), Kind.TURN: (0.5, 0.2)}
-_CONFIRMED_PRIOR = -8.0  # of a new start. Source: below what wins less what one sensor may say
-# Source: as the priors
-FITTING = {Kind.FAST: 3, Kind.MANOEUVRE: 2, Kind.TURN: 3, Kind.START: 3, Kind.DOUBT: 3}
-# Source: fusion-faults, uncritical
-PATIENCE_S = {Kind.FAST: 5.0, Kind.MANOEUVRE: 5.0, Kind.TURN: 5.0, Kind.START: 30.0,
+PRIOR = -4.0  # of a rival. Source: by construction, one in fifty
+# Of a fast target. Source: plain situations: with that of the others the first of all readings, if
+# it is wrong, is beyond its level without an alarm
+FAST_PRIOR = -2.0
+# σ of a manoeuvre's jump, m/s, rad/s. Source: a thruster's burn, an object that a hand turns
+_JUMP, _TURN = 0.15, 0.05
+# Prior of a new start against a confirmed state, unless two sensors speak for it or nothing has
+# agreed for long. Source: below what wins less what one sensor may say
+_CONFIRMED_PRIOR = -8.0
+# Readings that fit a rival when it wins. Source: with two a wrong first pose looks like a fast
+# target
+FITTING = 3
+# s after which a rival without a lead goes. Source: fusion-faults
+PATIENCE_S = {Kind.FAST: 5.0, Kind.MANOEUVRE: 5.0, Kind.START: 30.0,
               Kind.DOUBT: 20.0}  # fmt: skip
-# Score at which it goes. Source: a doubt, below the default risk; else by construction
-LOSES = {Kind.FAST: -40.0, Kind.MANOEUVRE: -40.0, Kind.TURN: -40.0, Kind.START: -40.0,
-         Kind.DOUBT: -7.0}  # fmt: skip
+LOSES = -7.0  # score at which a doubt goes. Source: below the default risk
 
 
 class Rival(NamedTuple):
@@ -73,7 +65,6 @@ class Rival(NamedTuple):
     prior: float
     born_s: float
     ratios: Mapping[str, float] = MappingProxyType({})  # by sensor
-    heard: Mapping[str, int] = MappingProxyType({})
     fitting: int = 1  # readings that fit it, the one that it was made of included
     doubts: str | None = None  # the sensor whose reading was wrong, if it is right
 
@@ -121,58 +112,52 @@ def with_doubt(rivals: list[Rival], fresh: Rival) -> list[Rival]:
 
 
 def new_rivals(
-    heard_s: Mapping[str, float], main: Hypothesis, rivals: list[Rival], measurement: Measurement,
-    options: FusionOptions,
-) -> list[Rival]:  # fmt: skip
+    main: Hypothesis, rivals: list[Rival], measurement: Measurement, options: FusionOptions
+) -> list[Rival]:
     """Rivals that would explain a reading that the main hypothesis turns away."""
     kinds, found = {rival.kind for rival in rivals}, []
     time_s, name = measurement.time_s, measurement.sensor
     known = main.trusts.get(name) or Trust(name)
-    ago_s = min(max(time_s - known.last_s, _JUMP_S), _MOST_JUMP_S)
-    for kind, sigmas in _JUMPS.items():
-        # What has been turned away for longer has not jumped just now.
-        if kind in kinds or known.rejected >= CONTRADICTS:
-            continue
+    ago_s = time_s - known.last_s if known.received else 0.0  # since when it may have jumped
+    # What has been turned away for longer has not jumped just now.
+    if Kind.MANOEUVRE not in kinds and known.rejected < CONTRADICTS:
         trust = known._replace(fault=0.0, offset=None)
         opened = main._replace(
-            state=_with_jump(main.state, ago_s, *sigmas), trusts={**main.trusts, name: trust}
+            state=_with_jump(main.state, ago_s), trusts={**main.trusts, name: trust}
         )
         seen = look(opened.state, measurement, options)
-        if isinstance(seen, str):
-            continue
-        after, fits = judged(opened, measurement, seen, options)
-        if fits:
-            found.append(Rival(kind, after, PRIOR[kind], time_s))
+        if not isinstance(seen, str):
+            after, fits = judged(opened, measurement, seen, options)
+            if fits:
+                # It keeps the state, which has fitted before.
+                found.append(Rival(Kind.MANOEUVRE, after, PRIOR, time_s, fitting=2))
     if Kind.START not in kinds and isinstance(measurement, PoseMeasurement):
-        moving = main.state.confirmed
+        motion, moving = options.motion, main.state.confirmed
         state = begin(
             measurement, options,
             (main.state.rate.copy(), main.state.velocity.copy()) if moving else None,
-            (_NEW_RATE, _NEW_VELOCITY) if moving
-            else (options.motion.fast_rate, options.motion.fast_velocity),
+            None if moving else (motion.fast_rate, motion.fast_velocity),
         )  # fmt: skip
         trusts = {
             other: trust._replace(
                 fault=_PRESUMED, offset=_off(main.state, measurement), rejected=0
             )
-            if trust.sensor in heard_s and other != name and trust.fault < 0.5
-            and trust.poses
+            if other != name and trust.fault < 0.5 and trust.poses
             else trust._replace(fault=0.0, offset=None, rejected=0)
             for other, trust in main.trusts.items()
         }  # fmt: skip
-        confirmed = main.accepted >= _CONFIRMED
-        prior = _CONFIRMED_PRIOR if confirmed else PRIOR[Kind.START]
+        prior = _CONFIRMED_PRIOR if moving else PRIOR
         fresh = begun(state, measurement, trusts)
         found.append(Rival(Kind.START, fresh, prior, time_s))
     return found
 
 
-def _with_jump(state: FilterState, ago_s: float, velocity: float, rate: float) -> FilterState:
-    """The state if velocity (σ, m/s) and rate (σ, rad/s) have jumped so long ago."""
+def _with_jump(state: FilterState, ago_s: float) -> FilterState:
+    """The state if velocity and rate have jumped so long ago."""
     moves = np.zeros((state.deviations.shape[1], 6))
-    moves[3:6, :3], moves[9:12, :3] = ago_s * velocity * _UNIT, velocity * _UNIT
-    moves[:3, 3:], moves[6:9, 3:] = ago_s * rate * state.rotation, rate * _UNIT
-    moves[3:6, 3:] = ago_s * rate * so3.hat(state.place_m)
+    moves[3:6, :3], moves[9:12, :3] = ago_s * _JUMP * np.eye(3), _JUMP * np.eye(3)
+    moves[:3, 3:], moves[6:9, 3:] = ago_s * _TURN * state.rotation, _TURN * np.eye(3)
+    moves[3:6, 3:] = ago_s * _TURN * so3.hat(state.place_m)
     return state._replace(covariances=state.covariances + moves @ moves.T)
 
 

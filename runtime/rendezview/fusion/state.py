@@ -32,8 +32,6 @@ from rendezview.sensors.measurement import (
 
 # (6, 6) that every pose has at least: below it rounding counts. Source: no sensor is that good
 _LEAST_COVARIANCE = np.diag([1e-7**2] * 3 + [1e-6**2] * 3)
-# s, of a prediction: the noise of a step is exact for a short one. Source: acceleration_s / 3
-_LONGEST_STEP_S = 10.0
 RING_GEOMETRY = "ring's radius and depth"  # a block of the state, of no sensor
 # Of a start until it is confirmed: σ of a rate times a step, rad and ranges. Source: linearisation
 _MOST_TURN, _MOST_WAY = 0.5, 0.4
@@ -64,7 +62,6 @@ class FilterState(NamedTuple):
     readings: Mapping[str, int]  # number of readings that taught it
     sigmas: Mapping[str, Array]  # σ of each sensor's last reading, by component
     jitter: float  # σ of the first jitter, rad
-    jitter_readings: int = 0
     pose_s: float = -math.inf  # time of the last pose
     confirmed: bool = False
     turning: Array | None = None  # (3,) rad/s, of the camera, its own frame; None: not measured
@@ -88,13 +85,7 @@ def sensor_options(measurement: Measurement, options: FusionOptions) -> SensorOp
 
 def pose_covariance(measurement: PoseMeasurement, options: SensorOptions) -> Array:
     """(6, 6) covariance that the filter uses for a pose."""
-    whole = options.inflation * measurement.covariance + _LEAST_COVARIANCE
-    if options.floor_rad or options.floor_range:
-        away = measurement.pose.translation_m
-        floor = np.full(6, options.floor_rad**2)
-        floor[3:] = options.floor_range**2 * (away @ away)
-        whole[np.arange(6), np.arange(6)] += floor
-    return whole
+    return options.inflation * measurement.covariance + _LEAST_COVARIANCE
 
 
 def begin(
@@ -150,7 +141,7 @@ def begin(
     return FilterState(
         measurement.time_s, rotation, -rotation.T @ away, turning, moving, np.zeros((count, n)),
         covariances, np.full(count, 1.0 / count), slots, fading, {measurement.sensor: white}, {},
-        {measurement.sensor: np.sqrt(whole.diagonal())}, motion.jitters[0], 0, measurement.time_s,
+        {measurement.sensor: np.sqrt(whole.diagonal())}, motion.jitters[0], measurement.time_s,
     )  # fmt: skip
 
 
@@ -171,9 +162,9 @@ def predict(state: FilterState, dt_s: float, options: FusionOptions) -> FilterSt
     accelerations, jitters = models_of(motion, state.jitter)
     turning = state.turning if time_s <= state.turning_s + _HOLD_S else None
     if turning is not None:  # the camera's swing is known: jitter keeps what it has
-        jitters[:, 0], jitters[:, 1] = 0.0, _ALWAYS_S
-        jitters[:, 2] = np.hypot(jitters[0, 2], state.turning_sigma)
-    steps = min(max(math.ceil(dt_s / _LONGEST_STEP_S), 1), _MOST_STEPS)
+        jitters[:, 0], jitters[:, 1] = 0.0, np.inf
+    # The noise of a step is exact for a short one.
+    steps = min(math.ceil(3.0 * dt_s / motion.acceleration_s), _MOST_STEPS)
     now = (
         state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
         state.covariances, state.weights,
@@ -181,7 +172,7 @@ def predict(state: FilterState, dt_s: float, options: FusionOptions) -> FilterSt
     for _ in range(steps):
         now = predicted(
             *now, state.fading, dt_s / steps, motion.angular, accelerations, jitters,
-            motion.jitter_stay_s,
+            0.0 if turning is None else state.turning_sigma, motion.jitter_stay_s,
         )  # fmt: skip
     rotation, place, rate, velocity, deviations, covariances, weights = now
     state = state._replace(
@@ -204,13 +195,12 @@ def _swung(state: FilterState, swing_rad: Array) -> FilterState:
     )
 
 
-_HOLD_S = 1.0  # s for which a rate of the camera is taken to go on. Source: chosen
-_ALWAYS_S = 1e9  # Source: by construction
 _MOST_STEPS = 100  # of a prediction. Source: a chosen limit; a state that old is lost
+_HOLD_S = 1.0  # s for which a rate of the camera is taken to go on. Source: chosen
 
 
 def models_of(motion: MotionOptions, jitter: float) -> tuple[Array, Array]:
-    """(A, 4) accelerations and (J, 3) jitters, as `kernels.predicted` takes them."""
+    """(A, 4) accelerations and (J, 2) jitters, as `kernels.predicted` takes them."""
     accelerations, jitters = _models(motion)
     jitters = jitters.copy()
     jitters[0, 0] = jitter
@@ -227,7 +217,7 @@ def _models(motion: MotionOptions) -> tuple[Array, Array]:
             motion.stays_s,
         ]
     )
-    return accelerations, np.column_stack([motion.jitters, motion.jitters_s, motion.slews])
+    return accelerations, np.column_stack([motion.jitters, motion.jitters_s])
 
 
 def turned(state: FilterState, measurement: RateMeasurement, options: FusionOptions) -> FilterState:

@@ -17,7 +17,6 @@ from rendezview.geometry.pose import Array
 _STAYS = 0.95  # probability that a fault lasts to the next reading. Source: by construction
 _BLOW = 10.0  # σ of an outlier over that of the innovation. Source: by construction
 _HIDDEN = 5.0  # the same of an outlier that is hard to see. Source: glare in `rendezview fly`
-_OFFSET_SCATTER = 4.0  # variance of a fault's offset over the sensor's own. Source: by construction
 _SAME = 0.9  # probability that a faulty sensor's offset is as it was. Source: by construction
 LOCK_AFTER = 3  # turned away in a row: locked out. Source: by construction
 
@@ -83,7 +82,7 @@ def judge(
     before, offset = max(trust.fault, outliers), trust.offset
     same = -math.inf
     if offset is not None and len(offset) == size:
-        around = _OFFSET_SCATTER * (root @ root.T)
+        around = root @ root.T
         if trust.locked:  # the offset is the sensor's; since then the state has moved
             around = around + spread
         lower = np.linalg.cholesky(around)

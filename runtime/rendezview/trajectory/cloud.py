@@ -14,17 +14,9 @@ import numpy.typing as npt
 from rendezview.geometry.pose import Array, Pose
 from rendezview.trajectory.no_fit import NoFit
 
-# Of a pose's place over its range: no covariance is as small as that. Source: by construction, a
-# bound only
-_LEAST_SIGMA = 1e-5
-
-
-@dataclass(frozen=True, kw_only=True)
-class NodeErrors:
-    """One σ of the point of an active node. Its scatter is the spacing of the nodes."""
-
-    direction_rad: float = 0.12  # each axis, of one node; those of a frame err together
-    range_fraction: float = 0.03
+# One σ of an active node, each axis of its direction and of its range; those of a frame err
+# together. Source: the spacing of the nodes
+NODE_RAD, _NODE_RANGE = 0.12, 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,16 +51,14 @@ class PointCloud:
         times_s: npt.ArrayLike,
         points_m: npt.ArrayLike,
         weights: npt.ArrayLike | None = None,
-        errors: NodeErrors | None = None,
     ) -> PointCloud:
         """Points (N, 3) of active nodes, path frame, with times (N,) and the trust in each (N,)."""
-        errors = errors or NodeErrors()
         points = np.asarray(points_m, np.float64).reshape(-1, 3)
         far = np.linalg.norm(points, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):  # a point at the centre: refused later
             directions = points / far[:, None]
-            across = np.full(len(points), 1.0 / errors.direction_rad)
-            along = 1.0 / (errors.range_fraction * far)
+            across = np.full(len(points), 1.0 / NODE_RAD)
+            along = 1.0 / (_NODE_RANGE * far)
         whitening = np.zeros((len(points), 3, 3))
         whitening[:, 0, 0], whitening[:, 1, 1], whitening[:, 2, 2] = across, along, far
         trust = np.ones(len(points)) if weights is None else np.asarray(weights, np.float64)
@@ -89,7 +79,7 @@ class PointCloud:
         if covariances is None:
             whitening = np.eye(3) / np.maximum(1e-3 * far, 1e-9)[:, None, None]
         else:
-            whitening = _whitening(np.asarray(covariances, np.float64).reshape(-1, 3, 3), far)
+            whitening = roots_of(np.asarray(covariances, np.float64).reshape(-1, 3, 3))
         return cls(times, places, whitening, np.zeros(len(places), bool), np.ones(len(places)))
 
     def joined(self, other: PointCloud) -> PointCloud:
@@ -168,14 +158,13 @@ def centre_place(
     return -(arm + pose.translation_m), lever @ np.asarray(covariance, np.float64) @ lever.T
 
 
-def _whitening(covariances: Array, far: Array) -> Array:
+def roots_of(covariances: Array) -> Array:
     """(N, 3, 3) W with WᵀW the inverse of each covariance; NaN where it is none."""
     whitening = np.full_like(covariances, np.nan)
     sound = np.isfinite(covariances).all(axis=(1, 2))
     if sound.any():
         values, vectors = np.linalg.eigh(covariances[sound])
-        least = (_LEAST_SIGMA * far[sound]) ** 2 + 1e-18
-        values = np.maximum(values, least[:, None])
+        values = np.maximum(values, 1e-18)
         # The symmetric root, so that the deviations of neighbouring frames have like axes.
         turned = vectors / np.sqrt(values)[:, None, :]
         whitening[sound] = turned @ np.swapaxes(vectors, 1, 2)

@@ -1,10 +1,9 @@
 """Ways down the robust cost of a segment: the downhill simplex, Gauss–Newton, or both.
 
-The simplex is the paper's way (Cleghorn & Sternberg 1991): from geometric starts, restarted where
-it has ended. Its starts are closed-form fits to a few frames each, of which those with the least
-median misfit lead, so that outliers do not choose the valley. Gauss–Newton starts from the
-closed-form fit to all points. It is faster, and ends in another valley where outliers, hops or few
-points make several.
+The simplex is the paper's way (Cleghorn & Sternberg 1991). It starts from the closed-form fit to a
+few frames with the least median misfit, so that outliers do not choose the valley. Gauss–Newton
+starts from the closed-form fit to all points. It is faster, and ends in another valley where
+outliers, hops or few points make several.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
@@ -31,18 +31,14 @@ from rendezview.trajectory.start import first_guess, hops_of
 
 # c² of the robust cost over the variance of a point: 3.5 σ counts half. Source: by construction
 CUT = 12.0
-_MEDIAN_OF_THREE = 2.366  # of χ² with three degrees of freedom. Source: by construction
 _NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ. Source: by construction
 # χ² that hops must save: five parameters, and chance. Source: experiment trajectory-accuracy
 _HOPS_WORTH = 30.0
 _SUBSETS = 40  # of three frames: with 40 % outliers nine are clean. Source: by construction
-_LED = 3  # starts that the simplex goes down from. Source: trajectory-methods (0.1), seed 1
-_SIDES = 0.02  # of the typical sizes, longest sides of a first simplex. Source: the same
-_LEAST_SIDES = 1e-4  # of the same: the shortest. Source: by construction
-_RESTARTS = 4  # Source: experiment trajectory-methods (0.1), seed 1
-# Where one of these holds, several valleys are likely.
-_FEW_FRAMES = 20  # of a line: hops may be missed. Source: trajectory-methods (0.1), seed 1
-# Share of the points that are more than 3.5 σ off. Source: trajectory-methods (0.1), seed 1
+# Of the typical sizes, sides of the first simplex. Source: trajectory-methods (0.1), seed 1
+_SIDES = 0.02
+# Where one of these holds, several valleys are likely. Share of the points that are more than 3.5 σ
+# off. Source: trajectory-methods (0.1), seed 1
 _OUTLIERS = 0.05
 # Times what poses claim: between two groups of them nothing is off by many of its own σ. Source:
 # plain clouds, 40 % of outliers off alike, seed 32
@@ -55,7 +51,6 @@ class Method(StrEnum):
     BEST = "best"  # Gauss–Newton; both where residuals or hops show that there are several valleys
     SIMPLEX = "simplex"  # the paper's
     GAUSS_NEWTON = "gauss-newton"
-    BOTH = "both"  # the simplex, then Gauss–Newton from its end; or Gauss–Newton's own if better
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +97,7 @@ class Descent:
         whitening, claims = claimed.copy(), [1.0, 1.0]
         for kind, chosen in enumerate((by_node, ~by_node)):
             if chosen.any():
-                scatter = np.sqrt(np.median(squares[chosen]) / _MEDIAN_OF_THREE)
+                scatter = np.sqrt(np.median(squares[chosen]) / chdtri(3, 0.5))
                 claims[kind] = 1.0 / max(float(scatter), 1e-6)
                 whitening[chosen] *= claims[kind]
         whitening[by_node, 2, 2] = claimed[by_node, 2, 2]  # the range of a node, no deviation
@@ -111,19 +106,15 @@ class Descent:
         )
 
 
-def descend(
-    start: Descent, places_m: Array, length_m: float, method: Method, *, hops: bool, near: bool
-) -> Descent:
+def descend(start: Descent, places_m: Array, length_m: float, method: Method) -> Descent:
     """The least cost of a segment that a method finds.
 
     Args:
-        start: the closed-form fit to all points, or the last fit, with the covariances given.
+        start: the closed-form fit to all points, with the covariances given.
         places_m: (N, 3) of the points, less the carrier's.
         length_m: typical distance.
-        hops: look for hops of a straight line.
-        near: the start is the last fit, so its valley is known; no other starts are tried.
     """
-    seek, claimed = hops and start.code == LINE, start.data[5]
+    seek, claimed = start.code == LINE, start.data[5]
     newton = None
     if method is not Method.SIMPLEX:
         newton = _by_newton(start)
@@ -132,7 +123,7 @@ def descend(
         single = method is Method.BEST and not _several_valleys(newton)
         if method is Method.GAUSS_NEWTON or single:
             return newton
-    simplex = _restarted(start) if near else _by_simplex(start, places_m)
+    simplex = _by_simplex(start, places_m)
     if seek:
         simplex = _with_hops(simplex, claimed, places_m, length_m, by_simplex=True)
     if newton is None:
@@ -142,21 +133,16 @@ def descend(
 
 
 def _several_valleys(fit: Descent) -> bool:
-    """Whether residuals, hops or a line of few frames make several valleys likely."""
+    """Whether residuals or hops make several valleys likely."""
     if fit.code == HOPS or fit.scatters[1] * _SCATTER < 1.0:
         return True
-    few = fit.code == LINE and np.count_nonzero(np.diff(fit.data[0])) + 1 < _FEW_FRAMES
-    return bool(few or np.mean(fit.squares() > CUT) > _OUTLIERS)
+    return bool(np.mean(fit.squares() > CUT) > _OUTLIERS)
 
 
 def _better(first: Descent, second: Descent) -> Descent:
     """The one of less cost, by the standard deviations of both."""
-    ours = first.cost() + first.cost(second.data) + _handicap(first)
-    return first if ours <= second.cost() + second.cost(first.data) + _handicap(second) else second
-
-
-def _handicap(fit: Descent) -> float:
-    return 2.0 * _HOPS_WORTH if fit.code == HOPS else 0.0
+    ours = first.cost() + first.cost(second.data)
+    return first if ours <= second.cost() + second.cost(first.data) else second
 
 
 def _by_newton(fit: Descent) -> Descent:
@@ -172,39 +158,20 @@ def _by_newton(fit: Descent) -> Descent:
 
 
 def _by_simplex(fit: Descent, places_m: Array) -> Descent:
-    """From the geometric starts of least median misfit; the end of least cost."""
-    starts = _starts(fit, places_m)
-    medians = [float(np.median(replace(fit, parameters=p).squares())) for p in starts]
-    order = np.argsort(medians, kind="stable")[:_LED]
-    best: Descent | None = None
-    asked = 0
-    for k in order:
-        end = _restarted(replace(fit, parameters=starts[k]))
-        asked += end.evaluations
-        best = end if best is None else _better(best, end)
-    assert best is not None
-    return replace(best, evaluations=asked)
+    """From the geometric start of least median misfit."""
+    starts = [replace(fit, parameters=p) for p in _starts(fit, places_m)]
+    return _simplex(min(starts, key=lambda start: float(np.median(start.squares()))))
 
 
-def _restarted(fit: Descent) -> Descent:
-    """Simplexes one after the other, each from the end of the last, until none gains."""
+def _simplex(fit: Descent) -> Descent:
+    """The end of a simplex about a start."""
     claimed = fit.data[5]
     fit = fit.scaled(claimed)
-    sides = most = _SIDES * fit.scales
-    asked = 0
-    for _ in range(_RESTARTS + 1):
-        before = fit.cost()
-        parameters, least, count = downhill_simplex(
-            fit.code, fit.parameters, sides, fit.data, fit.weights, CUT,
-            200 * len(sides), _NEAR,
-        )  # fmt: skip
-        asked += int(count)
-        moved = np.abs(parameters - fit.parameters)
-        fit = replace(fit, parameters=parameters).scaled(claimed)
-        if before - least < 10.0 * _NEAR:
-            break
-        sides = np.clip(moved, _LEAST_SIDES * fit.scales, most)
-    return replace(fit, evaluations=asked)
+    parameters, _, asked = downhill_simplex(
+        fit.code, fit.parameters, _SIDES * fit.scales, fit.data, fit.weights, CUT,
+        200 * len(fit.scales), _NEAR,
+    )  # fmt: skip
+    return replace(fit, parameters=parameters, evaluations=int(asked)).scaled(claimed)
 
 
 def _starts(fit: Descent, places_m: Array) -> list[Array]:
@@ -252,17 +219,10 @@ def _with_hops(
     )
     if by_simplex:
         unscaled = replace(hopping, data=(*hopping.data[:5], claimed, hopping.data[6]))
-        hopping = _restarted(unscaled)
+        hopping = _simplex(unscaled)
         hopping = replace(hopping, evaluations=hopping.evaluations + fit.evaluations)
         least = hopping.cost(fit.data)
     else:
         parameters, least = hopping.down(steps=20)
         hopping = replace(hopping, parameters=parameters)
-    if straight - least < _HOPS_WORTH or not _sound_hops(hopping.parameters, half_s):
-        return fit
-    return hopping
-
-
-def _sound_hops(parameters: Array, half_s: float) -> bool:
-    """A period that the segment can show."""
-    return bool(0.1 * half_s < parameters[9] < 4.0 * half_s)
+    return fit if straight - least < _HOPS_WORTH else hopping

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from rendezview.trajectory.guidance import Correction, correct
 from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.plan import Plan
 from rendezview.trajectory.relative_orbit import transition
-from rendezview.trajectory.segment import Carrier, FitOptions, Segment, fit_segment
+from rendezview.trajectory.segment import Carrier, Segment, fit_segment
 from rendezview.trajectory.shapes import Shape
 from rendezview.trajectory.spin import Spin, fit_spin, fit_spin_of_directions, in_line_of_sight
 
@@ -29,21 +29,14 @@ class FollowerOptions:
     # Of a segment: the paper's one radian ….
     turn_rad: float | None = 1.0  # Source: Cleghorn & Sternberg 1991
     segment_s: float | None = None  # … or its time, where that is given
-    # Of a segment: how far ahead a correction meets the plan. Source: Cleghorn & Sternberg: the fit
-    # predicts the next segment
-    reach: float = 1.0
     poses: bool = True  # refined poses where there are; False: active nodes only
     spin: bool = True
-    tumbling: bool | None = None  # see ``fit_spin``
     # spin is fitted so many times a segment. Source: by construction, a bound of time
     spins: int = 10
-    fit: FitOptions = field(default_factory=FitOptions)
 
     def __post_init__(self) -> None:
         if self.turn_rad is not None and not 0.0 < self.turn_rad < np.pi:
             raise ValueError(f"turn_rad must be between 0 and π, not {self.turn_rad}")
-        if not 0.0 < self.reach <= 1.0:
-            raise ValueError(f"reach must be above 0 and at most 1, not {self.reach}")
         if self.segment_s is not None and not self.segment_s > 0.0:
             raise ValueError(f"segment_s must be positive, not {self.segment_s}")
 
@@ -221,15 +214,12 @@ class PathFollower:
         shape, flown_s = self.shape, time_s - max(self._since_s, self._first_s())
         if shape is Shape.DRIFT and flown_s < 0.5 * self._span_s(time_s):
             shape = Shape.ORBIT  # too short to distinguish a push from a velocity
-        previous = self._segment if isinstance(self._segment, Segment) else None
         n = 0.0 if self.plan is None else self.plan.mean_motion_rad_s
         self._segment = fit_segment(
             self.cloud,
             shape,
             mean_motion_rad_s=n,
             carrier=self._carrier() if self._deviates else None,
-            previous=previous if not self._deviates else None,
-            options=self.options.fit,
         )
 
     def _first_s(self) -> float:
@@ -276,7 +266,7 @@ class PathFollower:
         assert self.plan is not None
         if not isinstance(self._segment, Segment):
             return self._segment
-        reach_s = time_s + self.options.reach * self._span_s(time_s)
+        reach_s = time_s + self._span_s(time_s)  # the fit predicts the next segment
         if time_s < self.plan.end_s < reach_s:
             reach_s = self.plan.end_s
         return correct(self._segment, self.plan, time_s, reach_s)
@@ -286,9 +276,8 @@ class PathFollower:
         if not (due or ended):
             return
         self._spun_s = time_s
-        tumbling = self.options.tumbling
-        if tumbling is None and not ended:  # whether it tumbles is asked once a segment
-            tumbling = isinstance(self._spin, Spin) and self._spin.tumbling
+        # Whether it tumbles is asked once a segment.
+        tumbling = None if ended else isinstance(self._spin, Spin) and self._spin.tumbling
         if self._turns:
             times, attitudes, covariances = (
                 np.array(column) for column in zip(*self._turns, strict=True)

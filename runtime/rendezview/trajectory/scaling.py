@@ -1,11 +1,16 @@
-"""Normal equations of parameters of unlike sizes: metres, seconds and radians."""
+"""Normal equations of parameters of unlike sizes, and the covariance where they end."""
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.shapes import HOPS, SIZE, SPIRAL
+
+_MOST_CORRELATED = 0.9  # Source: by construction, a bound only
+# Of the trace, what keeps a matrix regular. Source: by construction, some steps of a double
+_HELD = 1e-14
 
 
 def typical_sizes(code: int, length_m: float, half_s: float) -> Array:
@@ -19,23 +24,46 @@ def typical_sizes(code: int, length_m: float, half_s: float) -> Array:
     return np.concatenate([length, speed, speed / half_s])[: SIZE[code]]
 
 
-def solved(matrix: Array, right: Array, scales: Array) -> Array:
-    """matrix⁻¹ right, in units of ``scales``; what nothing is known of stays put."""
-    scaled = matrix * scales[:, None] * scales[None, :]
-    least = 1e-14 * np.trace(scaled)
-    return np.asarray(
-        scales * np.linalg.solve(scaled + least * np.eye(len(scales)), scales * right)
-    )
-
-
 def inverse_of(matrix: Array, scales: Array) -> Array:
-    """(P, P) of the same."""
-    scaled = matrix * scales[:, None] * scales[None, :]
-    least = 1e-14 * np.trace(scaled)
-    inverse = np.linalg.inv(scaled + least * np.eye(len(scales)))
-    return np.asarray(inverse * scales[:, None] * scales[None, :])
+    """(P, P) inverse, worked out in units of ``scales``; what nothing is known of stays put."""
+    values, vectors = np.linalg.eigh(matrix * scales[:, None] * scales[None, :])
+    turned = scales[:, None] * vectors
+    return np.asarray((turned / (np.maximum(values, 0.0) + _HELD * values.sum())) @ turned.T)
 
 
-def sigmas_of(matrix: Array, scales: Array) -> Array:
-    """(P,) one σ of each parameter, of independent points; no longer than a tenth of its scale."""
-    return np.minimum(np.sqrt(np.maximum(np.diag(inverse_of(matrix, scales)), 1e-30)), 0.1 * scales)
+def held(matrix: Array, scales: Array) -> Array:
+    """(P,) one σ of the misfit that holds each parameter where ``inverse_of`` knows nothing."""
+    return np.asarray(np.sqrt(_HELD * np.sum(np.diag(matrix) * scales**2)) / scales)
+
+
+def robust_root(
+    inverse: Array, slopes: Array, weighted: Array, first: npt.NDArray[np.intp], times: Array,
+    common: Array, held: Array,
+) -> Array:  # fmt: skip
+    """(P, P) L with L Lᵀ the covariance, so that rounding makes no variance negative.
+
+    From the points' own misfits, summed over each frame before they are squared.
+
+    Args:
+        inverse: (P, P) of the normal equations.
+        slopes: (N, K, P) of the misfits.
+        weighted: (N, K) misfits times their robust weights.
+        first: (F,) the first point of each frame.
+        times: (N,) from the middle.
+        common: (N,) weights of the points, times the share of their σ that all have in common, and
+            half as much again that goes with time and its square: views alike err alike.
+        held: (P,) one σ of the prior's misfits.
+    """
+    scores = np.add.reduceat(np.einsum("nkp,nk->np", slopes, weighted), first)
+    frames, size = scores.shape
+    # Misfits of neighbouring frames alike: fewer frames than it seems.
+    means = np.add.reduceat(weighted, first)
+    square = float(np.sum(means**2))
+    alike = float(np.sum(means[1:] * means[:-1])) / square if square > 0.0 else 0.0
+    alike = min(max(alike, 0.0), _MOST_CORRELATED)
+    scores *= np.sqrt(frames / max(frames - size, 1) * (1.0 + alike) / (1.0 - alike))
+    along = times / max(float(np.abs(times).max()), 1e-12)
+    slow = np.stack([np.ones_like(along), along, 1.5 * along**2 - 0.5])
+    shared = np.einsum("sn,nkp->skp", slow * common, slopes).reshape(-1, size)
+    moved = np.vstack([scores, shared, np.diag(held)]) @ inverse.T
+    return np.asarray(np.linalg.qr(moved, mode="r")).T

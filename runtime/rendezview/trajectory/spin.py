@@ -14,34 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
-from rendezview.estimation.least_squares import (
-    FIRST_DAMPING,
-    Equations,
-    Options,
-    minimise,
-)
+from rendezview.estimation.least_squares import Equations, minimise
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
+from rendezview.trajectory.cloud import NODE_RAD, roots_of
 from rendezview.trajectory.descent import CUT
 from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.rotation import rotations
+from rendezview.trajectory.scaling import robust_root
+from rendezview.trajectory.segment import COMMON, LEAST_FRAMES
 
-_LEAST_FRAMES = 6  # Source: by construction, the six unknowns of a spin
-_MEDIAN = {2: 1.386, 3: 2.366}  # of χ² with as many degrees of freedom. Source: by construction
-# Of an attitude: no covariance is as small as that. Source: by construction, a bound only
-_LEAST_RAD = 1e-5
-# Its prior's share of itself that keeps the equations regular. Source: by construction
-_HELD = 1e-6
-# A hundred thousandth of χ² is far below a σ. Source: by construction
-_DOWN = Options(
-    iterations=25, trials=5, least_gain=1e-9, relative_gain=1e-5, first_damping=FIRST_DAMPING
-)
-# Logarithms of the moments' ratios, about a sphere. Source: by hand; trajectory-accuracy, tumble
-_STARTS = ((0.0, 0.0), (-0.7, -1.4), (0.7, -0.7), (1.4, 0.7), (-0.7, 0.7))
-_MOST_RATIO = 30.0  # of the two sums of `_SpinState`. Source: by construction, a bound only
-# Of a frame's σ, what all have in common and what goes with time, as for segments. Source:
-# trajectory-accuracy, seeds 1000–1002
-_COMMON = 1.1
 # χ² that a tumble must save over constant spin to be reported. Source: by construction, 5 σ
 _WORTH = 25.0
 
@@ -133,9 +116,7 @@ def fit_spin(
         given = np.asarray(covariances, np.float64)
         if not np.isfinite(given).all():
             return NoFit("a covariance is not finite")
-        values, vectors = np.linalg.eigh(given)
-        lengths = np.sqrt(np.maximum(values, _LEAST_RAD**2))
-        roots = (vectors / lengths[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+        roots = roots_of(given)
     middle_s = 0.5 * (times[0] + times[-1])
     near = int(np.argmin(np.abs(times - middle_s)))
     turns = Rotation.from_matrix(turned[1:] @ np.swapaxes(turned[:-1], 1, 2)).as_rotvec()
@@ -150,7 +131,6 @@ def fit_spin_of_directions(
     weights: npt.ArrayLike | None = None,
     *,
     tumbling: bool | None = None,
-    sigma_rad: float = 0.12,
 ) -> Spin | NoFit:
     """Spin from directions to the camera, target frame: from active nodes only, range held.
 
@@ -162,7 +142,6 @@ def fit_spin_of_directions(
         times_s: (N,) never falling; nodes of one frame have one time.
         directions: (N, 3), any length.
         weights: (N,) trust in each.
-        sigma_rad: one σ of a direction, each axis.
     """
     times, observed = np.asarray(times_s, np.float64), np.asarray(directions, np.float64)
     trust = np.ones(len(times)) if weights is None else np.asarray(weights, np.float64)
@@ -178,15 +157,15 @@ def fit_spin_of_directions(
         return NoFit("the directions of a frame cancel each other")
     mean /= length[:, None]
     frames = times[first]
-    if len(frames) < _LEAST_FRAMES:
-        return NoFit(f"{len(frames)} frames: a spin needs {_LEAST_FRAMES}")
+    if len(frames) < LEAST_FRAMES:
+        return NoFit(f"{len(frames)} frames: a spin needs {LEAST_FRAMES}")
     middle_s = 0.5 * (frames[0] + frames[-1])
     start = mean[np.argmin(np.abs(frames - middle_s))]
     # Rate across the sight: directions move by −ω × u in target axes, so ω = −u × u'.
     slope = np.polyfit(frames - middle_s, mean, 1)[0]
     rate = -np.cross(start, slope)
     rotation = minimal_rotation(start, [0.0, 0.0, -1.0])
-    sigma = sigma_rad / np.sqrt(np.maximum(np.add.reduceat(trust, first), 1e-3))
+    sigma = NODE_RAD / np.sqrt(np.maximum(np.add.reduceat(trust, first), 1e-3))
     roots = np.eye(3)[None] / sigma[:, None, None]
     data = _Data(frames - middle_s, mean, roots, np.array([0.0, 0.0, -1.0]))
     return _best(data, rotation, rate, bool(tumbling), middle_s)
@@ -225,14 +204,13 @@ class _SpinState:
 
     def moved(self, step: Array) -> _SpinState:
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
-        limit = np.log(_MOST_RATIO)
-        ratios = np.clip(self.ratios + step[6:], -limit, limit) if len(step) > 6 else self.ratios
+        ratios = self.ratios + step[6:] if len(step) > 6 else self.ratios
         return _SpinState(turn @ self.rotation, self.rate + step[3:6], ratios)
 
 
 def _trouble(times: Array, turned: Array) -> NoFit | None:
-    if len(times) < _LEAST_FRAMES:
-        return NoFit(f"{len(times)} frames: a spin needs {_LEAST_FRAMES}")
+    if len(times) < LEAST_FRAMES:
+        return NoFit(f"{len(times)} frames: a spin needs {LEAST_FRAMES}")
     if not (np.isfinite(times).all() and np.isfinite(turned).all()):
         return NoFit("a time or attitude is not finite")
     if np.any(np.diff(times) <= 0.0):
@@ -249,14 +227,9 @@ def _best(
     still = _down(data, still, 6, CUT * variance)
     if tumbling is False:
         return _answer(data, still, 6, dof, middle_s)
-    best, least = still, np.inf
     cut = CUT * _variance(data, still, dof)
-    for ratios in _STARTS:
-        state = _down(data, _SpinState(still.rotation, still.rate, np.array(ratios)), 8, cut)
-        cost = _cost(data, state, cut)
-        if cost < least:
-            best, least = state, cost
-    variance = _variance(data, best, dof)
+    best = _down(data, still, 8, cut)
+    least, variance = _cost(data, best, cut), _variance(data, best, dof)
     if tumbling is None and _cost(data, still, CUT * variance) - least < _WORTH * variance:
         return _answer(data, still, 6, dof, middle_s)
     best = _down(data, best, 8, CUT * variance)
@@ -265,7 +238,7 @@ def _best(
 
 def _variance(data: _Data, state: _SpinState, dof: int) -> float:
     misfits = data.misfits(state.rotation, state.rate, state.moments)
-    return max(float(np.median(np.sum(misfits**2, axis=1))) / _MEDIAN[dof], 1e-12)
+    return max(float(np.median(np.sum(misfits**2, axis=1))) / float(chdtri(dof, 0.5)), 1e-12)
 
 
 def _cost(data: _Data, state: _SpinState, cut: float) -> float:
@@ -312,15 +285,13 @@ def _loose(data: _Data, size: int) -> Array:
 
 def _down(data: _Data, state: _SpinState, size: int, cut: float) -> _SpinState:
     """Levenberg–Marquardt down the robust cost; the unobservable stays where it is."""
-    loose = _HELD * _loose(data, size)
+    loose = _loose(data, size)
 
     def equations(state: _SpinState) -> Equations:
         matrix, right, _, _ = _normal(data, state, size, cut)
         return _cost(data, state, cut), matrix + loose, right
 
-    found = minimise(
-        equations, _SpinState.moved, state, cost=lambda s: _cost(data, s, cut), options=_DOWN
-    )
+    found = minimise(equations, _SpinState.moved, state, cost=lambda s: _cost(data, s, cut))
     return state if found is None else found.at
 
 
@@ -328,28 +299,23 @@ def _answer(data: _Data, state: _SpinState, size: int, dof: int, middle_s: float
     """The answer with its covariance: scatter of the frames, and what they have in common."""
     variance = _variance(data, state, dof)
     matrix, _, slopes, weighted = _normal(data, state, size, CUT * variance)
-    inverse = np.linalg.inv(matrix + variance * _loose(data, size))
+    loose = variance * _loose(data, size)
+    inverse = np.asarray(np.linalg.inv(matrix + loose), np.float64)
     frames = len(data.times)
-    scores = np.einsum("nia,ni->na", slopes, weighted)
-    square = float(np.sum(weighted**2))
-    alike = float(np.sum(weighted[1:] * weighted[:-1])) / square if square > 0.0 else 0.0
-    alike = min(max(alike, 0.0), 0.9)
-    spread = scores.T @ scores * frames / max(frames - size, 1) * (1.0 + alike) / (1.0 - alike)
-    covariance = inverse @ spread @ inverse + inverse @ (variance**2 * _loose(data, size)) @ inverse
-    along = data.times / max(float(np.abs(data.times).max()), 1e-9)
-    for slow in (np.ones(frames), along, 1.5 * along**2 - 0.5):
-        moved = inverse @ np.einsum("n,nia->ai", _COMMON * slow, slopes)
-        covariance += moved @ moved.T
-    if not np.isfinite(covariance).all():
+    root = robust_root(
+        inverse, slopes, weighted, np.arange(frames), data.times, np.full(frames, COMMON[1]),
+        np.sqrt(variance * np.diag(loose)),
+    )  # fmt: skip
+    if not np.isfinite(root).all():
         return NoFit("the fit runs away: these attitudes belong to no such motion")
     return Spin(
         time_s=float(middle_s),
         rotation=state.rotation,
         rate_rad_s=state.rate,
-        covariance=covariance[:6, :6],
+        covariance=root[:6] @ root[:6].T,
         tumbling=size > 6,
         moments=state.moments,
-        moments_sigma=_moments_sigma(state, covariance) if size > 6 else None,
+        moments_sigma=_moments_sigma(state, root) if size > 6 else None,
         start_s=float(middle_s + data.times[0]),
         end_s=float(middle_s + data.times[-1]),
         frames=frames,
@@ -358,7 +324,7 @@ def _answer(data: _Data, state: _SpinState, size: int, dof: int, middle_s: float
     )
 
 
-def _moments_sigma(state: _SpinState, covariance: Array) -> Array:
+def _moments_sigma(state: _SpinState, root: Array) -> Array:
     """(2,) one σ of the second and third moment over the first."""
     slopes = np.empty((2, 2))
     for j in range(2):
@@ -366,4 +332,4 @@ def _moments_sigma(state: _SpinState, covariance: Array) -> Array:
         step[6 + j] = 1e-5
         change = state.moved(step).moments - state.moved(-step).moments
         slopes[:, j] = change[1:] / 2e-5
-    return np.asarray(np.sqrt(np.diag(slopes @ covariance[6:, 6:] @ slopes.T)))
+    return np.asarray(np.linalg.norm(slopes @ root[6:], axis=1))

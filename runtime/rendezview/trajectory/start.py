@@ -53,6 +53,8 @@ def _around(
     base = frame_of(normal, middle)
     phase = np.unwrap(np.arctan2(mean @ base[:, 1], mean @ base[:, 0]))
     rate, offset = np.polyfit(times_s[first], phase, 1)
+    if rate < 0.0:  # the other way round is about the opposite normal
+        base, rate, offset = base * [1.0, -1.0, -1.0], -rate, -offset
     c, s = np.cos(offset), np.sin(offset)
     base = base @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     climb, radius = np.polyfit(times_s, far, 1)

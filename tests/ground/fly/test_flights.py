@@ -105,6 +105,12 @@ def test_a_campaign_goes_on_after_a_kill_with_the_same_bytes(setup, tmp_path):
     assert "--seed 3 --faults ring" in page
 
 
+def test_an_edge_that_is_taken_for_the_ring_does_not_keep_the_chaser_from_contact(setup):
+    """Where it is only turned away, its sensor contradicts the state until the end: an alarm."""
+    fault = Fault.drawn("ring", 3)
+    assert record(fly_once(setup, 3, fault), 3, fault)["end"] == "contact"
+
+
 def test_contacts_of_one_distribution_agree_and_of_another_do_not(setup, tmp_path):
     rng = np.random.default_rng(3)
 
