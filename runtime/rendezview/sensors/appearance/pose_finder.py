@@ -289,8 +289,11 @@ class PoseFinder:
         answers = [one for one in (found, sketched) if one is not None]
         given = next(filter(self._confident, answers), None)
         if given is not None and given is sketched:
-            # Grey edges are the finer ones, where they are seen.
-            given = search.at(frame, sky, given.best.pose, NEAR_RAD) or given
+            # Grey edges are the finer ones, where they are seen: alone, or as the sketch confirms.
+            finer = search.at(frame, sky, given.best.pose, NEAR_RAD)
+            if finer is None and found is not None and found.confidence >= _LEAST_CONFIDENT:
+                finer = given.confirming(found, self.model.symmetries)
+            given = finer or given
         return given, best_by(lambda one: one.confidence, answers)
 
     def overflows(self, pose: Pose) -> bool:

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit, logit
 
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import Symmetry, angle_between
+from rendezview.geometry.symmetry import Symmetry, angle_between, nearest_alike
 from rendezview.sensors.appearance.hypothesis import Aligned, Hypothesis
 from rendezview.sensors.appearance.judge.sketch_choice import (
     NEAR_RAD,
@@ -42,6 +43,7 @@ HELD_FOR_WRONG = 0.5
 # Of the drawn look-alikes; a surer pose is no surer. Of .9, .95 and .99 it gives most right poses
 # and none wrong. Source: docs/notes/rivals.md
 _SUREST_SHARE = 0.95
+_AGREE_CHI2 = 16.8  # of six. Source: by construction, 99 %
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,6 +146,24 @@ class Found:
         if own < HELD_FOR_WRONG:
             together = min(together, own)
         return replace(self, probability=together, weighed=tuple(weighed))
+
+    def confirming(self, grey: Found, symmetries: Sequence[Symmetry]) -> Found:
+        """A pose on a sketch, with that of grey edges in its place if both agree and it is finer.
+
+        They agree where they differ by no more than both covariances allow.
+        """
+        own, other = self.best, grey.best
+        if own.covariance is None or other.covariance is None:
+            return self
+        finer = np.linalg.det(other.covariance) < np.linalg.det(own.covariance)
+        if not finer:
+            return self
+        pose = nearest_alike(other.pose, own.pose, symmetries)
+        turn = so3.log(np.ascontiguousarray(pose.rotation @ own.pose.rotation.T))
+        apart = np.append(turn, pose.translation_m - own.pose.translation_m)
+        allowed = own.covariance + other.covariance
+        agree = apart @ np.linalg.solve(allowed, apart) <= _AGREE_CHI2
+        return replace(self, best=other) if agree else self
 
 
 def merit(hypothesis: Hypothesis, shading: float | None) -> float:

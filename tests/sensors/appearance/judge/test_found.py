@@ -1,0 +1,64 @@
+"""Poses of grey edges that a pose on a sketch confirms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import Symmetry
+from rendezview.sensors.appearance.hypothesis import Hypothesis
+from rendezview.sensors.appearance.judge.found import Found
+
+SEEN = Pose(Rotation.from_euler("xyz", [20.0, 40.0, 60.0], degrees=True).as_matrix(),
+            np.array([1.0, -2.0, 30.0]))  # fmt: skip
+HALF_TURN = Symmetry("discrete", np.array([0.0, 0.0, 1.0]), np.pi)
+
+
+def covariance(sigma_deg: float, sigma_m: float) -> np.ndarray:
+    return np.diag([np.deg2rad(sigma_deg) ** 2] * 3 + [sigma_m**2] * 3)
+
+
+def moved(degrees: float, metres: float) -> Pose:
+    turn = Rotation.from_euler("x", degrees, degrees=True).as_matrix()
+    return Pose(turn @ SEEN.rotation, SEEN.translation_m + np.array([0.0, 0.0, metres]))
+
+
+def on_sketch() -> Found:
+    best = Hypothesis(SEEN, covariance(2.0, 0.3))
+    return Found(best, 4.0, dark=True, prior=False, probability=0.98)
+
+
+def by_grey_edges(pose: Pose, sigma: np.ndarray | None) -> Found:
+    return Found(Hypothesis(pose, sigma), 0.1, dark=True, prior=False)
+
+
+def test_a_finer_pose_within_both_errors_is_taken_with_the_confidence_of_the_sketch() -> None:
+    grey = by_grey_edges(moved(6.0, 0.5), covariance(0.1, 0.01))
+    given = on_sketch().confirming(grey, [])
+    assert given.best is grey.best
+    assert given.confidence == 0.98
+
+
+@pytest.mark.parametrize(
+    ("degrees", "metres", "sigma"),
+    [
+        (9.0, 0.0, covariance(0.1, 0.01)),  # 4.5 σ apart in attitude
+        (0.0, 1.5, covariance(0.1, 0.01)),  # 5 σ in range
+        (1.0, 0.1, covariance(3.0, 0.5)),  # agrees, and is less sure
+        (1.0, 0.1, None),
+    ],
+)
+def test_another_pose_or_one_that_is_no_finer_is_not(
+    degrees: float, metres: float, sigma: np.ndarray | None
+) -> None:
+    sketched = on_sketch()
+    assert sketched.confirming(by_grey_edges(moved(degrees, metres), sigma), []) is sketched
+
+
+def test_poses_alike_by_a_symmetry_agree() -> None:
+    turned = Pose(SEEN.rotation @ np.diag([-1.0, -1.0, 1.0]), SEEN.translation_m)
+    grey = by_grey_edges(turned, covariance(0.1, 0.01))
+    assert on_sketch().confirming(grey, [HALF_TURN]).best is grey.best
+    assert on_sketch().confirming(grey, []).best is not grey.best
