@@ -298,3 +298,11 @@ def test_matrices_that_are_no_poses_are_named():
     for points in (3.0, [1.0, 2.0], np.zeros((3, 4))):
         with pytest.raises(ValueError, match=r"points_m must be \(\.\.\., 3\)"):
             Pose.identity() @ points
+
+
+def test_the_step_from_one_pose_to_another_is_the_perturbation_that_leads_there() -> None:
+    one = Pose.from_quat_wxyz([0.4, -0.3, 0.2, 0.8], [1.0, -2.0, 30.0])
+    delta = np.array([0.5, -0.2, 1.1, 0.3, 2.0, -4.0])
+    other = one.perturbed(delta)
+    assert other.delta_from(one) == pytest.approx(delta)
+    assert one.delta_from(other) == pytest.approx(-delta)

@@ -170,6 +170,11 @@ class Pose:
             self.translation_m + step[3:],
         )
 
+    def delta_from(self, other: Pose) -> Array:
+        """(6,) the left perturbation of another pose that gives this one, see ``perturbed``."""
+        turn = Rotation.from_matrix(self.rotation @ other.rotation.T).as_rotvec()
+        return np.concatenate([turn, self.translation_m - other.translation_m])
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _all_finite(rotation: Array, translation_m: Array) -> bool:

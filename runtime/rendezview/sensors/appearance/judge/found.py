@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit, logit
 
-from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between, nearest_alike
 from rendezview.sensors.appearance.hypothesis import Aligned, Hypothesis
@@ -158,9 +157,7 @@ class Found:
         finer = np.linalg.det(other.covariance) < np.linalg.det(own.covariance)
         if not finer:
             return self
-        pose = nearest_alike(other.pose, own.pose, symmetries)
-        turn = so3.log(np.ascontiguousarray(pose.rotation @ own.pose.rotation.T))
-        apart = np.append(turn, pose.translation_m - own.pose.translation_m)
+        apart = nearest_alike(other.pose, own.pose, symmetries).delta_from(own.pose)
         allowed = own.covariance + other.covariance
         agree = apart @ np.linalg.solve(allowed, apart) <= _AGREE_CHI2
         return replace(self, best=other) if agree else self

@@ -120,8 +120,7 @@ def _weighed(found: list[Hypothesis], prior: Pose, range_error: float) -> Hypoth
         shares = (best.inlier_ratio, best.points), (other.inlier_ratio, max(other.points, 1))
         spread = sum(share * (1.0 - share) / points for share, points in shares)
         if other.inlier_ratio > best.inlier_ratio - _AS_WELL * np.sqrt(spread):
-            turn = so3.log(other.pose.rotation @ best.pose.rotation.T)
-            apart = np.append(turn, other.pose.translation_m - best.pose.translation_m)
+            apart = other.pose.delta_from(best.pose)
             covariance += np.outer(apart, apart)
     best = replace(best, covariance=covariance)
     return best if _trusted(best, prior, range_error) else None
