@@ -205,86 +205,35 @@ def test_a_frame_of_the_wrong_size_leaves_the_prior(tiny_model, camera):
     assert float(angle_between(line, [0.0, 0.0, 1.0])) == 0.0
 
 
-class Rivals(Script):
-    """A recognizer that finds a pose near each prior, with prepared merits."""
+class TwoPoses(Script):
+    """A recognizer whose frames leave two poses, until one tells them apart."""
 
-    def __init__(self, merits: dict[int, list[float]]) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.poses = {
-            k: Pose(Rotation.from_rotvec([0.0, 0.0, k * np.pi]).as_matrix(), [0.0, 0.0, 5.0])
-            for k in merits
-        }
-        self.merits = merits
+        self.told = False
 
-    def recognize(
-        self,
-        image,
-        prior=None,
-        prior_error_rad=None,
-        sun_camera=None,
-        enough_inliers=1.0,
-        *,
-        angles_rad=None,
-        time_s,
-        roi=None,
-        thorough=True,
-    ) -> AppearanceObservation:
-        if prior is None:
-            both = tuple(self.poses.values())
-            found = SimpleNamespace(
-                best=SimpleNamespace(pose=both[0], inlier_ratio=0.8),
-                single=False,
-                on_sketch=False,
-                rival=SimpleNamespace(pose=both[1]),
-                margin=0.0,
-                confidence=0.9,
-            )
-            return AppearanceObservation(Status.AMBIGUOUS, "two", found=found, time_s=time_s)
-        key = min(self.poses, key=lambda k: self.poses[k].angle_to(prior))
-        pose = self.poses[key]
-        found = SimpleNamespace(
-            best=SimpleNamespace(pose=pose, inlier_ratio=0.8),
-            single=False,
-            on_sketch=False,
-            rival=None,
-            margin=1.0,
-            merit=self.merits[key].pop(0),
-            confidence=0.9,
-        )
-        return AppearanceObservation(Status.OK, pose=pose, found=found, time_s=time_s)
+    def recognize(self, image, prior=None, *options, time_s, **others) -> AppearanceObservation:
+        self.priors.append(prior)
+        if not self.told:
+            return AppearanceObservation(Status.AMBIGUOUS, "two", time_s=time_s)
+        return AppearanceObservation(Status.OK, pose=A, time_s=time_s)
 
 
-def test_two_poses_are_followed_until_one_leads():
-    script = Rivals({0: [0.5, 0.5, 0.5], 1: [0.58, 0.58, 0.58]})
+def test_a_frame_after_an_ambiguous_one_is_searched_as_the_first_was():
+    """Followed, one of two poses leads by the chance of its edges."""
+    script = TwoPoses()
     tracker = Tracker(script)
-    looks = [tracker.update(float(k), FRAME) for k in range(3)]
-    assert [s.status for s in looks] == [Status.AMBIGUOUS, Status.AMBIGUOUS, Status.OK]
-    assert looks[1].pose is None
-    assert looks[2].pose is script.poses[1]
-
-
-def test_two_poses_that_become_one_are_no_rivals():
-    script = Rivals({0: [0.5, 0.5], 1: [0.5, 0.5]})
-    script.poses[1] = Pose(
-        Rotation.from_rotvec([0.0, 0.0, np.deg2rad(1.0)]).as_matrix(), [0.0, 0.0, 5.0]
-    )
-    tracker = Tracker(script)
-    assert tracker.update(0.0, FRAME).status is Status.AMBIGUOUS
-    assert tracker.update(1.0, FRAME).status is Status.OK
+    for k in range(4):
+        assert tracker.update(float(k), FRAME).status is Status.AMBIGUOUS
+    script.told = True
+    assert tracker.update(4.0, FRAME).pose is A
+    assert tracker.update(5.0, FRAME).pose is A
+    assert script.priors == [*5 * [None], A]
 
 
 # Half a turn about an axis through (0.5, 0, 0), beside the origin.
 HALF_TURN = Symmetry("discrete", np.array([0.0, 0.0, 1.0]), np.pi, np.array([0.5, 0.0, 0.0]))
 TURNED = Pose(np.diag([-1.0, -1.0, 1.0]), np.array([1.0, 0.0, 0.0]))
-
-
-def test_two_poses_that_look_alike_are_no_rivals():
-    script = Rivals({0: [0.5, 0.5], 1: [0.5, 0.5]})
-    script.model.symmetries = (HALF_TURN,)
-    script.poses[1] = script.poses[0] @ TURNED
-    tracker = Tracker(script)
-    assert tracker.update(0.0, FRAME).status is Status.AMBIGUOUS
-    assert tracker.update(1.0, FRAME).status is Status.OK
 
 
 class Restarting(Script):

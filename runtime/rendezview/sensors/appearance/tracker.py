@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.estimation.hypotheses import choose
 from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import angle_between, nearest_alike
+from rendezview.geometry.symmetry import nearest_alike
 from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
 from rendezview.sensors.appearance.joints import JointFilter
 from rendezview.sensors.appearance.observation import AppearanceObservation
@@ -21,7 +20,6 @@ from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.verdict import unconfirmed
 from rendezview.sensors.arguments import check_prior, check_recognizer, check_time
-from rendezview.sensors.observation import Status
 
 # rad; rivals nearer than this are the same answer. Source: by hand; pose-trials (0.1) sequences
 _SAME_RAD = np.deg2rad(3.0)
@@ -64,9 +62,6 @@ class TrackerOptions:
     expected_sigmas: float = 3.0
     # rad; … and more beside them. Source: by construction, the reach of refinement
     expected_rad: float = np.deg2rad(3.0)
-    # merit, summed over frames; by this much one of two rivals leads. Source: by hand;
-    # pose-trials (0.1) sequences
-    decisive_lead: float = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,8 +91,9 @@ class Tracker:
     """Tracks one target through the frames of one camera, in order of time.
 
     The prediction is of constant velocity: attitude and view centre keep their rates. Where a
-    first frame leaves two poses, both are tracked until one leads. Threads may share an
-    instance: their frames are processed one after the other.
+    first frame leaves two poses, the next is searched as the first was: only a frame that tells
+    them apart gives a pose. Threads may share an instance: their frames are processed one after
+    the other.
     """
 
     def __init__(
@@ -122,7 +118,6 @@ class Tracker:
         self._motion = None if prior is None else _Motion(prior, None, np.zeros(3), np.zeros(3))
         self._last_time_s = -np.inf
         self._misses = 0
-        self._rivals: list[tuple[Pose, float]] = []
         self._jump: Pose | None = None  # of the frame before, to be confirmed
         self._confirmed = (0.0, 0)  # inlier ratio in the last search, frames since
         self._expected: tuple[Pose, float] | None = None  # at the next frame, and how far off, rad
@@ -212,8 +207,6 @@ class Tracker:
             predicted = self.predicted(time_s) if self._monitor is not None else None
             if expected is not None and self.lost:
                 observation = self._look_at(expected, frame)
-            elif self._motion is None and self._rivals:
-                observation = self._decide(frame)
             else:
                 observation = self._look(frame)
             observation = self._with_joints(observation, time_s)
@@ -264,8 +257,6 @@ class Tracker:
         if observation.pose is not None:
             self._motion = None  # the rates are those of the poses before it was lost
             return observation
-        if self._motion is None and self._rivals:
-            return self._decide(frame)
         return self._look(frame)
 
     def _look(self, frame: _Frame) -> AppearanceObservation:
@@ -297,8 +288,6 @@ class Tracker:
                     return restarted
                 self._jump = restarted.pose
                 return unconfirmed(restarted)
-        if observation.status is Status.AMBIGUOUS and self._motion is None:
-            self._rivals = [(pose, 0.0) for pose in observation.candidates]
         return observation
 
     def _restarted(self, frame: _Frame, prior: Pose | None) -> AppearanceObservation | None:
@@ -349,37 +338,6 @@ class Tracker:
             return 1.0
         return self.options.confirmed_share * inliers
 
-    def _decide(self, frame: _Frame) -> AppearanceObservation:
-        """Compare all rivals with the next frame; a pose is given when one leads."""
-        seen, poses, merits = [], [], []
-        for pose, merit in self._rivals:
-            observation = self._seen(frame, pose)
-            if observation.found is not None:
-                seen.append(observation)
-                poses.append(observation.found.best.pose)
-                merits.append(merit + observation.found.merit)
-
-        def same(k: int, known: int) -> bool:
-            """Whether rivals converge to one pose."""
-            symmetries = self.recognizer.model.symmetries
-            return bool(angle_between(poses[k], poses[known], symmetries) < _SAME_RAD)
-
-        self._rivals = []
-        choice = choose(merits, same, most=len(merits))
-        if choice is None:
-            return self._seen(frame, thorough=self._motion is None)
-        best = seen[choice.best]
-        if choice.margin >= self.options.decisive_lead and best.pose is not None:
-            return best
-        self._rivals = [(poses[k], merits[k]) for k in choice.answers]
-        return replace(
-            best,
-            status=Status.AMBIGUOUS,
-            reason=f"{len(self._rivals)} poses still fit; they are followed until one leads",
-            pose=None,
-            covariance=None,
-        )
-
     def _follow(self, observation: AppearanceObservation, pose: Pose, time_s: float) -> None:
         """Take a pose over, the rates since the last one, and how well it is confirmed."""
         last, turn_rad_s, move_m_s = self._motion, np.zeros(3), np.zeros(3)
@@ -388,7 +346,7 @@ class Tracker:
             rates = rates_between(last.pose, pose, time_s - last.time_s, centre_m)
             turn_rad_s, move_m_s = rates[:3], rates[3:]
         self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s)
-        self._misses, self._rivals, self._jump = 0, [], None
+        self._misses, self._jump = 0, None
         found = observation.found
         if found is None or found.on_sketch:  # its inlier ratio is another
             self._confirmed = (0.0, 0)
