@@ -53,6 +53,7 @@ _MOST_BEHIND = 0.3
 _ROUNDS = (
     2  # of look-alikes: of the best, and of the one that is best then. Source: by construction
 )
+_MOST_ASKED = 4  # poses that pictures speak for. Source: by construction, a bound of time
 # rad; a local optimum lies about that far from the right pose. Source: spacing of the nodes' views,
 # 8.6°
 _ASIDE_RAD = np.deg2rad(9.0)
@@ -192,7 +193,9 @@ class PoseSearch:
             candidates.add([replace(sketched.best, outline=0.0, inner=0.0)])
             on_sketch = sketched.aligned
         found = candidates.weighed(on_sketch)
-        if found is not None and ask(found.best):  # pictures speak for another than edges do
+        for _ in range(_MOST_ASKED):  # pictures speak for another than edges do
+            if found is None or not ask(found.best):
+                break
             found = candidates.weighed(on_sketch)
         return found
 
