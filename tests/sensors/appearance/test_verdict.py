@@ -32,9 +32,11 @@ def found(pose: Pose, sigma_deg: float = 0.1, probability: float | None = None) 
     return Found(refined, 0.5, dark=True, prior=False, probability=probability)
 
 
-def beside(pose: Pose, probability: float, on_sketch: Pose | None = None) -> Hypothesis:
+def beside(
+    pose: Pose, probability: float, on_sketch: Pose | None = None, distinct: float = 1.0
+) -> Hypothesis:
     led = None if on_sketch is None else Hypothesis(on_sketch)
-    return Hypothesis(pose, probability=probability, on_sketch=led)
+    return Hypothesis(pose, probability=probability, on_sketch=led, distinct=distinct)
 
 
 @pytest.mark.parametrize(
@@ -85,6 +87,18 @@ def test_the_odds_of_a_sketch_and_of_its_look_alikes_are_multiplied():
     assert together.posterior == together.confidence
     assert sketched(turned(90.0), 0.8).beside(weighed, ()).confidence == pytest.approx(0.5)
     assert sketched(turned(45.0), 0.99).beside(weighed, ()).confidence == 0.0
+
+
+def test_a_sure_search_does_not_choose_between_poses_whose_pictures_are_the_same():
+    weighed = (beside(turned(0.0), 0.6), beside(turned(90.0), 0.4, distinct=0.0))
+    assert sketched(turned(0.0), 0.999).beside(weighed, ()).confidence == pytest.approx(0.6)
+    half = (beside(turned(0.0), 0.6), beside(turned(90.0), 0.4, distinct=0.5))
+    together = sketched(turned(0.0), 0.9).beside(half, ())
+    assert odds(together.confidence) == pytest.approx(odds(0.6) * math.sqrt(odds(0.9)))
+    # The likeliest differs from the pose as the pose does from it.
+    other = (beside(turned(90.0), 0.6, distinct=0.0), beside(turned(0.0), 0.4, distinct=0.0))
+    assert sketched(turned(0.0), 0.999).beside(other, ()).confidence == pytest.approx(0.4)
+    assert sketched(turned(0.0), 1.0).beside(other, ()).confidence == pytest.approx(0.4)
 
 
 def test_look_alikes_that_are_unlikely_do_not_save_a_bad_pose():

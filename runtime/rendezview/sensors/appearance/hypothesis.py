@@ -34,8 +34,10 @@ class Hypothesis:
     sun_camera: Array | None = None  # (3,) unit, towards the Sun by shading or by drawing
     sketch: Array | None = None  # (7,) ``POSE_FEATURES`` on a sketch
     # Beside its rivals: cells of the frame that it leaves unexplained (inf: too small; NaN: no
-    # rival), where a sketch leads it to, and its probability
+    # rival), how far its picture differs from the likeliest's (0 … 1: enough that edges tell),
+    # where a sketch leads it to, and its probability
     cost: float = float("nan")
+    distinct: float = 1.0
     on_sketch: Hypothesis | None = None
     probability: float = 1.0
 

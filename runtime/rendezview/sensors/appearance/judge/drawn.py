@@ -257,12 +257,16 @@ class Drawn:
         _unexplained(window.levels, drawn, window.seen, window.tolerance_grey, side, cells)
         return Explained(cells / window.cell_px, drawn, sun_camera)
 
-    def under_best_sun(self, seen: Explained) -> Explained:
-        """Under the Sun that explains the frame best, in front of the target or as ``seen``."""
-        towards = minimal_rotation(
-            np.array([0.0, 0.0, 1.0]), -self.pose.apply(self.evidence.centre_m)
-        )
-        seen = min([seen, *map(self.under, _HEMISPHERE @ towards.T)], key=cost_of)
+    def under_best_sun(self, seen: Explained, *, near: bool = False) -> Explained:
+        """Under the Sun that explains the frame best, in front of the target or as ``seen``.
+
+        ``near``: about that one only.
+        """
+        if not near:
+            towards = minimal_rotation(
+                np.array([0.0, 0.0, 1.0]), -self.pose.apply(self.evidence.centre_m)
+            )
+            seen = min([seen, *map(self.under, _HEMISPHERE @ towards.T)], key=cost_of)
         for step_rad in _SUN_STEPS_RAD:
             for _ in range(_MOST_SUN_MOVES):
                 around = [self.under(sun) for sun in _beside(seen.sun_camera, step_rad)]

@@ -42,6 +42,7 @@ HELD_FOR_WRONG = 0.5
 # Of the drawn look-alikes; a surer pose is no surer. Of .9, .95 and .99 it gives most right poses
 # and none wrong. Source: docs/notes/rivals.md
 _SUREST_SHARE = 0.95
+_NOTHING, _SUREST_SEARCH = 1e-9, 1.0 - 1e-9  # probabilities. Source: by construction, no infinity
 _AGREE_CHI2 = 16.8  # of six. Source: by construction, 99 %
 
 
@@ -131,17 +132,25 @@ class Found:
 
         The forest that knows how the search went has hardly seen craft that look alike from
         several sides, and drawings of look-alikes know nothing of the search: the odds of both
-        are multiplied. A pose that the search holds for wrong gains nothing by its look-alikes.
+        are multiplied, as far as the pictures differ: between poses that look the same the search
+        chose by chance. A pose that the search holds for wrong gains nothing by its look-alikes.
         """
         pose, own = self.best.pose, self.confidence
 
         def same(one: Hypothesis | None) -> bool:
             return one is not None and angle_between(one.pose, pose, symmetries) < NEAR_RAD
 
-        share = sum(w.probability for w in weighed if same(w) or same(w.on_sketch))
-        if share == 1.0 == len(weighed):
+        if len(weighed) == 1 and (same(weighed[0]) or same(weighed[0].on_sketch)):
             return self  # it has no rival, and nothing was drawn
-        together = float(expit(logit(own) + logit(min(share, _SUREST_SHARE))))
+        alike = np.array([same(w) or same(w.on_sketch) for w in weighed])
+        shares, distinct = np.array([(w.probability, w.distinct) for w in weighed]).T
+        if alike.any() and not alike[0]:  # the likeliest's own is from itself
+            distinct[0] = distinct[alike][0]
+        # Poses that nobody proposed are the last, in case there is no other.
+        rest, apart = np.append(shares[~alike], _NOTHING), np.append(distinct[~alike], 1.0)
+        odds = float(np.exp(logit(np.clip(own, _NOTHING, _SUREST_SEARCH)) * -apart) @ rest)
+        share = min(float(shares[alike].sum()), _SUREST_SHARE)
+        together = float(expit(logit(share) - math.log(odds / rest.sum())))
         if own < HELD_FOR_WRONG:
             together = min(together, own)
         return replace(self, probability=together, weighed=tuple(weighed))

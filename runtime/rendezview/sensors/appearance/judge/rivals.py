@@ -45,7 +45,7 @@ _OTHER_EDGES = 0.1
 # rad; a pose, or the angle of a joint, further away is another answer, as in the experiments.
 # Source: the limit of a wrong pose there
 RIVAL_RAD = np.deg2rad(5.0)
-_IN_DOUBT = 0.99  # probability; below it Suns are looked for on the picture. Source: the same
+_IN_DOUBT = 0.9999  # probability; below it Suns are looked for on the picture. Source: the same
 _ROUNDS = 2  # of comparisons with the likeliest. Source: by construction
 
 
@@ -113,30 +113,32 @@ class Rivals:
         merits = merits[kept]
         beside = np.zeros(len(kept)) if lines is None else lines[kept]
 
-        def scored(explained: list[Explained]) -> Array:
+        def scored(explained: list[Explained]) -> tuple[Array, Array]:
             return _scores(merits, beside, explained, window, _drawn_weight(each, explained))
 
-        scores = scored(explained)
+        scores, distinct = scored(explained)
         if known is None:
             explained = _under_best_suns(scores, each, explained, look=False)
-            scores = scored(explained)
+            scores, distinct = scored(explained)
             if posterior(scores).max() < _IN_DOUBT:
                 explained = _under_best_suns(scores, each, explained, look=True)
-                scores = scored(explained)
+                scores, distinct = scored(explained)
         for _ in range(_ROUNDS):
             best = int(np.argmax(scores))
             explained = self._turned_in_place(each, explained, best)
-            scores = scored(explained)
+            scores, distinct = scored(explained)
             if int(np.argmax(scores)) == best:
                 break
         weighed = [
             replace(one, cost=np.inf, sun_camera=sun, probability=0.0)
             for one, sun in zip(hypotheses, suns, strict=True)
         ]
-        for k, seen, share in zip(kept, explained, posterior(scores), strict=True):
+        shares = posterior(scores)
+        for k, seen, share, apart in zip(kept, explained, shares, distinct, strict=True):
             weighed[k] = replace(
-                weighed[k], cost=seen.cost, sun_camera=seen.sun_camera, probability=float(share)
-            )
+                weighed[k], cost=seen.cost, sun_camera=seen.sun_camera, probability=float(share),
+                distinct=float(apart),
+            )  # fmt: skip
         return sorted(weighed, key=lambda one: -one.probability)
 
     def _turned_in_place(
@@ -182,9 +184,11 @@ def _under_best_suns(
     """Each under the Suns of the two likeliest, too; ``look``: as their pictures show them best."""
     order = np.argsort(-scores, kind="stable")[:2]
     if look:
-        explained = list(explained)
-        for k in order:
-            explained[k] = drawn[k].under_best_sun(explained[k])
+        explained, first = list(explained), order[0]
+        explained[first] = drawn[first].under_best_sun(explained[first])
+        for k in order[1:]:  # the Sun is most likely there, too
+            there = drawn[k].under(explained[first].sun_camera)
+            explained[k] = drawn[k].under_best_sun(min(explained[k], there, key=cost_of), near=True)
     others = [explained[k].sun_camera for k in order]
     return [
         min([seen, *map(one.under, others)], key=cost_of)
@@ -205,25 +209,29 @@ def line_scores(on_sketch: Array) -> Array:
 
 def _scores(
     merits: Array, lines: Array, explained: list[Explained], window: Window, weight: float
-) -> Array:
+) -> tuple[Array, Array]:
     """(N,) logarithms of probabilities, up to a constant: log odds against the likeliest.
 
     Two poses are compared cell by cell: what both leave unexplained cancels. The sum of the
-    differences counts in units of its spread (Vuong 1989).
+    differences counts in units of its spread (Vuong 1989). Edges and lines of a sketch count as
+    far as the pictures differ: those of poses that look the same differ by chance.
+
+    Returns:
+        Beside them (N,) how far a picture differs from the likeliest's, 0 … 1: by enough pixels.
     """
     best = int(np.argmin([one.cost for one in explained]))
-    scores = lines
+    scores, distinct = np.zeros((2, len(explained)))
     for _ in range(_ROUNDS):
-        other, scores = explained[best], lines - lines[best]
+        other = explained[best]
         for k, one in enumerate(explained):
             better = other.cells - one.cells
             spread = math.sqrt(float((better**2).sum()) + _LEAST_SPREAD)
             apart = np.abs(one.picture - other.picture) > window.tolerance_grey
-            edges = min(1.0, float(apart.sum()) / (_OTHER_EDGES * len(window.seen)))
-            scores[k] += weight * better.sum() / spread
-            scores[k] += MERIT_WEIGHT * edges * (merits[k] - merits[best])
+            distinct[k] = min(1.0, float(apart.sum()) / (_OTHER_EDGES * len(window.seen)))
+            by_edges = MERIT_WEIGHT * (merits[k] - merits[best]) + lines[k] - lines[best]
+            scores[k] = weight * better.sum() / spread + distinct[k] * by_edges
         likeliest = int(np.argmax(scores))
         if likeliest == best:
             break
         best = likeliest
-    return scores
+    return scores, distinct
