@@ -16,9 +16,6 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
-from rendezview import Pose
-from rendezview.geometry.so3 import between
-
 if TYPE_CHECKING:
     from rendezview_ground.mesh.mesh import Mesh
 
@@ -108,12 +105,6 @@ def nees(error: npt.ArrayLike, covariance: npt.ArrayLike) -> float:
     """Normalised estimation error squared."""
     off = np.asarray(error)
     return float(np.dot(off, np.linalg.solve(np.asarray(covariance), off)))
-
-
-def error_of(pose: Pose, truth: Pose) -> npt.NDArray[np.float64]:
-    """(6,) rotation vector and translation from the truth to a pose, camera frame."""
-    turn = between(pose.rotation, truth.rotation)
-    return np.append(turn, pose.translation_m - truth.translation_m)
 
 
 def kept(path: Path, make: Callable[[], Mapping[str, npt.ArrayLike]]) -> dict[str, Any]:

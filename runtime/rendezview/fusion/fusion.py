@@ -16,7 +16,6 @@ from rendezview.fusion.options import FusionOptions
 from rendezview.fusion.rivals import Kind, Rival
 from rendezview.fusion.state import RING_GEOMETRY, FilterState, estimate_of, predict
 from rendezview.fusion.trust import Trust, Verdict
-from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.measurement import (
     Measurement,
@@ -315,9 +314,7 @@ def _protection(
             wrong = max(wrong, likely)
         if likely >= options.risk:
             other, spread = _at(rival, time_s, options)
-            turn = so3.between(np.array(pose.rotation), np.array(other.rotation))
-            off = np.concatenate([turn, pose.translation_m - other.translation_m])
-            possible.append((np.abs(off), spread[:6, :6]))
+            possible.append((np.abs(pose.delta_from(other)), spread[:6, :6]))
     axes = np.max([off + factor * np.sqrt(p.diagonal()) for off, p in possible], axis=0)
     attitude = max(_level(off[:3], p[:3, :3], factor) for off, p in possible)
     position_m = max(_level(off[3:], p[3:, 3:], factor) for off, p in possible)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
-from experiments.frame import error_of, nees, show, table_of
+from experiments.frame import nees, show, table_of
 from rendezview.fusion import Fusion, Measurement, PoseMeasurement
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Status
@@ -78,7 +78,7 @@ def _sample(fusion: Fusion, time_s: float, truth: Pose, peer: _Peer) -> Sample:
 
 
 def _errors(pose: Pose, truth: Pose, covariance: Array) -> Array:
-    off = error_of(pose, truth)
+    off = pose.delta_from(truth)
     return np.array([np.linalg.norm(off[3:]), np.linalg.norm(off[:3]), nees(off, covariance)])
 
 

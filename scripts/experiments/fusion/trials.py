@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import CLIENT, error_of, nees
+from experiments.frame import CLIENT, nees
 from rendezview.fusion import (
     Fusion,
     Measurement,
@@ -213,7 +213,7 @@ def _sample(
     pose, fused, squared = estimate.pose, np.full(4, np.nan), np.nan
     if pose is not None:
         fused = four_errors(pose, truth, ring)
-        squared = nees(error_of(pose, truth), estimate.covariance[:6, :6])
+        squared = nees(pose.delta_from(truth), estimate.covariance[:6, :6])
     single = {}
     for name, measurement in spoke.items():
         if isinstance(measurement, PoseMeasurement):

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import error_of, mesh_of, unit
+from experiments.frame import mesh_of, unit
 from rendezview import Camera, Pose, Recognizer, Tracker, ViewModel, read_json_lines
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
@@ -121,7 +121,7 @@ def error(found: Pose, truth: Pose | None, model: ViewModel) -> list[float] | No
     """(6,) rotation vector and translation from the pose to the truth; None: there is none."""
     if truth is None:
         return None
-    return error_of(nearest_alike(truth, found, model.symmetries), found).tolist()
+    return nearest_alike(truth, found, model.symmetries).delta_from(found).tolist()
 
 
 def alike(recognizer: Recognizer, picture: np.ndarray, truth: Pose, mesh: Mesh) -> Iterator[Pose]:

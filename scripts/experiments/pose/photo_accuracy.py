@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
-from experiments.frame import error_of, nees, show, table_of, two
+from experiments.frame import nees, show, table_of, two
 from experiments.peers import visp_edges
 from rendezview import Camera, Pose, Recognizer, ViewModel, open_sequence
 from rendezview.calibration.as_built import ShapeEstimator, strained
@@ -41,7 +41,7 @@ def look(recognizer: Recognizer, picture: np.ndarray, truth: Pose, prior: Pose |
     if pose is not None:
         truth = nearest_alike(truth, pose, recognizer.model.symmetries)
     if pose is not None and seen.covariance is not None:
-        row["nees"] = nees(error_of(pose, truth), seen.covariance)
+        row["nees"] = nees(pose.delta_from(truth), seen.covariance)
     return row | off(pose, truth)
 
 
@@ -49,7 +49,7 @@ def off(pose: Pose | None, truth: Pose) -> dict[str, float]:
     """Errors of a pose; of none, as large as can be."""
     if pose is None:
         return {"rotation_deg": 180.0, "translation": 1.0}
-    error = error_of(pose, truth)
+    error = pose.delta_from(truth)
     far = np.linalg.norm(truth.translation_m)
     return {
         "rotation_deg": float(np.rad2deg(np.linalg.norm(error[:3]))),

@@ -23,7 +23,7 @@ from scipy.stats import chi2
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 
-from experiments.frame import error_of, nees
+from experiments.frame import nees
 from rendezview import Camera, Pose, Recognizer, TrainingOptions, ViewModel, load_mesh
 from rendezview.estimation.motion import extrapolate
 from rendezview.geometry.pose import Array
@@ -165,7 +165,7 @@ def _searched(
     if choice is None or choice.passes is None or chosen is None:
         return None
     squared, best, model = None, choice.best, search.model
-    error = error_of(best.pose, truth)
+    error = best.pose.delta_from(truth)
     if np.rad2deg(np.linalg.norm(error[:3])) < NEES_DEG and best.covariance is not None:
         squared = nees(error, best.covariance)
     return Searched(

@@ -8,7 +8,7 @@ from typing import Annotated
 import cv2
 import numpy as np
 
-from experiments.frame import error_of, nees, show, table_of
+from experiments.frame import nees, show, table_of
 from experiments.reflectors import lab
 from experiments.reflectors.followed import followed
 from experiments.reflectors.lab import plain
@@ -46,7 +46,7 @@ def off(pose: Pose, truth: Pose) -> np.ndarray:
     """(6,) error of a pose, the nearer of two that look alike."""
     half = truth @ lab.HALF_TURN
     near = truth if pose.angle_to(truth) < pose.angle_to(half) else half
-    return error_of(pose, near)
+    return pose.delta_from(near)
 
 
 def jpeg(picture: np.ndarray, quality: int) -> np.ndarray:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import MODELS_CAD, error_of, nees, show, table_of, tests_module
+from experiments.frame import MODELS_CAD, nees, show, table_of, tests_module
 from experiments.peers.pnp import rig as by_peers
 from rendezview import Pose, Rig, StereoTracker, Target
 from rendezview.calibration.laboratory import calibrate_laboratory
@@ -92,7 +92,7 @@ def followed(
         seen = tracker.update(k / RATE_HZ, spots)
         rotations.append(_NO_POSE if seen.fit is None else seen.fit.rotation)
         if seen.pose is not None:
-            squares.append(nees(error_of(seen.pose, first @ pose), seen.covariance))
+            squares.append(nees(seen.pose.delta_from(first @ pose), seen.covariance))
     return np.stack(rotations), squares
 
 

@@ -129,12 +129,11 @@ def pose_error(
         return None
     pose = observation.pose
     truth = nearest_alike(truth, pose, model.symmetries)  # the covariance is that of the pose
-    turn = Rotation.from_matrix(truth.rotation @ pose.rotation.T).as_rotvec()
-    error = np.concatenate([turn, truth.translation_m - pose.translation_m])
+    error = truth.delta_from(pose)
     centre = truth.apply(model.centre_m)
     off = float(np.linalg.norm(pose.apply(model.centre_m) - centre) / np.linalg.norm(centre))
     nees = float(error @ np.linalg.solve(observation.covariance, error))
-    return PoseError(float(np.linalg.norm(turn)), off, nees)
+    return PoseError(float(np.linalg.norm(error[:3])), off, nees)
 
 
 def second_earlier(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Pose:

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.sketch_choice import NEAR_RAD
@@ -84,10 +83,7 @@ class Evidence:
             rival_rad = pose.angle_to(found.rival.pose)
             apart_m = found.rival.pose.translation_m - pose.translation_m
             rival_m = float(np.linalg.norm(apart_m))
-        innovation = None
-        if predicted is not None:
-            turn = so3.between(pose.rotation, predicted.rotation)
-            innovation = np.concatenate([turn, pose.translation_m - predicted.translation_m])
+        innovation = None if predicted is None else pose.delta_from(predicted)
         return cls(
             time_s=time_s,
             range_m=float(np.linalg.norm(centre)),
