@@ -144,8 +144,10 @@ class PoseFinder:
         if prior is None:
             seen = self._anywhere(search, frame, sky, clock)
             cluttered = not sky.dark or self.region is not None  # several things, anyway
-            cluttered = cluttered and thorough and seen.pose is None
-            return self._among_others(seen, request) if cluttered else seen
+            look_further = cluttered and thorough and seen.pose is None
+            if look_further and not self._open(seen.found):
+                return self._among_others(seen, request)
+            return seen
         near = Near(prior, prior_error_rad or self.prior_error_rad)
         close = self._next_to(search, frame, sky, near, enough_inliers, clock)
         return close or self._near(search, frame, sky, near, clock)
@@ -300,6 +302,12 @@ class PoseFinder:
         """Whether a target there is too near for a whole view: no search near it can find one."""
         depth_m = pose.apply(self.model.centre_m)[2]
         return bool(depth_m < NEAREST_RADII * self.model.target_radius_m)
+
+    def _open(self, found: Found | None) -> bool:
+        """Whether the target is there, and only its look-alikes leave the pose open."""
+        if found is None or len(found.weighed) < 2:
+            return False
+        return found.confidence >= self.least_confidence and found.posterior < LEAST_POSTERIOR
 
     def _given(self, seen: AppearanceObservation, found: Found) -> AppearanceObservation:
         """The observation with the refined pose."""
