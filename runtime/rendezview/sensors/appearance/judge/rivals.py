@@ -40,8 +40,8 @@ _KNOWN_SHARE = 0.1
 # Cells squared, of the spread: less says nothing. Source: docs/notes/rivals.md
 _LEAST_SPREAD = 0.1
 # Of the compared pixels: two poses whose pictures differ in fewer have nearly the same edges, and
-# their merits differ by chance. Source: docs/notes/rivals.md
-_OTHER_EDGES = 0.1
+# their merits differ by chance; the same of the lines of a sketch. Source: docs/notes/rivals.md
+_OTHER_EDGES, _OTHER_LINES = 0.1, 0.03
 # rad; a pose, or the angle of a joint, further away is another answer, as in the experiments.
 # Source: the limit of a wrong pose there
 RIVAL_RAD = np.deg2rad(5.0)
@@ -227,9 +227,11 @@ def _scores(
             better = other.cells - one.cells
             spread = math.sqrt(float((better**2).sum()) + _LEAST_SPREAD)
             apart = np.abs(one.picture - other.picture) > window.tolerance_grey
-            distinct[k] = min(1.0, float(apart.sum()) / (_OTHER_EDGES * len(window.seen)))
-            by_edges = MERIT_WEIGHT * (merits[k] - merits[best]) + lines[k] - lines[best]
-            scores[k] = weight * better.sum() / spread + distinct[k] * by_edges
+            other_pixels = float(apart.sum()) / len(window.seen)
+            distinct[k] = min(1.0, other_pixels / _OTHER_LINES)
+            scores[k] = weight * better.sum() / spread + distinct[k] * (lines[k] - lines[best])
+            edges = min(1.0, other_pixels / _OTHER_EDGES)
+            scores[k] += MERIT_WEIGHT * edges * (merits[k] - merits[best])
         likeliest = int(np.argmax(scores))
         if likeliest == best:
             break
