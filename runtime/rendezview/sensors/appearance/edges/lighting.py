@@ -37,8 +37,6 @@ _COARSELY = 3
 # Of the level of the bright samples: what diffuse shading leaves unexplained. Source: by hand,
 # seeds of docs/notes/refinement.md
 TOLERANCE = 0.1
-# Of that: levels that move less have converged. Source: by construction, a share of it
-_STILL = 0.05
 # Of the levels: that of the bright samples. Source: by hand, seeds of docs/notes/refinement.md
 BRIGHT_PERCENTILE = 80
 # Least cosine between the Sun and the direction to the camera. Source: by construction, phase
@@ -262,9 +260,9 @@ def light_strengths(
         albedo: (N,).
         tolerance: grey levels beyond which a level is an outlier.
         strengths: (2,) gets the grey levels of albedo 1 in full sun, and around.
-        rounds: of weighted least squares, at most: until the levels move no more.
+        rounds: of weighted least squares.
     """
-    a, b, converged = 0.0, 0.0, False
+    a, b = 0.0, 0.0
     inverse = 1.0 / (tolerance * tolerance)
     cost = 0.0
     for step in range(rounds + 1):
@@ -282,16 +280,14 @@ def light_strengths(
             bb += weight * y * y
             ca += weight * x * levels[i]
             cb += weight * y * levels[i]
-        if step == rounds or converged:
+        if step == rounds:
             break
         bb *= 1.001
         determinant = aa * bb - ab * ab
-        before, behind = a, b
         a, b = (ca * bb - cb * ab) / determinant, (cb * aa - ca * ab) / determinant
         if b < 0.0:
             a, b = ca / aa, 0.0
         elif a < 0.0:
             a, b = 0.0, cb / bb
-        converged = abs(a - before) + abs(b - behind) < _STILL * tolerance
     strengths[0], strengths[1] = a, b
     return cost

@@ -47,10 +47,9 @@ _OBSERVED_BLUR_PX, _DRAWN_BLUR_PX = 0.8, 1.0
 _BRIGHT_QUANTILE = 0.9  # of the levels where the craft is. Source: by construction, not the glints
 # Of the target's radius: errors of neighbouring pixels are alike. Source: fixed with DRAWN_WEIGHT
 _CELLS_ACROSS = 20.0
-# Of the two strengths of light, at most: six leave shadows 50 grey levels too bright.
-# Source: by construction, a bound of time
-_ROUNDS = 40
-_LIGHT_SAMPLES = 2000  # pixels for the two. Source: by construction, a bound of time
+# Of the two strengths of light: six leave shadows 50 levels too bright. Source: by construction,
+# until they converge, on so many pixels
+_ROUNDS, _LIGHT_SAMPLES = 40, 2000
 # The compared pixels reach so far beyond the craft. Source: by construction, three σ of blur
 _AROUND_PX = 3
 # σ: the sky beside the craft, behind it. Source: by construction, a fifth of its radius
@@ -247,8 +246,10 @@ class Drawn:
         window, sunlit = self.window, self.sunlit(sun_camera)
         seen = window.levels.ravel()[self.where].astype(np.float64)
         strengths, every = np.empty(2), len(seen) // _LIGHT_SAMPLES + 1
-        some = (np.ascontiguousarray(all_of[::every]) for all_of in (seen, sunlit, self.albedo))
-        light_strengths(*some, window.tolerance_grey, strengths, _ROUNDS)
+        some, lit, albedo = (
+            np.ascontiguousarray(of[::every]) for of in (seen, sunlit, self.albedo)
+        )
+        light_strengths(some, lit, albedo, window.tolerance_grey, strengths, _ROUNDS)
         levels = strengths[0] * sunlit + strengths[1] * self.albedo
         width, tolerance = window.levels.shape[1], window.tolerance_grey
         add_gloss(self.where, width, self.facets, sunlit, seen, tolerance, window.cell_px, levels)
