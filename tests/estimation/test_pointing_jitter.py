@@ -115,3 +115,13 @@ def test_the_jitter_is_known_after_readings_are_forgotten():
     for k in range(4):
         found = fresh.add(20.0 + 0.1 * k, seen(20.0 + 0.1 * k, jitter, rng), np.diag(SIGMA**2))
     assert spread[1] > 10.0 * found.covariance[3, 3]
+
+
+def test_covariances_without_a_root_show_no_jitter():
+    """Of a flat target head-on, whose numeric slopes leave one a rounding below 0."""
+    estimate, rng = PointingJitter(), np.random.default_rng(3)
+    covariance = np.diag([1e-6, 1e-6, 1e-6, -1e-8, -1e-8, 1e-6])
+    for k in range(6):
+        turn = Rotation.from_rotvec(rng.normal(0.0, 1e-3, 3)).as_matrix()
+        estimate.add(0.1 * k, Pose(turn, np.array([0.0, 0.0, 3.0])), covariance)
+    assert estimate.variances == (0.0, 0.0)

@@ -63,7 +63,8 @@ class PointingJitter:
     def variances(self) -> tuple[float, float]:
         """rad² an axis across the line of sight and about it; 0 where chance explains it."""
         count, shared, chance, bearing, bearing_chance, roll = self._sums.tolist()
-        if not count > 0.0:
+        # A covariance that rounding leaves without a root makes a variance by chance below 0.
+        if not (count > 0.0 and chance >= 0.0):
             return 0.0, 0.0
         doubt, share = math.sqrt(chance), (1.0 + _FEW / count) / count
         if shared > _SURE * doubt:
