@@ -320,3 +320,16 @@ def test_reflectors_that_give_no_pose_are_refused():
         ReflectorPattern.of("g", tuple(reflector(n, x) for n, x in (("a", 0), ("b", 1), ("c", 2))))
     with pytest.raises(RendezviewError, match="no reflector group 'x'"):
         patterns_of(Target.load(CLIENT), ("x",))
+
+
+def test_pictures_that_cannot_be_written_to_are_followed(picture, three, paper_camera):
+    """As a decoder or a memory map gives them."""
+    rng, sensor = np.random.default_rng(8), ReflectorSensor(paper_camera, [three])
+    for k in range(4):
+        frames = picture(three, approach(0.1 * k), rng)
+        lit, dark = (one.copy() for one in (frames.lit, frames.dark))
+        lit.setflags(write=False)
+        dark.setflags(write=False)
+        reading = sensor.update(0.1 * k, LitDark(lit, dark))
+    assert reading.tracked
+    assert close(reading.pose, pose_of(approach(0.3), three), 4.0)
