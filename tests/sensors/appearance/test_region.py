@@ -14,15 +14,17 @@ from rendezview import RendezviewError
 from rendezview.geometry.boxes import overlap
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.appearance import Recognizer, Tracker
+from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker
 from rendezview.sensors.appearance.edges.contour_at import target_box
 from rendezview.sensors.appearance.edges.network import Sketch
 from rendezview.sensors.appearance.model.sketches import COVER, MAPS
+from rendezview.sensors.appearance.pose_finder import PoseFinder
 from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search import windows
 from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.search.starts import quarter_turns, rotated_by
+from rendezview.sensors.observation import Status
 from rendezview_ground.simulate.scene import SceneOptions, render_frame
 
 CAMERA = Camera.from_fov(640, 480, np.deg2rad(50.0))
@@ -285,6 +287,22 @@ def test_a_refusal_before_a_wall_says_how_the_likeliest_body_fits(recognizer, bu
     assert boxed.pose is None
     assert "grey level" not in boxed.reason
     assert "(roi)" not in boxed.reason
+
+
+@pytest.mark.parametrize(("confidence", "asked"), [(0.9, 0), (0.3, 1)])
+def test_a_target_that_its_look_alikes_leave_open_is_not_searched_in_windows(
+    recognizer, bumpy_mesh, monkeypatch, confidence, asked
+):
+    """A second answer to the same pixels would be one by chance."""
+    frame, _ = room(bumpy_mesh, pose_of(recognizer.model, 1), 1)
+    found = SimpleNamespace(weighed=(1, 2), confidence=confidence, posterior=0.5, best=None)
+    whole = AppearanceObservation(Status.AMBIGUOUS, "two poses", found=found)
+    searches = []
+    monkeypatch.setattr(PoseFinder, "_anywhere", lambda *args: whole)
+    monkeypatch.setattr(SketchSearch, "bodies", lambda *args: searches.append(args) or [])
+    seen = recognizer.recognize(frame)
+    assert seen.status is Status.AMBIGUOUS
+    assert len(searches) == asked
 
 
 def test_quarter_turns_turn_the_target_about_its_middle(recognizer):

@@ -1,6 +1,7 @@
 """Poses that another estimator proposes, judged by the grey edges."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer
 from rendezview.sensors.appearance.edges.refinement import Refiner
+from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.observation import StageClock
 from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.starts import half_turns
@@ -147,3 +149,29 @@ def test_where_coarse_stages_lead_away_from_a_prior_the_pose_next_to_it_counts_t
     found = search.at(frame, Sky.of(frame), truth, np.deg2rad(20.0))
     assert found is not None
     assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
+
+
+def test_every_pose_that_pictures_speak_for_has_its_look_alikes_aligned(refining_model, camera):
+    """Pictures speak for another pose twice, and then for one whose look-alikes are known."""
+    poses = [Pose(np.eye(3), [0.0, 0.0, z]) for z in (5.0, 6.0, 7.0)]
+    by_pictures, asked, aligned = iter([poses[1], poses[2], poses[0]]), [], []
+
+    def found(pose: Pose) -> SimpleNamespace:
+        return SimpleNamespace(best=Hypothesis(pose))
+
+    def look_alikes(pose: Pose) -> list[Pose]:
+        asked.append(pose)
+        return [Pose(np.diag([-1.0, -1.0, 1.0]), pose.translation_m)]
+
+    candidates = SimpleNamespace(
+        level=SimpleNamespace(rivals=SimpleNamespace(look_alikes=look_alikes)),
+        sky=Sky(0.0, 1.0, dark=True),
+        refine=lambda others, least: aligned.extend(others),
+        choose=lambda: found(poses[0]),
+        weighed=lambda on_sketch: found(next(by_pictures)),
+    )
+    search = PoseSearch(refining_model, camera)
+    chosen = search._beside_look_alikes(candidates, found(poses[0]))
+    assert chosen.best.pose is poses[0]
+    assert asked == poses
+    assert [one.translation_m[2] for one in aligned] == [5.0, 6.0, 7.0]
