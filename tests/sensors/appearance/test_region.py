@@ -298,8 +298,13 @@ def test_a_target_that_its_look_alikes_leave_open_is_not_searched_in_windows(
     found = SimpleNamespace(weighed=(1, 2), confidence=confidence, posterior=0.5, best=None)
     whole = AppearanceObservation(Status.AMBIGUOUS, "two poses", found=found)
     searches = []
+
+    def bodies(*args):
+        searches.append(args)
+        return []
+
     monkeypatch.setattr(PoseFinder, "_anywhere", lambda *args: whole)
-    monkeypatch.setattr(SketchSearch, "bodies", lambda *args: searches.append(args) or [])
+    monkeypatch.setattr(SketchSearch, "bodies", bodies)
     seen = recognizer.recognize(frame)
     assert seen.status is Status.AMBIGUOUS
     assert len(searches) == asked
