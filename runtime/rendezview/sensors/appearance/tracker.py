@@ -21,7 +21,7 @@ from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.verdict import unconfirmed
 from rendezview.sensors.arguments import check_prior, check_recognizer, check_time
 
-# rad; rivals nearer than this are the same answer. Source: by hand; pose-trials (0.1) sequences
+# rad; poses nearer than this are the same answer. Source: by hand; pose-trials (0.1) sequences
 _SAME_RAD = np.deg2rad(3.0)
 # target radii; a centre predicted nearer than this is not used. Source: by construction, inside the
 # target

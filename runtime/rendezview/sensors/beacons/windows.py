@@ -83,8 +83,8 @@ def _search_window(
     x0, x1, y0, y1 = box
     w, h = x1 - x0 + 1, y1 - y0 + 1
     # Copies: a view of a picture would be another type, for which all is compiled again.
-    part, without = np.empty((h, w), np.uint8), 1 if dark.shape[0] > 0 else 0
-    part_dark = np.empty((h * without, w * without), np.uint8)  # ``dark`` may be read-only
+    part = np.empty((h, w), np.uint8)
+    part_dark = np.empty((min(h, dark.shape[0]), w), np.uint8)  # no rows without a dark picture
     flat, stack, row = np.empty(w * h, np.uint8), np.empty(w * h, np.int32), np.empty(COLUMNS)
     rim, least, most = _copy_window(lit, dark, (x0, y0), part, part_dark)
     outcome, best = _NOTHING, np.inf

@@ -140,9 +140,9 @@ class Found:
         def same(one: Hypothesis | None) -> bool:
             return one is not None and angle_between(one.pose, pose, symmetries) < NEAR_RAD
 
-        if len(weighed) == 1 and (same(weighed[0]) or same(weighed[0].on_sketch)):
-            return self  # it has no rival, and nothing was drawn
         alike = np.array([same(w) or same(w.on_sketch) for w in weighed])
+        if len(weighed) == 1 and alike[0]:
+            return self  # it has no rival, and nothing was drawn
         shares, distinct = np.array([(w.probability, w.distinct) for w in weighed]).T
         if alike.any() and not alike[0]:  # the likeliest's own is from itself
             distinct[0] = distinct[alike][0]
