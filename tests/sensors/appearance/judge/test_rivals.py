@@ -121,7 +121,7 @@ def test_a_small_part_of_a_craft_with_long_wings_tells_its_ends_apart(
     assert all(one is not None for one in drawn)
     window = window.beside(drawn)
     right, turned = (dataclasses.replace(one, window=window).under(SUN).cost for one in drawn)
-    assert turned > 1.5 * right  # under one and the same light; 1.3 drawn half as large
+    assert turned > 2.0 * right  # 1.3 where the craft is drawn half as large
     weighed = Rivals(model, camera).weigh(frame, Sky.of(frame), under([other, pose]), np.ones(2))
     assert weighed[0].pose is pose
     assert weighed[0].probability > 0.9
