@@ -49,7 +49,7 @@ _BRIGHT_QUANTILE = 0.9  # of the levels where the craft is. Source: by construct
 # Of the target's radius: errors of neighbouring pixels are alike. Source: fixed with DRAWN_WEIGHT
 _CELLS_ACROSS = 20.0
 # Of the two strengths of light: six leave shadows 50 levels too bright, and forty let a rival take
-# its shadows for outliers. Source: docs/notes/rivals.md; the pixels by construction, a bound of time
+# its shadows for outliers. Source: docs/notes/rivals.md; pixels by construction, a bound of time
 _ROUNDS, _LIGHT_SAMPLES = 12, 2000
 # The compared pixels reach so far beyond the craft. Source: by construction, three σ of blur
 _AROUND_PX = 3
