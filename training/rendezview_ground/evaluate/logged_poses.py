@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rendezview.errors import RendezviewError
-from rendezview.estimation.motion import rates_between
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, nearest_alike
 from rendezview.io.files import read_text
@@ -44,7 +43,7 @@ def of_logged_poses(
             if truth is None or found is None:
                 continue
             pose = Pose.from_quat_wxyz(found["quat_wxyz"], found["translation_m"])
-            error = rates_between(pose, nearest_alike(truth, pose, symmetries), 1.0)
+            error = nearest_alike(truth, pose, symmetries).delta_from(pose)
             judgement = judge(entry, error)
         except (ValueError, KeyError, TypeError, np.linalg.LinAlgError) as fault:
             raise RendezviewError(

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from rendezview.estimation.hypotheses import choose
-from rendezview.estimation.motion import rates_between
 from rendezview.geometry.joint import Joint, apart
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
@@ -63,8 +62,8 @@ def _spread(found: Found, others: Sequence[Found], joints: Sequence[Joint]) -> H
             continue
         if best.pose.angle_to(other.pose) > RIVAL_RAD:
             continue
-        moved = rates_between(best.pose, other.pose, 1.0)
-        away = np.concatenate([moved, apart(joints, other.angles_rad, best.angles_rad)])
+        angles_rad = apart(joints, other.angles_rad, best.angles_rad)
+        away = np.concatenate([other.pose.delta_from(best.pose), angles_rad])
         if away @ np.linalg.solve(covariance, away) > len(away):
             covariance = covariance + np.outer(away, away)
     return replace(best, joint_covariance=covariance, covariance=covariance[:6, :6])
