@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests import plain_pictures as plain
+from tests.plain_readings import CAMERA, PINHOLE, frames_of
 
 from rendezview.calibration.pattern import (
     KnownLength,
@@ -17,14 +18,11 @@ from rendezview.calibration.pattern import (
     sightings_of_readings,
 )
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import LitDark, ReflectorPattern, ReflectorSensor
+from rendezview.sensors.beacons import ReflectorPattern, ReflectorSensor
 
 HALF, POST, SIGMA_PX = 0.184, 0.1, 0.015
 PLACES = np.array([[-HALF, 0, 0], [0, 0, POST], [HALF, 0, 0], [0, 0.14, 0], [0, -0.14, 0]])
-PINHOLE = plain.Pinhole()
-CAMERA = Camera(PINHOLE.width, PINHOLE.height, 650.0, 650.0, PINHOLE.cx, PINHOLE.cy)
 
 
 def pattern_of(places, diameter_m=0.025, **more) -> ReflectorPattern:
@@ -62,11 +60,7 @@ def pictured(mounted, given, rng, count=24):
     """Readings of the plain simulator's pictures."""
     sensor, readings = ReflectorSensor(CAMERA, loosened([given])), []
     for k, pose in enumerate(poses(rng, count)):
-        discs = (mounted.positions_m, mounted.normals, mounted.diameters_m)
-        look = plain.Look()
-        light = plain.discs(PINHOLE, pose.rotation, pose.translation_m, *discs, look)
-        frames = LitDark(*plain.pair(PINHOLE, light, look, rng))
-        readings.append(sensor.update(0.5 * k, frames))
+        readings.append(sensor.update(0.5 * k, frames_of(PINHOLE, mounted, pose, rng)))
     return sightings_of_readings(readings, given)
 
 
@@ -181,9 +175,6 @@ def test_a_run_at_rest_counts_once():
     (pose,) = poses(rng, 1)
     sensor, readings = ReflectorSensor(CAMERA, loosened([FIVE])), []
     for k in range(8):
-        discs = (FIVE.positions_m, FIVE.normals, FIVE.diameters_m)
-        light = plain.discs(PINHOLE, pose.rotation, pose.translation_m, *discs, plain.Look())
-        frames = LitDark(*plain.pair(PINHOLE, light, plain.Look(), rng))
-        readings.append(sensor.update(0.5 * k, frames))
+        readings.append(sensor.update(0.5 * k, frames_of(PINHOLE, FIVE, pose, rng)))
     assert sum(reading.pose is not None for reading in readings) == 7
     assert len(sightings_of_readings(readings, FIVE)) == 1

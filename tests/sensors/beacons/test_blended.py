@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests import plain_pictures as plain
+from tests.plain_readings import CAMERA, HALF_TURN, PINHOLE, frames_of
 
-from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, find_spots
 from rendezview.sensors.beacons.detect import blended
@@ -20,16 +20,10 @@ from rendezview.sensors.beacons.detect.difference import (
     threshold_of,
 )
 
-PINHOLE = plain.Pinhole()
-CAMERA = Camera(512, 384, PINHOLE.focal_px, PINHOLE.focal_px, PINHOLE.cx, PINHOLE.cy)
-HALF_TURN = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
-
 
 def reading(pattern, range_m, rng):
-    placed = plain.look_at(rng, PINHOLE, range_m, 0.5, 30.0)
-    discs = (pattern.positions_m, pattern.normals, pattern.diameters_m)
-    light = plain.discs(PINHOLE, *placed, *discs, plain.Look())
-    return LitDark(*plain.pair(PINHOLE, light, plain.Look(), rng)), Pose(*placed)
+    pose = Pose(*plain.look_at(rng, PINHOLE, range_m, 0.5, 30.0))
+    return frames_of(PINHOLE, pattern, pose, rng), pose
 
 
 def lights(places, rng, size=0.8, peak=180.0):
@@ -88,11 +82,9 @@ def test_a_streak_and_a_covered_disc_stay_one_spot(three):
         frames = LitDark(*plain.pair(small, plain.lights(small, spots), plain.Look(), rng))
         assert len(find_spots(frames)) == 1
     for _ in range(20):
-        placed = plain.look_at(rng, PINHOLE, 4.0, 0.5, 150.0)
-        discs = (three.positions_m, three.normals, three.diameters_m)
+        pose = Pose(*plain.look_at(rng, PINHOLE, 4.0, 0.5, 150.0))
         covers = {1: (rng.uniform(0.0, 6.3), rng.uniform(-0.3, 0.5))}
-        light = plain.discs(PINHOLE, *placed, *discs, plain.Look(), (), covers)
-        assert len(find_spots(LitDark(*plain.pair(PINHOLE, light, plain.Look(), rng)))) == 3
+        assert len(find_spots(frames_of(PINHOLE, three, pose, rng, covers=covers))) == 3
 
 
 def test_other_centroids_and_empty_pictures_part_nothing():

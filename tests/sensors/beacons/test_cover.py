@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 from tests import plain_pictures as plain
+from tests.plain_readings import CAMERA, HALF_TURN, PINHOLE, frames_of
 
-from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
-from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, predict_spots
+from rendezview.sensors.beacons import ReflectorSensor, TrackingOptions, predict_spots
 from rendezview.sensors.beacons.detect.cover import (
     compare_spots,
     middle,
@@ -27,19 +27,15 @@ from rendezview.sensors.beacons.detect.spot_columns import (
 )
 from rendezview.sensors.beacons.pose.refinement import refine
 
-PINHOLE = plain.Pinhole()
-CAMERA = Camera(512, 384, 650.0, 650.0, 255.5, 191.5)
 EDGE = {0.1: 0.687, 0.2: 0.492, 0.35: 0.238, 0.5: 0.0}  # radii from the middle that hide this share
 
 
 def reading(five, rng, covers, range_m=3.0, margin_px=80.0):
     """One reading of the plain simulator, and the truth."""
-    placed = plain.look_at(rng, PINHOLE, range_m, 0.5, margin_px)
-    discs = (five.positions_m, five.normals, five.diameters_m)
-    light = plain.discs(PINHOLE, *placed, *discs, plain.Look(), covers=covers)
-    frames = LitDark(*plain.pair(PINHOLE, light, plain.Look(), rng))
+    truth = Pose(*plain.look_at(rng, PINHOLE, range_m, 0.5, margin_px))
+    frames = frames_of(PINHOLE, five, truth, rng, covers=covers)
     sensor = ReflectorSensor(CAMERA, [five], tracking=TrackingOptions(confirm=False))
-    return sensor.update(0.0, frames), Pose(*placed)
+    return sensor.update(0.0, frames), truth
 
 
 @pytest.mark.parametrize(("share", "edge"), EDGE.items())
@@ -67,14 +63,13 @@ def test_a_covered_spot_counts_by_how_far_it_has_moved(five, share):
 def test_a_pose_of_a_covered_reflector_is_off_by_what_it_claims(three):
     """Of three, whose pose fits any three spots: nothing but the shape tells."""
     rng, nees = np.random.default_rng(2), []
-    half_turn = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     for _ in range(16):
         covers = {int(rng.integers(3)): (rng.uniform(0.0, 6.3), EDGE[0.2])}
         found, truth = reading(three, rng, covers)
         if found.pose is None:
             continue
-        if found.pose.angle_to(truth) > found.pose.angle_to(truth @ half_turn):
-            truth = truth @ half_turn
+        if found.pose.angle_to(truth) > found.pose.angle_to(truth @ HALF_TURN):
+            truth = truth @ HALF_TURN
         turn = between(found.pose.rotation.copy(), truth.rotation.copy())
         off = np.append(turn, found.pose.translation_m - truth.translation_m)
         nees.append(off @ np.linalg.solve(found.covariance, off))
@@ -86,13 +81,12 @@ def test_a_pose_of_a_covered_reflector_is_off_by_what_it_claims(three):
 def test_a_disc_that_is_covered_by_a_third_is_found_near_by(three, range_m):
     """It is 0.2 smaller (ln) than its neighbours, which no triplet passes; its shape says so."""
     rng, right, poses = np.random.default_rng(3), 0, 0
-    half_turn = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     for _ in range(10):
         covers = {int(rng.integers(3)): (rng.uniform(0.0, 6.3), EDGE[0.35])}
         found, truth = reading(three, rng, covers, range_m, min(80.0 + 163.0 / range_m, 187.0))
         if found.pose is not None:
             poses += 1
-            right += min(found.pose.angle_to(t) for t in (truth, truth @ half_turn)) < 0.09
+            right += min(found.pose.angle_to(t) for t in (truth, truth @ HALF_TURN)) < 0.09
     assert right == poses >= 8
 
 
@@ -102,19 +96,17 @@ def test_a_half_covered_disc_of_three_is_tracked_and_off_by_what_its_pose_claims
 
     Its rates do not follow: NEES 4.8 and 7.5 where the readings' errors count as white noise.
     """
-    half_turn, looks = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)), plain.Look()
     rng, values, of_rates = np.random.default_rng(6), [], []
     for _ in range(8):
         placed = plain.look_at(rng, PINHOLE, range_m, 0.5, min(80.0 + 163.0 / range_m, 187.0))
         sensor, which = ReflectorSensor(CAMERA, [three]), int(rng.integers(3))
         way, truth = rng.uniform(0.0, 6.3), Pose(*placed)
         for k, edge in enumerate([1.0, 1.0, *np.linspace(0.9, 0.0, 7)]):
-            discs = (three.positions_m, three.normals, three.diameters_m)
-            light = plain.discs(PINHOLE, *placed, *discs, looks, covers={which: (way, edge)})
-            found = sensor.update(0.1 * k, LitDark(*plain.pair(PINHOLE, light, looks, rng)))
+            frames = frames_of(PINHOLE, three, truth, rng, covers={which: (way, edge)})
+            found = sensor.update(0.1 * k, frames)
         if found.pose is None:
             continue
-        near = min((truth, truth @ half_turn), key=found.pose.angle_to)
+        near = min((truth, truth @ HALF_TURN), key=found.pose.angle_to)
         turn = between(found.pose.rotation.copy(), near.rotation.copy())
         off = np.append(turn, found.pose.translation_m - near.translation_m)
         values.append(off @ np.linalg.solve(found.covariance, off))

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.plain_pictures import Look, Pinhole, discs, look_at, pair
+from tests.plain_pictures import Look, look_at
+from tests.plain_readings import HALF_TURN, PAPER, frames_of
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.beacons import (
     Acquirer,
-    LitDark,
     ReflectorSensor,
     SixNumbers,
     TrackingOptions,
@@ -37,21 +37,6 @@ from rendezview.sensors.beacons.window_fit import WindowFit
 from rendezview.sensors.observation import Status
 
 CLIENT = Path(__file__).resolve().parents[3] / "models_cad" / "client"
-HALF_TURN = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
-
-
-@pytest.fixture(scope="module")
-def pinhole(paper_camera):
-    c = paper_camera
-    return Pinhole(c.width, c.height, c.fx, c.cx, c.cy)
-
-
-def frames_of(pinhole, pattern, pose, rng, hidden=(), look=Look()):  # noqa: B008
-    light = discs(
-        pinhole, pose.rotation, pose.translation_m, pattern.positions_m, pattern.normals,
-        pattern.diameters_m, look, hidden,
-    )  # fmt: skip
-    return LitDark(*pair(pinhole, light, look, rng))
 
 
 def wrong(pose, truth):
@@ -83,11 +68,11 @@ def test_neighbours_names_make_a_reading_ambiguous_and_not_a_wrong_pose(paper_ca
     assert len(kept) == 0
 
 
-def test_the_plain_simulator_and_the_sensor_agree_on_where_a_disc_is(pinhole, five, paper_camera):
+def test_the_plain_simulator_and_the_sensor_agree_on_where_a_disc_is(five, paper_camera):
     rng = np.random.default_rng(0)
     for _ in range(5):
-        pose = Pose(*look_at(rng, pinhole, rng.uniform(1.5, 6.0), 0.5, 130.0))
-        frames = frames_of(pinhole, five, pose, rng, look=Look(noise=0.0))
+        pose = Pose(*look_at(rng, PAPER, rng.uniform(1.5, 6.0), 0.5, 130.0))
+        frames = frames_of(PAPER, five, pose, rng, Look(noise=0.0))
         spots = find_spots(frames).centroids_px
         wanted = predict_spots(paper_camera, five, pose)
         apart = np.linalg.norm(wanted[:, None] - spots[None], axis=2).min(axis=1)
@@ -96,12 +81,12 @@ def test_the_plain_simulator_and_the_sensor_agree_on_where_a_disc_is(pinhole, fi
 
 @pytest.mark.requirement("RV-REFL-1")
 @pytest.mark.parametrize("hidden", [(1, 0), (1, 2), (1, 3), (0, 3)])
-def test_three_of_five_are_never_a_wrong_pose(pinhole, five, paper_camera, hidden):
+def test_three_of_five_are_never_a_wrong_pose(five, paper_camera, hidden):
     rng = np.random.default_rng(1)
     acquirer, statuses = Acquirer(paper_camera, [five]), []
     for _ in range(12):
-        pose = Pose(*look_at(rng, pinhole, rng.uniform(1.5, 6.0), 0.5, 130.0))
-        found = acquirer.acquire(find_spots(frames_of(pinhole, five, pose, rng, hidden)))
+        pose = Pose(*look_at(rng, PAPER, rng.uniform(1.5, 6.0), 0.5, 130.0))
+        found = acquirer.acquire(find_spots(frames_of(PAPER, five, pose, rng, hidden=hidden)))
         statuses.append(found.status)
         if found.refined is not None:
             assert not wrong(found.refined.camera_from_target, pose)
@@ -109,11 +94,11 @@ def test_three_of_five_are_never_a_wrong_pose(pinhole, five, paper_camera, hidde
 
 
 def test_the_other_poses_of_the_same_spots_make_it_ambiguous_and_a_prior_chooses(
-    pinhole, five, paper_camera
+    five, paper_camera
 ):
     rng = np.random.default_rng(2)
     pose = pose_of(SixNumbers(3.0, 0.03, -0.02, 0.2, 0.3, -0.2), five)
-    spots = find_spots(frames_of(pinhole, five, pose, rng, (1, 2)))
+    spots = find_spots(frames_of(PAPER, five, pose, rng, hidden=(1, 2)))
     acquirer = Acquirer(paper_camera, [five])
     found = acquirer.acquire(spots)
     assert found.status is Status.AMBIGUOUS
@@ -122,9 +107,7 @@ def test_the_other_poses_of_the_same_spots_make_it_ambiguous_and_a_prior_chooses
     assert chosen.refined.camera_from_target.angle_to(pose) < 0.02
 
 
-def test_a_wrong_track_is_left_within_three_readings_of_all_reflectors_in_view(
-    pinhole, five, paper_camera
-):
+def test_a_wrong_track_is_left_within_three_readings_of_all_reflectors_in_view(five, paper_camera):
     rng = np.random.default_rng(3)
     truth = pose_of(SixNumbers(3.0, 0.03, -0.02, 0.2, 0.35, -0.2), five)
     seen = np.array([0, 2, 3])
@@ -134,7 +117,7 @@ def test_a_wrong_track_is_left_within_three_readings_of_all_reflectors_in_view(
     statuses = []
     for k in range(1, 9):
         hidden = (1, 4) if k < 5 else ()
-        reading = sensor.update(0.1 * k, frames_of(pinhole, five, truth, rng, hidden))
+        reading = sensor.update(0.1 * k, frames_of(PAPER, five, truth, rng, hidden=hidden))
         statuses.append(reading.status)
         if k > 5:
             assert reading.pose is not None
@@ -143,14 +126,14 @@ def test_a_wrong_track_is_left_within_three_readings_of_all_reflectors_in_view(
     assert Status.AMBIGUOUS in statuses  # that of the reading that says so
 
 
-def test_an_outer_reflector_that_is_larger_tells_the_roll(pinhole, three, paper_camera):
+def test_an_outer_reflector_that_is_larger_tells_the_roll(three, paper_camera):
     rng = np.random.default_rng(4)
     for ratio in (1.5, 3.0):
         pattern = replace(three, diameters_m=np.array([0.015, 0.015, 0.015 * ratio]))
         for roll in (0.3, 2.8):
             pose = pose_of(SixNumbers(2.0, 0.03, -0.02, roll, 0.1, -0.2), three)
             found = Acquirer(paper_camera, [pattern]).acquire(
-                find_spots(frames_of(pinhole, pattern, pose, rng))
+                find_spots(frames_of(PAPER, pattern, pose, rng))
             )
             assert found.status is Status.OK, found.reason
             assert not found.roll_ambiguous
@@ -234,9 +217,9 @@ def test_near_by_a_beam_and_the_tilt_make_discs_unlike_and_all_are_found(
     picture, three, paper_camera
 ):
     """At 0.8 m the outer discs are half as bright as the post's, and one 1.4 times the other."""
-    rng, camera = np.random.default_rng(3), Pinhole(512, 384, 651.975, 255.5, 191.5)
+    rng = np.random.default_rng(3)
     for _ in range(12):
-        truth = Pose(*look_at(rng, camera, 0.8, 0.5, 187.0))
+        truth = Pose(*look_at(rng, PAPER, 0.8, 0.5, 187.0))
         sensor, reading = ReflectorSensor(paper_camera, [three]), None
         for k in range(2):
             reading = sensor.update(0.1 * k, picture(three, truth, rng))
@@ -288,11 +271,11 @@ def test_a_roll_that_happens_to_be_right_is_known_once_the_near_group_was_seen_t
 
 def test_discs_as_faint_as_the_threshold_are_found(picture, three, paper_camera):
     """They fall to pieces at the threshold of single pixels."""
-    rng, camera = np.random.default_rng(3), Pinhole(512, 384, 651.975, 255.5, 191.5)
+    rng = np.random.default_rng(3)
     sensor = ReflectorSensor(paper_camera, [three], tracking=TrackingOptions(confirm=False))
     in_pieces = 0
     for _ in range(12):
-        truth = Pose(*look_at(rng, camera, 0.8, 0.5, 187.0))
+        truth = Pose(*look_at(rng, PAPER, 0.8, 0.5, 187.0))
         frames = picture(three, truth, rng, peak_grey=40.0)
         in_pieces += (
             Acquirer(paper_camera, [three]).acquire(find_spots(frames)).status is Status.NOT_FOUND
@@ -318,7 +301,7 @@ def test_discs_as_faint_as_the_threshold_are_found(picture, three, paper_camera)
     ],
 )
 def test_a_group_that_is_left_out_is_not_read_as_the_named_one(
-    paper_camera, pinhole, given, there, range_m, status
+    paper_camera, given, there, range_m, status
 ):
     target = Target.load(CLIENT)
     seen, named = (patterns_of(target, (name,)) for name in (there, given))
@@ -327,15 +310,13 @@ def test_a_group_that_is_left_out_is_not_read_as_the_named_one(
     rng = np.random.default_rng(3)
     pose = pose_of(SixNumbers(range_m, 0.02, -0.03, 0.3, 0.1, -0.05), seen[0])
     for k in range(6):
-        reading = sensor.update(0.1 * k, frames_of(pinhole, seen[0], pose, rng))
+        reading = sensor.update(0.1 * k, frames_of(PAPER, seen[0], pose, rng))
     assert reading.status is status
     if given != there:
         assert f"the group {there!r}, which is left out" in (reading.reason or reading.note)
 
 
-def test_a_group_that_is_left_out_is_compared_again_as_the_target_comes_nearer(
-    paper_camera, pinhole
-):
+def test_a_group_that_is_left_out_is_compared_again_as_the_target_comes_nearer(paper_camera):
     target = Target.load(CLIENT)
     far, near = patterns_of(target)
     ends = {}
@@ -345,7 +326,7 @@ def test_a_group_that_is_left_out_is_compared_again_as_the_target_comes_nearer(
         rng, readings = np.random.default_rng(3), []
         for k, range_m in enumerate(np.geomspace(first_m, last_m, 24)):
             pose = pose_of(SixNumbers(range_m, 0.02, -0.03, 0.3, 0.1, -0.05), seen)
-            readings.append(sensor.update(0.1 * k, frames_of(pinhole, seen, pose, rng)))
+            readings.append(sensor.update(0.1 * k, frames_of(PAPER, seen, pose, rng)))
         assert "which is left out, fits these spots as well" in readings[2].note
         ends[named.name] = readings[-1]
     assert ends["near"].pose is None

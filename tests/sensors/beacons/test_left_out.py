@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.plain_pictures import Look, Pinhole, discs, pair
+from tests.plain_readings import PAPER, frames_of
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.beacons import (
     Acquirer,
-    LitDark,
     ReflectorPattern,
     ReflectorSensor,
     SixNumbers,
@@ -25,20 +24,11 @@ from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOpti
 from rendezview.sensors.observation import Status
 
 CLIENT = Path(__file__).resolve().parents[3] / "models_cad" / "client"
-PINHOLE = Pinhole(focal_px=651.975)
 
 
 @pytest.fixture(scope="module")
 def groups():
     return {pattern.name: pattern for pattern in patterns_of(Target.load(CLIENT))}
-
-
-def frames_of(pattern, pose, rng, hidden=()):
-    light = discs(
-        PINHOLE, pose.rotation, pose.translation_m, pattern.positions_m, pattern.normals,
-        pattern.diameters_m, Look(), hidden,
-    )  # fmt: skip
-    return LitDark(*pair(PINHOLE, light, Look(), rng))
 
 
 def at(pattern, range_m):
@@ -54,13 +44,13 @@ def test_a_group_that_is_left_out_is_compared_when_the_target_is_found_again(
     sensor = ReflectorSensor(paper_camera, [near], acquisition=AcquisitionOptions(left_out=(far,)))
     rng = np.random.default_rng(4)
     for k in range(3):
-        reading = sensor.update(0.1 * k, frames_of(far, at(far, 8.0), rng))
+        reading = sensor.update(0.1 * k, frames_of(PAPER, far, at(far, 8.0), rng))
     assert reading.status is Status.OK
     for k in range(3, 12):  # covered for longer than windows are kept, and nearer meanwhile
-        reading = sensor.update(0.1 * k, frames_of(far, at(far, 8.0), rng, (0, 1, 2)))
+        reading = sensor.update(0.1 * k, frames_of(PAPER, far, at(far, 8.0), rng, hidden=(0, 1, 2)))
     assert reading.pose is None
     assert not sensor.is_tracking
-    reading = sensor.update(1.2, frames_of(far, at(far, back_m), rng))
+    reading = sensor.update(1.2, frames_of(PAPER, far, at(far, back_m), rng))
     assert reading.status is status
     assert "the group 'far', which is left out" in (reading.reason or reading.note)
 
@@ -68,7 +58,7 @@ def test_a_group_that_is_left_out_is_compared_when_the_target_is_found_again(
 def test_every_group_that_fits_as_well_is_told(paper_camera, groups):
     far, near = groups["far"], groups["near"]
     options = AcquisitionOptions(left_out=(far, replace(far, name="twin")))
-    frames = frames_of(far, at(far, 8.0), np.random.default_rng(4))
+    frames = frames_of(PAPER, far, at(far, 8.0), np.random.default_rng(4))
     found = Acquirer(paper_camera, [near], options).acquire(find_spots(frames))
     assert found.status is Status.OK
     assert "'far'" in found.note
@@ -82,7 +72,7 @@ def test_a_group_that_is_left_out_counts_though_two_of_its_poses_show_the_spots(
     there = ReflectorPattern("there", names, places, normals, np.full(3, 0.030))
     named = ReflectorPattern("named", names, 0.5 * places, normals, np.full(3, 0.0165))
     pose = pose_of(SixNumbers(2.0, 0.02, -0.03, 0.3, 0.22, -0.2), there)
-    spots = find_spots(frames_of(there, pose, np.random.default_rng(4)))
+    spots = find_spots(frames_of(PAPER, there, pose, np.random.default_rng(4)))
     half = Pose(pose.rotation, 0.5 * pose.translation_m)
     assert Acquirer(paper_camera, [there]).acquire(spots).status is Status.AMBIGUOUS
     assert Acquirer(paper_camera, [named]).acquire(spots, half).status is Status.OK

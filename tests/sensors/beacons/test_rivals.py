@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.plain_pictures import Look, Pinhole, discs, look_at, pair
+from tests.plain_pictures import Pinhole, look_at
+from tests.plain_readings import HALF_TURN, PAPER, frames_of
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -26,16 +27,6 @@ from rendezview.sensors.beacons import (
 )
 from rendezview.sensors.observation import Status
 
-PINHOLE = Pinhole(focal_px=651.975)
-
-
-def frames_of(pattern, pose, rng, hidden=(), false=None):
-    light = discs(
-        PINHOLE, pose.rotation, pose.translation_m, pattern.positions_m, pattern.normals,
-        pattern.diameters_m, Look(), hidden,
-    )  # fmt: skip
-    return LitDark(*pair(PINHOLE, light, Look(), rng, false=false))
-
 
 def scaled(pattern, factor):
     return replace(
@@ -50,7 +41,7 @@ def test_a_group_of_the_same_shape_at_another_range_is_a_rival(three, paper_came
     acquirer = Acquirer(paper_camera, [three, near])
     for range_m in (7.0, 8.0, 9.0, 10.0):
         pose = pose_of(SixNumbers(range_m, 0.02, -0.03, 0.3, 0.1, -0.05), three)
-        spots = find_spots(frames_of(three, pose, rng))
+        spots = find_spots(frames_of(PAPER, three, pose, rng))
         found = acquirer.acquire(spots)
         assert found.status is Status.AMBIGUOUS, range_m
         chosen = acquirer.acquire(spots, pose.perturbed([0.02, 0.0, 0.0, 0.0, 0.0, 0.3]))
@@ -63,7 +54,8 @@ def test_both_groups_in_view_are_no_rivals(three, paper_camera):
     near = replace(near, positions_m=near.positions_m + np.array([0.0, 0.2, 0.0]))
     both = Acquirer(paper_camera, [three, near]).constellation
     pose = pose_of(SixNumbers(2.5, 0.02, -0.03, 0.3, 0.1, -0.05), three)
-    found = Acquirer(paper_camera, [three, near]).acquire(find_spots(frames_of(both, pose, rng)))
+    spots = find_spots(frames_of(PAPER, both, pose, rng))
+    found = Acquirer(paper_camera, [three, near]).acquire(spots)
     assert found.status is Status.OK
     assert found.refined.camera_from_target.angle_to(pose) < 0.02
 
@@ -72,21 +64,21 @@ def glint_run(three, paper_camera, step_px):
     """Readings while a reflector is covered and a glint like it moves away from its place."""
     rng, sensor = np.random.default_rng(3), ReflectorSensor(paper_camera, [three])
     pose = pose_of(SixNumbers(3.0, 0.03, -0.02, 0.2, 0.15, -0.1), three)
-    place = PINHOLE.project(pose.apply(three.positions_m))[1]
+    place = PAPER.project(pose.apply(three.positions_m))[1]
     for k in range(26):
         covered = (1,) if 12 <= k < 17 else ()
         at = place + max(k - 11, 0) * np.array(step_px)
         false = np.array([[*at, 1.55, 180.0]]) if covered else None
-        yield sensor.update(0.2 * k, frames_of(three, pose, rng, covered, false)), pose
+        frames = frames_of(PAPER, three, pose, rng, hidden=covered, false=false)
+        yield sensor.update(0.2 * k, frames), pose
 
 
 @pytest.mark.parametrize("step_px", [(2.0, 1.0), (0.0, -3.0), (-4.0, 0.0)])
 def test_a_glint_in_place_of_a_reflector_is_not_followed(three, paper_camera, step_px):
     readings = list(glint_run(three, paper_camera, step_px))
-    half_turn = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     for reading, pose in readings:
         if reading.pose is not None:
-            off = min(reading.pose.angle_to(pose), reading.pose.angle_to(pose @ half_turn))
+            off = min(reading.pose.angle_to(pose), reading.pose.angle_to(pose @ HALF_TURN))
             assert off < math.radians(5.0)
     statuses = [reading.status for reading, _ in readings]
     assert statuses[1:12] == [Status.OK] * 11
@@ -99,15 +91,15 @@ def test_a_glint_that_creeps_away_from_a_covered_reflector_is_no_pose(three, pap
     """It never jumps; light tells the dim one, and motion the other while that is known."""
     rng, sensor = np.random.default_rng(6), ReflectorSensor(paper_camera, [three])
     pose = pose_of(SixNumbers(3.0, 0.03, -0.02, 0.2, 0.15, -0.1), three)
-    half_turn = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
-    place = PINHOLE.project(pose.apply(three.positions_m))[1]
+    place = PAPER.project(pose.apply(three.positions_m))[1]
     for k in range(30):
         covered = (1,) if k >= 12 else ()
         at = place + 1.0 * max(k - 11, 0) * np.array([0.8, -0.6])
         false = np.array([[*at, 1.55, grey]]) if covered else None
-        reading = sensor.update(0.2 * k, frames_of(three, pose, rng, covered, false))
+        frames = frames_of(PAPER, three, pose, rng, hidden=covered, false=false)
+        reading = sensor.update(0.2 * k, frames)
         if reading.pose is not None:
-            off = min(reading.pose.angle_to(pose), reading.pose.angle_to(pose @ half_turn))
+            off = min(reading.pose.angle_to(pose), reading.pose.angle_to(pose @ HALF_TURN))
             assert off < math.radians(5.0)
         assert not (k >= 12 and grey < 150.0 and reading.pose is not None)
 
@@ -118,12 +110,13 @@ def test_a_glint_that_was_one_with_a_covered_reflector_is_not_found_in_its_place
     """While both shine their spot is no reflector's; the one that is left may be either."""
     rng, sensor = np.random.default_rng(7), ReflectorSensor(paper_camera, [three])
     pose = pose_of(SixNumbers(3.5, 0.03, -0.02, 0.2, 0.15, -0.1), three)
-    place, statuses = PINHOLE.project(pose.apply(three.positions_m))[1], []
+    place, statuses = PAPER.project(pose.apply(three.positions_m))[1], []
     for k in range(16):
         covered = (1,) if k >= 6 else ()
         at = place + (k - 4.0) * np.array([0.6, -0.4]) + (1.0, 1.0)
         false = np.array([[*at, 1.55, 180.0]])
-        statuses.append(sensor.update(0.2 * k, frames_of(three, pose, rng, covered, false)).status)
+        frames = frames_of(PAPER, three, pose, rng, hidden=covered, false=false)
+        statuses.append(sensor.update(0.2 * k, frames).status)
     assert statuses[5] is not Status.OK
     assert Status.UNCONFIRMED in statuses[6:]  # it passes for the target
     assert Status.OK not in statuses[6:]
@@ -136,10 +129,10 @@ def test_a_known_target_is_not_found_with_other_dots(three, paper_camera):
     for known in (False, True):
         sensor = ReflectorSensor(paper_camera, [three])
         for k in range(2 if known else 0):
-            reading = sensor.update(0.2 * k, frames_of(three, pose, rng))
+            reading = sensor.update(0.2 * k, frames_of(PAPER, three, pose, rng))
             assert k == 0 or reading.status is Status.OK
         for k in range(2, 10):
-            sensor.update(0.2 * k, frames_of(larger, pose, rng))
+            sensor.update(0.2 * k, frames_of(PAPER, larger, pose, rng))
         assert (sensor.patterns[0] is three) == known
 
 
@@ -161,9 +154,9 @@ def test_a_mirrored_picture_of_four_dots_has_no_pose_and_says_why(paper_camera, 
     rng = np.random.default_rng(4)
     for _ in range(3):
         sensor = ReflectorSensor(paper_camera, [FOUR])
-        pose = Pose(*look_at(rng, PINHOLE, 1.5, 0.4, 130.0))
+        pose = Pose(*look_at(rng, PAPER, 1.5, 0.4, 130.0))
         for k in range(2):
-            frames = frames_of(FOUR, pose, rng)
+            frames = frames_of(PAPER, FOUR, pose, rng)
             if flipped:
                 frames = LitDark(frames.lit[:, ::-1].copy(), frames.dark[:, ::-1].copy())
             reading = sensor.update(0.1 * k, frames)
@@ -175,7 +168,7 @@ def test_a_mirrored_picture_of_a_flat_card_with_unlike_dots_says_why(paper_camer
     rng = np.random.default_rng(5)
     card = pattern_of([[-0.09, 0, 0], [0.02, 0.06, 0], [0.09, 0, 0]], [0.016, 0.016, 0.024])
     pose = pose_of(SixNumbers(1.2, 0.0, 0.0, 0.2, 0.3, -0.2), card)
-    frames = frames_of(card, pose, rng)
+    frames = frames_of(PAPER, card, pose, rng)
     sensor = ReflectorSensor(paper_camera, [card])
     reading = sensor.update(0.0, LitDark(frames.lit[:, ::-1].copy(), frames.dark[:, ::-1].copy()))
     assert reading.pose is None

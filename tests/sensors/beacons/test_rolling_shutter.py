@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests import plain_pictures as plain
+from tests.plain_readings import CAMERA, PINHOLE, frames_of
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
-from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions
+from rendezview.sensors.beacons import ReflectorSensor, TrackingOptions
 from rendezview.sensors.beacons.detect.rolling_shutter import at_middle_row
 from rendezview.sensors.beacons.detect.spot_columns import COLUMNS, SIGMA, X, Y
 
-PINHOLE = plain.Pinhole()
-CAMERA = Camera(512, 384, 650.0, 650.0, 255.5, 191.5)
 READOUT_S, STEP_S, TURN = 0.033, 0.1, np.radians(20.0)
 START = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.03, -0.05, 2.0]))
 
@@ -33,10 +33,8 @@ def pictures(five, time_s, rng):
             pose = pose_at(time_s + late)
             places[k], normals[k] = pose.apply(five.positions_m[k]), pose.rotation @ five.normals[k]
             late = READOUT_S * (PINHOLE.project(places[k : k + 1])[0, 1] / 383.0 - 0.5)
-    look = plain.Look(even=True)
-    discs = (places, normals, five.diameters_m)
-    light = plain.discs(PINHOLE, np.eye(3), np.zeros(3), *discs, look)
-    return LitDark(*plain.pair(PINHOLE, light, look, rng))
+    seen = replace(five, positions_m=places, normals=normals)
+    return frames_of(PINHOLE, seen, Pose.identity(), rng, plain.Look(even=True))
 
 
 def test_a_turning_target_is_off_by_what_its_pose_claims(five):

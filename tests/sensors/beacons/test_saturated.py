@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests import plain_pictures as plain
+from tests.plain_readings import HALF_TURN, PAPER, frames_of
 
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
-from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions
-
-PINHOLE = plain.Pinhole(focal_px=651.975)
+from rendezview.sensors.beacons import ReflectorSensor, TrackingOptions
 
 
 def run_over(picture, rng):
@@ -32,20 +33,16 @@ def test_poses_of_saturated_discs_are_as_near_as_they_claim(three, paper_camera,
     """Mean normalised error squared of six numbers: 6, within chance of 24 readings."""
     rng, errors = np.random.default_rng(12), []
     look = plain.Look(peak=500.0, even=even)
-    half_turn = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     for range_m in np.tile([0.8, 1.5, 3.0, 6.0], 6):
-        margin_px = min(20.0 + 0.25 * PINHOLE.focal_px / range_m, 186.0)
-        truth = Pose(*plain.look_at(rng, PINHOLE, range_m, 0.5, margin_px))
-        light = plain.discs(
-            PINHOLE, truth.rotation, truth.translation_m, three.positions_m, three.normals,
-            three.diameters_m, look,
-        )  # fmt: skip
-        lit, dark = plain.pair(PINHOLE, light, look, rng)
-        frames = LitDark(run_over(lit, rng) if runs_over else lit, dark)
+        margin_px = min(20.0 + 0.25 * PAPER.focal_px / range_m, 186.0)
+        truth = Pose(*plain.look_at(rng, PAPER, range_m, 0.5, margin_px))
+        frames = frames_of(PAPER, three, truth, rng, look)
+        if runs_over:
+            frames = replace(frames, lit=run_over(frames.lit, rng))
         sensor = ReflectorSensor(paper_camera, [three], tracking=TrackingOptions(confirm=False))
         reading = sensor.update(0.0, frames)
         assert reading.pose is not None
-        near = min((truth, truth @ half_turn), key=reading.pose.angle_to)
+        near = min((truth, truth @ HALF_TURN), key=reading.pose.angle_to)
         off = np.append(
             between(reading.pose.rotation, near.rotation),
             reading.pose.translation_m - near.translation_m,

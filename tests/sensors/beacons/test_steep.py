@@ -7,18 +7,14 @@ import math
 import numpy as np
 import pytest
 from tests import plain_pictures as plain
+from tests.plain_readings import CAMERA, HALF_TURN, PINHOLE, frames_of
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, predict_spots
+from rendezview.sensors.beacons import ReflectorSensor, TrackingOptions, predict_spots
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.beacons.pose.refinement import refine
 from rendezview.sensors.observation import Status
-
-PINHOLE = plain.Pinhole()
-CAMERA = Camera(512, 384, 650.0, 650.0, 255.5, 191.5)
-HALF_TURN = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 
 
 def outcomes(pattern, tilts_deg, count, rng, options=None):
@@ -26,17 +22,14 @@ def outcomes(pattern, tilts_deg, count, rng, options=None):
     right, wrong = 0, 0
     least, most = np.radians(tilts_deg)
     for _ in range(count):
-        placed = plain.look_at(rng, PINHOLE, 3.0, most, 150.0, least)
-        discs = (pattern.positions_m, pattern.normals, pattern.diameters_m)
-        light = plain.discs(PINHOLE, *placed, *discs, plain.Look())
-        frames = LitDark(*plain.pair(PINHOLE, light, plain.Look(), rng))
+        truth = Pose(*plain.look_at(rng, PINHOLE, 3.0, most, 150.0, least))
+        frames = frames_of(PINHOLE, pattern, truth, rng)
         sensor = ReflectorSensor(
             CAMERA, [pattern], acquisition=options, tracking=TrackingOptions(confirm=False)
         )
         found = sensor.update(0.0, frames)
         if found.pose is None:
             continue
-        truth = Pose(*placed)
         near = min(found.pose.angle_to(pose) for pose in (truth, truth @ HALF_TURN))
         right, wrong = right + (near < 0.09), wrong + (near >= 0.09)
     return right, wrong
@@ -79,10 +72,8 @@ def test_few_spots_of_a_steep_target_are_no_pose(five):
     """Three of five, tilted by 65°: false spots may show that, too."""
     rng, statuses = np.random.default_rng(55), []
     for _ in range(6):
-        placed = plain.look_at(rng, PINHOLE, 3.0, 1.2, 150.0, 1.1)
-        discs = (five.positions_m, five.normals, five.diameters_m)
-        light = plain.discs(PINHOLE, *placed, *discs, plain.Look(), (3,))
-        frames = LitDark(*plain.pair(PINHOLE, light, plain.Look(), rng))
+        pose = Pose(*plain.look_at(rng, PINHOLE, 3.0, 1.2, 150.0, 1.1))
+        frames = frames_of(PINHOLE, five, pose, rng, hidden=(3,))
         sensor = ReflectorSensor(CAMERA, [five], tracking=TrackingOptions(confirm=False))
         statuses.append(sensor.update(0.0, frames).status)
     assert Status.OK not in statuses

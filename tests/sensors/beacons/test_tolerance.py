@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from tests.plain_pictures import Look, Pinhole, discs, eight_bits, look_at, pair
+from tests.plain_pictures import Look, eight_bits, look_at, pair
+from tests.plain_readings import PAPER, frames_of, light_of
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
@@ -31,26 +33,13 @@ from rendezview.sensors.beacons.tolerance import fit_dots, scaled
 SIX = SixNumbers(2.0, 0.02, -0.03, 0.3, 0.2, -0.15)
 
 
-@pytest.fixture(scope="module")
-def pinhole(paper_camera):
-    c = paper_camera
-    return Pinhole(c.width, c.height, c.fx, c.cx, c.cy)
-
-
-def light_of(pinhole, pattern, pose, look, factor=1.0):
-    return discs(
-        pinhole, pose.rotation, pose.translation_m, pattern.positions_m, pattern.normals,
-        factor * pattern.diameters_m, look,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("factor", [0.8, 1.12, 1.25])
-def test_dots_of_another_diameter_are_found_and_told(pinhole, three, paper_camera, factor):
+def test_dots_of_another_diameter_are_found_and_told(three, paper_camera, factor):
     rng, look, pose = np.random.default_rng(0), Look(), pose_of(SIX, three)
     sensor, reading = ReflectorSensor(paper_camera, [three]), None
+    dots = replace(three, diameters_m=factor * three.diameters_m)
     for k in range(4):
-        frames = LitDark(*pair(pinhole, light_of(pinhole, three, pose, look, factor), look, rng))
-        reading = sensor.update(0.1 * k, frames)
+        reading = sensor.update(0.1 * k, frames_of(PAPER, dots, pose, rng, look))
     assert reading.pose.angle_to(pose) < 0.01
     told = re.fullmatch(
         r"dots measure (\d+) % (larger|smaller) than target.toml says", reading.note
@@ -60,21 +49,20 @@ def test_dots_of_another_diameter_are_found_and_told(pinhole, three, paper_camer
     assert reading.record()["note"] == reading.note
 
 
-def test_dots_of_the_right_diameter_are_not_told(pinhole, three, paper_camera):
+def test_dots_of_the_right_diameter_are_not_told(three, paper_camera):
     rng, pose = np.random.default_rng(5), pose_of(SIX, three)
     for look in (Look(), Look(blur=0.85), Look(even=True), Look(peak=400.0)):
         sensor = ReflectorSensor(paper_camera, [three])
         for k in range(4):
-            frames = LitDark(*pair(pinhole, light_of(pinhole, three, pose, look), look, rng))
-            reading = sensor.update(0.1 * k, frames)
+            reading = sensor.update(0.1 * k, frames_of(PAPER, three, pose, rng, look))
         assert reading.pose is not None
         assert reading.note is None
 
 
-def test_another_blur_is_found(pinhole, three, paper_camera):
+def test_another_blur_is_found(three, paper_camera):
     rng, look = np.random.default_rng(1), Look(blur=2.5)
     pose = pose_of(SixNumbers(4.0, 0.0, 0.0, 0.3, 0.1, 0.1), three)
-    frames = LitDark(*pair(pinhole, light_of(pinhole, three, pose, look), look, rng))
+    frames = frames_of(PAPER, three, pose, rng, look)
     fitted = fit_dots(paper_camera, [three], AcquisitionOptions(), find_spots(frames))
     assert fitted.options.blur_px == pytest.approx(2.5, rel=0.12)
     assert fitted.found.refined.camera_from_target.translation_m[2] == pytest.approx(4.0, rel=0.02)
@@ -82,10 +70,10 @@ def test_another_blur_is_found(pinhole, three, paper_camera):
     assert scaled([three], 2.0)[0].diameters_m[0] == 2.0 * three.diameters_m[0]
 
 
-def test_black_dots_on_a_white_card_in_a_room_lit_from_one_side(pinhole, three, paper_camera):
+def test_black_dots_on_a_white_card_in_a_room_lit_from_one_side(three, paper_camera):
     rng, look, pose = np.random.default_rng(2), Look(even=True, black=0.0), pose_of(SIX, three)
-    shade = light_of(pinhole, three, pose, look) / look.peak
-    room = np.linspace(120.0, 230.0, pinhole.width)[None, :] * (1.0 - 0.85 * shade)
+    shade = light_of(PAPER, three, pose, look) / look.peak
+    room = np.linspace(120.0, 230.0, PAPER.width)[None, :] * (1.0 - 0.85 * shade)
     sensor, readings = ReflectorSensor(paper_camera, [three]), []
     for k in range(4):
         frames = LitDark(eight_bits(room, look, rng)).inverted()
@@ -94,17 +82,17 @@ def test_black_dots_on_a_white_card_in_a_room_lit_from_one_side(pinhole, three, 
     assert readings[-1].pose.angle_to(pose) < 0.02
 
 
-def test_black_dots_on_a_card_on_a_darker_desk_are_followed(pinhole, three, paper_camera):
+def test_black_dots_on_a_card_on_a_darker_desk_are_followed(three, paper_camera):
     """The windows reach over the card's edges; JPEG hides the noise of neighbouring pixels."""
     rng, look = np.random.default_rng(4), Look(even=True, black=0.0)
     sensor, readings = ReflectorSensor(paper_camera, [three]), []
     for k in range(8):
         pose = pose_of(SixNumbers(1.6 - 0.02 * k, 0.02, -0.03, 0.05, 0.2, -0.15), three)
-        shade = light_of(pinhole, three, pose, look) / look.peak
+        shade = light_of(PAPER, three, pose, look) / look.peak
         place = pose.apply(three.centre_m)
-        middle = pinhole.cy + pinhole.focal_px * place[1] / place[2]
-        rows = np.abs(np.arange(pinhole.height) - middle)[:, None]
-        room = np.where(rows < 26.0, 220.0, np.linspace(90.0, 130.0, pinhole.width)[None, :])
+        middle = PAPER.cy + PAPER.focal_px * place[1] / place[2]
+        rows = np.abs(np.arange(PAPER.height) - middle)[:, None]
+        room = np.where(rows < 26.0, 220.0, np.linspace(90.0, 130.0, PAPER.width)[None, :])
         grey = eight_bits(room * (1.0 - 0.85 * shade), look, rng)
         _, coded = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 90])
         frames = LitDark(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE)).inverted()
@@ -138,7 +126,7 @@ def test_faint_stars_are_found_and_noise_is_not():
 
 
 @pytest.mark.parametrize("shown", [(1,), (2,), (1, 2)])
-def test_two_cards_of_unlike_dots_are_told_apart(tmp_path, pinhole, paper_camera, shown):
+def test_two_cards_of_unlike_dots_are_told_apart(tmp_path, paper_camera, shown):
     """Each is found where it is, and never the other in its place."""
     cards = {}
     for code in (1, 2):
@@ -149,12 +137,12 @@ def test_two_cards_of_unlike_dots_are_told_apart(tmp_path, pinhole, paper_camera
     for _ in range(4):
         look, light, truths = Look(even=True), None, {}
         for code in shown:
-            truth = Pose(*look_at(rng, pinhole, rng.uniform(1.0, 1.3), 0.4, 90.0))
+            truth = Pose(*look_at(rng, PAPER, rng.uniform(1.0, 1.3), 0.4, 90.0))
             aside = np.array([0.0, 0.16 * (2 * code - 3), truth.translation_m[2]])
             truths[code] = Pose(truth.rotation, aside)  # one above the other
-            own = light_of(pinhole, cards[code], truths[code], look)
+            own = light_of(PAPER, cards[code], truths[code], look)
             light = own if light is None else light + own
-        frames = LitDark(*pair(pinhole, light, look, rng))
+        frames = LitDark(*pair(PAPER, light, look, rng))
         for code, card in cards.items():
             sensor = ReflectorSensor(paper_camera, [card])
             reading = [sensor.update(0.1 * k, frames) for k in range(2)][-1]
