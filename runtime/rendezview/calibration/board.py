@@ -125,7 +125,6 @@ def calibrate_board(
     *,
     free: tuple[str, ...] = OPENCV_FIVE,
     corrects: bool = False,
-    board_sigma_m: float | None = None,
 ) -> BoardCalibration:
     """Cameras, lenses and their places from a board; the rig frame is the first camera's.
 
@@ -134,7 +133,6 @@ def calibrate_board(
         free: which intrinsics to adjust, from `rendezview.calibration.bundle.INTRINSICS`, or "f"
             for one focal length instead of "fx" and "fy".
         corrects: the lens in the paper's sense (measured to ideal) in place of OpenCV's.
-        board_sigma_m: how far the corners may be from their nominal places; None: exact.
 
     Raises:
         RendezviewError: too few views, or views that do not determine the parameters.
@@ -147,7 +145,7 @@ def calibrate_board(
     used = [v for v, pose in enumerate(poses) if pose is not None]
     bundle = Bundle(
         cameras, tuple(poses[v] for v in used), points, (free,) * len(cameras),  # type: ignore[misc]
-        (False, *([True] * (len(cameras) - 1))), (True,) * len(used), board_sigma_m,
+        (False, *([True] * (len(cameras) - 1))), (True,) * len(used),
     )  # fmt: skip
     seen = _observations(views, range(len(cameras)), used)
     together = adjust(bundle, seen).scaled()

@@ -42,17 +42,15 @@ Counts = npt.NDArray[np.int64]
 MAX_ROOTS = 4  # poses. Source: Persson & Nordberg 2018, two conics meet in four points
 # residual, in squares of the longest side, that a root of exact rays keeps below. Source: by
 # construction, rounding
-EXACT = 1e-11
+_EXACT = 1e-11
 
 
-def solve_p3p(rays: npt.ArrayLike, points_m: npt.ArrayLike, residual: float = EXACT) -> list[Pose]:
+def solve_p3p(rays: npt.ArrayLike, points_m: npt.ArrayLike) -> list[Pose]:
     """All poses ``camera_from_target`` of three points seen along three rays.
 
     Args:
         rays: (3, 3) one ray a row, camera frame, any length.
         points_m: (3, 3) one point a row, target frame, not on one line.
-        residual: largest error of a squared side over the longest side squared. Where noise has
-            made two poses meet and vanish, a larger one keeps the point nearest to them.
 
     Returns:
         At most four poses with every point in front of the camera centre (along its ray);
@@ -70,13 +68,11 @@ def solve_p3p(rays: npt.ArrayLike, points_m: npt.ArrayLike, residual: float = EX
     if area <= 1e-9 * float(np.max(np.sum(sides * sides, axis=1))):
         raise ValueError("points must not lie on one line")
     rotations, translations = np.empty((MAX_ROOTS, 3, 3)), np.empty((MAX_ROOTS, 3))
-    count = p3p_roots(given_rays, given_points, residual, rotations, translations)
+    count = p3p_roots(given_rays, given_points, _EXACT, rotations, translations)
     return [Pose(rotations[k], translations[k]) for k in range(count)]
 
 
-def solve_p3p_batch(
-    rays: npt.ArrayLike, points_m: npt.ArrayLike, residual: float = EXACT
-) -> tuple[Array, Array, Counts]:
+def solve_p3p_batch(rays: npt.ArrayLike, points_m: npt.ArrayLike) -> tuple[Array, Array, Counts]:
     """`solve_p3p` for N sets of rays (N, 3, 3) of the same three points (3, 3), or of N (N, 3, 3).
 
     Returns:
@@ -97,7 +93,7 @@ def solve_p3p_batch(
     rotations = np.full((len(given), MAX_ROOTS, 3, 3), np.nan)
     translations = np.full((len(given), MAX_ROOTS, 3), np.nan)
     counts = np.zeros(len(given), np.int64)
-    _batch(given, points, residual, rotations, translations, counts)
+    _batch(given, points, _EXACT, rotations, translations, counts)
     return rotations, translations, counts
 
 
@@ -122,7 +118,11 @@ def _batch(
 def p3p_roots(
     rays: Array, points: Array, residual: float, rotations: Array, translations: Array
 ) -> int:
-    """`solve_p3p` for other compiled code: fills (4, 3, 3) and (4, 3), returns the number."""
+    """`solve_p3p` for other compiled code: fills (4, 3, 3) and (4, 3), returns the number.
+
+    ``residual``: largest error of a squared side over the longest side squared. Where noise has
+    made two poses meet and vanish, a larger one keeps the point nearest to them.
+    """
     n0 = math.sqrt(rays[0, 0] ** 2 + rays[0, 1] ** 2 + rays[0, 2] ** 2)
     n1 = math.sqrt(rays[1, 0] ** 2 + rays[1, 1] ** 2 + rays[1, 2] ** 2)
     n2 = math.sqrt(rays[2, 0] ** 2 + rays[2, 1] ** 2 + rays[2, 2] ** 2)

@@ -66,13 +66,9 @@ def write_c(model: ViewModel, folder: Path) -> list[Path]:
     return [folder / name for name in texts]
 
 
-def model_files(model: ViewModel, options: MatchOptions | None = None) -> tuple[str, str, str]:
-    """The texts of ``MODEL``; without a forest, the last holds no table.
-
-    Args:
-        options: how far around an attitude nodes are asked, as in `Matcher`.
-    """
-    options = options or MatchOptions()
+def model_files(model: ViewModel) -> tuple[str, str, str]:
+    """The texts of ``MODEL``; without a forest, the last holds no table."""
+    options = MatchOptions()  # how far around an attitude nodes are asked, as in `Matcher`
     packed, scores, sphere = pack_forest(model), pack_score_forest(model), model.geodesic
     wide_index = len(packed.bins) > MOST_16_BIT or len(packed.on_leaves) > MOST_16_BIT
     step = int(np.gcd.reduce(packed.bins)) or 1

@@ -137,7 +137,6 @@ class Camera:
         matrix: npt.ArrayLike,
         size: Sequence[int],
         distortion: Sequence[float] = (),
-        lens_model: LensModel = LensModel.OPENCV,
     ) -> Camera:
         """The camera of a (3, 3) matrix K, or its nine numbers row by row, and (width, height) px.
 
@@ -146,7 +145,7 @@ class Camera:
         """
         fx, fy, cx, cy = intrinsics_of(matrix)
         width, height = size
-        return cls(width, height, fx, fy, cx, cy, tuple(distortion), lens_model)
+        return cls(width, height, fx, fy, cx, cy, tuple(distortion))
 
     @classmethod
     def from_fov(cls, width: int, height: int, horizontal_fov_rad: float) -> Camera:

@@ -297,20 +297,20 @@ def _minimal_rotation(a: Array, b: Array, rotation: Array) -> bool:
     return True
 
 
-def nearest_rotation(matrix: npt.ArrayLike, tolerance: float = 1e-3) -> Array:
+def nearest_rotation(matrix: npt.ArrayLike) -> Array:
     """The rotation (3, 3) nearest to a matrix rounded in a file, in the Frobenius norm.
 
     A matrix orthonormal to 1e-12 is returned as it is, so that what we wrote is read unchanged.
 
     Raises:
-        ValueError: not (3, 3), not finite, or further than ``tolerance`` (largest
-            element of ``R Rᵀ - I``) from a rotation: no rounding, but another thing.
+        ValueError: not (3, 3), not finite, or further than 1e-3 (largest element of
+            ``R Rᵀ - I``) from a rotation: no rounding, but another thing.
     """
     given = np.asarray(matrix, dtype=np.float64)
     if given.shape != (3, 3) or not np.isfinite(given).all():
         raise ValueError(f"a rotation must be (3, 3) and finite, not {given.tolist()}")
     error = np.abs(given @ given.T - np.eye(3)).max()
-    if error > tolerance or np.linalg.det(given) < 0.0:
+    if error > 1e-3 or np.linalg.det(given) < 0.0:
         raise ValueError(f"not a rotation (orthonormal, determinant +1): {given.tolist()}")
     if error <= 1e-12:
         return given

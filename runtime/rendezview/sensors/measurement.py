@@ -41,7 +41,7 @@ class PoseMeasurement:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time_s", _checked_time(self.time_s, self.sensor))
-        object.__setattr__(self, "covariance", checked_covariance(self.covariance, 6, self.sensor))
+        object.__setattr__(self, "covariance", _checked_covariance(self.covariance, self.sensor))
         if self.common is not None:
             common = np.array(self.common, dtype=np.float64)
             if common.shape != (6, 6) or not np.isfinite(common).all():
@@ -289,15 +289,15 @@ def _checked_time(time_s: float, sensor: str) -> float:
     return float(time_s)
 
 
-def checked_covariance(covariance: npt.ArrayLike, size: int, sensor: str) -> Array:
+def _checked_covariance(covariance: npt.ArrayLike, sensor: str) -> Array:
     """A covariance as an array, made exactly symmetric.
 
     Raises:
         ValueError: another shape, not finite, or not positive definite.
     """
     matrix = np.array(covariance, dtype=np.float64)
-    if matrix.shape != (size, size) or not np.isfinite(matrix).all():
-        raise ValueError(f"{sensor}: the covariance must be ({size}, {size}) and finite")
+    if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
+        raise ValueError(f"{sensor}: the covariance must be (6, 6) and finite")
     matrix = 0.5 * (matrix + matrix.T)
     try:
         np.linalg.cholesky(matrix)

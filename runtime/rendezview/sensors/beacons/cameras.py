@@ -40,13 +40,12 @@ class SwitchingSensor:
 
     Args:
         cameras: one or more.
-        retry_s: how long a failed camera is left out.
 
     Raises:
         RendezviewError: no cameras, ranges that do not rise, or a gap between them.
     """
 
-    def __init__(self, cameras: list[RangedCamera], *, retry_s: float = _RETRY_S) -> None:
+    def __init__(self, cameras: list[RangedCamera]) -> None:
         if not cameras:
             raise RendezviewError("a switching sensor needs cameras: give one or more")
         ordered = sorted(cameras, key=lambda camera: camera.farthest_m)
@@ -63,7 +62,6 @@ class SwitchingSensor:
                     "let their ranges overlap"
                 )
         self.cameras = ordered
-        self._retry_s = retry_s
         self._active = len(ordered) - 1
         self._out_until_s = [-math.inf] * len(ordered)
         self._empty = 0  # readings in a row without a spot
@@ -81,7 +79,7 @@ class SwitchingSensor:
 
     def fail(self, time_s: float) -> None:
         """The camera in use gives no picture: another one takes over, at the same time."""
-        self._out_until_s[self._active] = time_s + self._retry_s
+        self._out_until_s[self._active] = time_s + _RETRY_S
         self._turn(time_s)
 
     def update(

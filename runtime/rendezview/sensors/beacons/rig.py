@@ -66,9 +66,7 @@ class RigCamera:
             raise ValueError(f"size of camera {self.name!r} must be positive, not {self.size}")
 
     @classmethod
-    def from_camera(
-        cls, name: str, camera: Camera, camera_from_rig: Pose, floor: float = 0.0
-    ) -> RigCamera:
+    def from_camera(cls, name: str, camera: Camera, camera_from_rig: Pose) -> RigCamera:
         """From a camera of OpenCV's model.
 
         Raises:
@@ -81,18 +79,18 @@ class RigCamera:
             )
         return cls(
             name, camera.fx, camera.fy, camera.cx, camera.cy, camera_from_rig,
-            Lens.from_opencv(camera.distortion), (camera.width, camera.height), floor=floor,
+            Lens.from_opencv(camera.distortion), (camera.width, camera.height),
         )  # fmt: skip
 
-    def to_camera(self, tolerance_px: float = 0.01) -> Camera:
+    def to_camera(self) -> Camera:
         """The same as a camera of OpenCV's model, lens refitted where the models differ.
 
         Raises:
-            RendezviewError: a photodiode, or the models differ by more than the tolerance.
+            RendezviewError: a photodiode, or the models differ by more than 0.01 px.
         """
         if self.size is None:
             raise RendezviewError(f"camera {self.name!r} is a photodiode: OpenCV has no such model")
-        distortion = self.lens.to_opencv(self.reach, tolerance_px / max(self.fx, self.fy))
+        distortion = self.lens.to_opencv(self.reach, 0.01 / max(self.fx, self.fy))
         return Camera(*self.size, self.fx, self.fy, self.cx, self.cy, distortion)
 
     @property

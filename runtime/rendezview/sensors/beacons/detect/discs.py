@@ -77,18 +77,13 @@ def _numbers_of(camera: Camera, values: Array) -> Array:
     return camera_numbers(moved, 0.0)
 
 
-def predict_spots(
-    camera: Camera,
-    pattern: ReflectorPattern,
-    camera_from_target: Pose,
-    blur_px: float = BLUR_PX,
-) -> Array:
+def predict_spots(camera: Camera, pattern: ReflectorPattern, camera_from_target: Pose) -> Array:
     """(N, 2) centroids of all reflectors in the picture, px; NaN behind the camera."""
     out = np.empty((len(pattern), 2))
     arm = pattern.positions_m - pattern.centre_m
     shift = camera_from_target.apply(pattern.centre_m)
     project_all(
-        camera_numbers(camera, blur_px), arm, pattern.normals, pattern.diameters_m,
+        camera_numbers(camera), arm, pattern.normals, pattern.diameters_m,
         np.ascontiguousarray(camera_from_target.rotation), shift, out,
     )  # fmt: skip
     return out
