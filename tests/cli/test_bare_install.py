@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from tests.waiting import MOST_S
+from tests.processes import python
 
 GROUND = ("trimesh", "sklearn", "joblib", "matplotlib", "networkx", "lxml", "PIL", "pyrender",
           "OpenGL", "rendezview_ground")  # fmt: skip
@@ -27,13 +26,7 @@ main()
 
 
 def _bare(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", BLOCKER, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=MOST_S,
-    )
+    return python("-c", BLOCKER, *arguments)
 
 
 @pytest.mark.requirement("RV-CMD-3")
@@ -51,13 +44,7 @@ def test_tracking_and_export_run_without_the_ground_side(
 def test_ground_commands_say_what_to_install():
     # Here the packages stand in for the whole ground side, whose code every wheel holds.
     program = BLOCKER.replace(repr(GROUND), repr(GROUND[:9]))
-    done = subprocess.run(
-        [sys.executable, "-c", program, "train", "--help"],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=MOST_S,
-    )
+    done = python("-c", program, "train", "--help")
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("rendezview: ")
@@ -84,13 +71,7 @@ for arguments in json.loads(sys.argv[1]):
         (*track, tmp_path / "a.mcap", "-o", tmp_path / "a.csv"),
         ("rrd", tmp_path / "a.jsonl", "-o", tmp_path / "a.rrd"),
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program, json.dumps([[*map(str, words)] for words in commands])],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=MOST_S,
-    )
+    done = python("-c", program, json.dumps([[*map(str, words)] for words in commands]))
     lines = done.stderr.splitlines()
     assert (done.returncode, len(lines)) == (0, 3), done.stderr
     for line, wanted in zip(lines, ("ros", "service", "rerun"), strict=True):
@@ -107,13 +88,7 @@ caching.CacheImpl._locator_classes = []  # as where nothing can be written
 @pytest.mark.parametrize("command", ["track", "train"])  # of what flies, of the ground side
 def test_without_a_place_for_compiled_loops_the_variable_is_named(tmp_path: Path, command: str):
     program = NO_CACHE + "from rendezview.cli.main import main\nmain()"
-    done = subprocess.run(
-        [sys.executable, "-c", program, command, "--help"],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=MOST_S,
-    )
+    done = python("-c", program, command, "--help")
     assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
     assert "set NUMBA_CACHE_DIR to a folder that can" in done.stderr
 
@@ -124,9 +99,7 @@ def test_without_a_place_for_compiled_loops_the_library_names_the_variable():
         "try:\n    rendezview.Camera\n"
         "except rendezview.RendezviewError as error:\n    print(error)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=MOST_S
-    )
+    done = python("-c", program)
     assert "NUMBA_CACHE_DIR" in done.stdout, done.stderr
 
 
@@ -140,12 +113,6 @@ def test_another_opencv_is_told_in_a_line(tmp_path: Path, name: str):
         "from rendezview.cli.main import main\nmain()"
     )
     for path, lines in ((program, 1), (program.replace(str(tmp_path), "/none"), 0)):
-        done = subprocess.run(
-            [sys.executable, "-c", path, "--help"],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=MOST_S,
-        )
+        done = python("-c", path, "--help")
         assert (done.returncode, done.stderr.count("\n")) == (0, lines)
         assert (f"pip uninstall {name}, then" in done.stderr) == bool(lines)

@@ -9,15 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.cli.reflector_runs import CAMERA, write_run
 
-from rendezview.geometry.camera import Camera
 from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import save_camera
-from rendezview.io.sequences import BopSceneWriter
 from rendezview.io.target import Target
 from rendezview.io.target_writer import write_places
 from rendezview.sensors.beacons import SixNumbers, patterns_of, pose_of
-from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
 
 PLACES = {"left": [-0.184, 0, 0], "post": [0, 0, 0.1], "right": [0.184, 0, 0],
           "top": [0, 0.14, 0], "bottom": [0, -0.14, 0]}  # fmt: skip
@@ -34,25 +32,19 @@ def mounted(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "normal = [0, 0, 1]\ndiameter_m = 0.025\n"
         )
     (folder / "five.toml").write_text(text)
-    camera = Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
-    save_camera(camera, folder / "camera.yaml")
+    save_camera(CAMERA, folder / "camera.yaml")
     (pattern,) = patterns_of(Target.load(folder / "five.toml"))
-    places, rng = pattern.positions_m.copy(), np.random.default_rng(0)
+    places = pattern.positions_m.copy()
     places[3, 0] += 2e-3
     true = replace(pattern, positions_m=places)
-    with (
-        BopSceneWriter(folder / "lit", camera) as lit_scene,
-        BopSceneWriter(folder / "dark", camera) as dark_scene,
-    ):
-        for k in range(20):
-            six = SixNumbers(
-                3.0 - 0.06 * k, 0.08 * np.sin(k / 2), 0.06 * np.cos(k / 3), 0.02 * k,
-                0.3 * np.sin(0.4 * k), 0.3 * np.cos(0.3 * k),
-            )  # fmt: skip
-            pose = pose_of(six, true)
-            lit, dark = render_pair(camera, true, pose, ReflectorFrameOptions(), rng)
-            lit_scene.add(k, lit, pose, 0.5 * k)
-            dark_scene.add(k, dark, pose, 0.5 * k)
+    sixes = (
+        SixNumbers(
+            3.0 - 0.06 * k, 0.08 * np.sin(k / 2), 0.06 * np.cos(k / 3), 0.02 * k,
+            0.3 * np.sin(0.4 * k), 0.3 * np.cos(0.3 * k),
+        )
+        for k in range(20)
+    )  # fmt: skip
+    write_run(folder, true, (pose_of(six, true) for six in sixes))
     return folder
 
 

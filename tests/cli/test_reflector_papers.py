@@ -7,17 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.cli.reflector_runs import CAMERA, CLIENT, write_run
 
-from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import save_camera
-from rendezview.io.sequences import BopSceneWriter
 from rendezview.io.target import Target
 from rendezview.sensors.beacons import SixNumbers, patterns_of, pose_of
-from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
 
-CLIENT = Path(__file__).resolve().parents[2] / "models_cad" / "client"
-CAMERA = Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
 FAR = patterns_of(Target.load(CLIENT), ("far",))[0]
 STEP_S = 0.25
 
@@ -28,16 +24,8 @@ def approach(t: float) -> SixNumbers:
 
 def write(folder: Path, sixes: list[SixNumbers], mount: Pose | None = None, seed: int = 0) -> None:
     """Scenes lit and dark of a run; ``mount``: camera from chaser."""
-    rng = np.random.default_rng(seed)
-    with (
-        BopSceneWriter(folder / "lit", CAMERA) as lit_scene,
-        BopSceneWriter(folder / "dark", CAMERA) as dark_scene,
-    ):
-        for k, six in enumerate(sixes):
-            pose = (mount or Pose.identity()) @ pose_of(six, FAR)
-            lit, dark = render_pair(CAMERA, FAR, pose, ReflectorFrameOptions(), rng)
-            lit_scene.add(k, lit, pose, STEP_S * k)
-            dark_scene.add(k, dark, pose, STEP_S * k)
+    poses = ((mount or Pose.identity()) @ pose_of(six, FAR) for six in sixes)
+    write_run(folder, FAR, poses, seed=seed, step_s=STEP_S)
 
 
 @pytest.fixture(scope="module")
@@ -190,17 +178,9 @@ camera_from_chaser = { quat_wxyz = [1.0, 0.0, 0.0, 0.0], translation_m = [0.05, 
 
 
 def test_each_reading_suggests_an_exposure(run, tmp_path):
-    rng = np.random.default_rng(3)
-    with (
-        BopSceneWriter(tmp_path / "lit", CAMERA) as lit_scene,
-        BopSceneWriter(tmp_path / "dark", CAMERA) as dark_scene,
-    ):
-        for k, peak in enumerate((60.0, 60.0, 180.0, 180.0, 600.0, 600.0)):
-            pose = pose_of(SixNumbers(3.0, 0.0, 0.0, 0.1, 0.1, 0.1), FAR)
-            options = ReflectorFrameOptions(peak_grey=peak)
-            lit, dark = render_pair(CAMERA, FAR, pose, options, rng)
-            lit_scene.add(k, lit, pose, float(k))
-            dark_scene.add(k, dark, pose, float(k))
+    poses = [pose_of(SixNumbers(3.0, 0.0, 0.0, 0.1, 0.1, 0.1), FAR)] * 6
+    peaks_grey = (60.0, 60.0, 180.0, 180.0, 600.0, 600.0)
+    write_run(tmp_path, FAR, poses, seed=3, step_s=1.0, peaks_grey=peaks_grey)
     lines = readings(run, tmp_path, tmp_path / "log.jsonl")
     factors = [line["exposure_factor"] for line in lines]
     assert factors[1] == pytest.approx(3.0, rel=0.15)

@@ -2,47 +2,37 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from tests.cli.reflector_runs import CAMERA, CLIENT, write_run
 
-from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import save_camera
-from rendezview.io.sequences import BopSceneWriter
 from rendezview.io.target import Target
 from rendezview.sensors.beacons import SixNumbers, patterns_of, pose_of
-from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
-
-CLIENT = Path(__file__).resolve().parents[2] / "models_cad" / "client"
 
 
 @pytest.fixture(scope="module")
 def reflector_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Sixteen readings from 4 m to 2.5 m with their truth, and the same pictures in turn."""
     folder = tmp_path_factory.mktemp("reflectors")
-    camera = Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
     pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
-    rng = np.random.default_rng(0)
     (folder / "turns").mkdir()
-    save_camera(camera, folder / "turns" / "camera.yaml")
-    with (
-        BopSceneWriter(folder / "lit", camera) as lit_scene,
-        BopSceneWriter(folder / "dark", camera) as dark_scene,
-    ):
-        for k in range(16):
-            six = SixNumbers(
-                4.0 - 0.1 * k, 0.05 * np.sin(k / 2), 0.04 * np.cos(k / 3), 0.02 * k,
-                0.2 * np.sin(0.7 * k), 0.2 * np.cos(0.5 * k),
-            )  # fmt: skip
-            pose = pose_of(six, pattern)
-            lit, dark = render_pair(camera, pattern, pose, ReflectorFrameOptions(), rng)
-            lit_scene.add(k, lit, pose, 0.5 * k)
-            dark_scene.add(k, dark, pose, 0.5 * k)
-            cv2.imwrite(str(folder / "turns" / f"{2 * k:03d}.png"), lit)
-            cv2.imwrite(str(folder / "turns" / f"{2 * k + 1:03d}.png"), dark)
+    save_camera(CAMERA, folder / "turns" / "camera.yaml")
+    sixes = (
+        SixNumbers(
+            4.0 - 0.1 * k, 0.05 * np.sin(k / 2), 0.04 * np.cos(k / 3), 0.02 * k,
+            0.2 * np.sin(0.7 * k), 0.2 * np.cos(0.5 * k),
+        )
+        for k in range(16)
+    )  # fmt: skip
+    pairs = write_run(folder, pattern, (pose_of(six, pattern) for six in sixes))
+    for number, picture in enumerate(itertools.chain(*pairs)):
+        cv2.imwrite(str(folder / "turns" / f"{number:03d}.png"), picture)
     return folder
 
 

@@ -6,13 +6,11 @@ import csv
 import json
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
 import pytest
-from tests.waiting import MOST_S
+from tests.processes import python
 
 from rendezview.cli import main
 
@@ -155,12 +153,7 @@ def test_a_shell_completes_commands_and_their_options():
             "COMP_CWORD": str(len(words.split()) - 1),
         }
         program = "import sys; sys.argv = ['rendezview']; from rendezview.cli.main import main; "
-        ran = subprocess.run(
-            [sys.executable, "-c", program + "main()"],
-            env=environment, capture_output=True, text=True, check=False,
-            timeout=MOST_S,
-        )  # fmt: skip
-        return ran.stdout.split()
+        return python("-c", program + "main()", env=environment).stdout.split()
 
     assert completed("rendezview tr") == ["train", "track"]
     assert completed("rendezview track --al") == ["--alarm-attitude-deg", "--alarm-position-m"]

@@ -7,24 +7,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
+from tests.estimation.swings import AXIS, SIGMA, swinging
 
 from rendezview.estimation import rate_filters as bank_module
 from rendezview.estimation.rates import RateBank, RateOptions
 from rendezview.estimation.surprise import surprise
 from rendezview.geometry.pose import Pose
-
-SIGMA = np.array([3e-3, 3e-3, 3e-4, 1e-3, 1e-3, 5e-3])  # rad and m: reflectors at 5 m
-AXIS = np.array([0.3, 0.8, 0.5]) / np.linalg.norm([0.3, 0.8, 0.5])
-
-
-def swinging(t):
-    """Pose and rates (6,) of a target that swings at up to 10°/s and moves at up to 0.2 m/s."""
-    angle, rate = 0.25 * np.sin(0.7 * t), 0.175 * np.cos(0.7 * t)
-    place = np.array([0.3 * np.sin(0.6 * t), 0.1 * t, 5.0 - 0.2 * t])
-    speed = np.array([0.18 * np.cos(0.6 * t), 0.1, -0.2])
-    return Pose(Rotation.from_rotvec(angle * AXIS).as_matrix(), place), np.append(
-        rate * AXIS, speed
-    )
 
 
 def errors_of(motion, hertz, seconds, seed, after_s, options=None):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import runpy
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import trimesh
+from tests.processes import python
 from tests.quick_training import REFINING
 
 from rendezview.geometry.camera import Camera
@@ -26,13 +25,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 def run(example: str, *arguments: object, cwd: Path) -> list[str]:
     """The lines that an example prints, started as a person starts it."""
-    ran = subprocess.run(
-        [sys.executable, EXAMPLES / example, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        check=False,
-    )
+    ran = python(EXAMPLES / example, *arguments, cwd=cwd)
     assert ran.returncode == 0, ran
     return ran.stdout.splitlines()
 

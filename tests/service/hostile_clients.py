@@ -50,6 +50,11 @@ def connected(url: str) -> socket.socket:
     return socket.create_connection((parts.hostname or "", parts.port or 0), timeout=MOST_S)
 
 
+def resident_mb(pid: int) -> float:
+    """Memory of a process."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096 / 1e6
+
+
 def head(path: str, length: int | None = None, method: str = "POST", more: str = "") -> bytes:
     """The head of a request."""
     more += "" if length is None else f"Content-Length: {length}\r\n"

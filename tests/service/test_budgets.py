@@ -12,7 +12,14 @@ from pathlib import Path
 
 import httpx
 import pytest
-from tests.service.hostile_clients import LOG, begin_message, connected, head, large_log
+from tests.service.hostile_clients import (
+    LOG,
+    begin_message,
+    connected,
+    head,
+    large_log,
+    resident_mb,
+)
 from tests.waiting import MOST_S, wait_until
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
@@ -45,10 +52,6 @@ def served(start_service, tmp_path_factory):
     served.folder = folder
     yield served
     served.stop()
-
-
-def _resident_mb(served) -> float:
-    return int(Path(f"/proc/{served.process.pid}/statm").read_text().split()[1]) * 4096 / 1e6
 
 
 def _sockets(served) -> int:
@@ -123,7 +126,7 @@ def test_what_many_send_holds_no_more_than_its_budget_and_is_given_back(
 ):
     """Models go to the disk."""
     _neighbour(served, camera, tour)
-    before_mb = _resident_mb(served)
+    before_mb = resident_mb(served.process.pid)
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(served.client())
         name = stack.enter_context(client.open(Camera.from_fov(1900, 1600, 0.7))).name
@@ -137,11 +140,11 @@ def test_what_many_send_holds_no_more_than_its_budget_and_is_given_back(
                     path = f"/v1/sessions/{name}/frames"
                     way = ("PUT", f"/v1/models/m{k}") if kind == "models" else ("POST", path)
                     connection.sendall(head(way[1], 31_000_000, way[0]) + bytes(30_000_000))
-            peak_mb = max(peak_mb, _resident_mb(served))
+            peak_mb = max(peak_mb, resident_mb(served.process.pid))
         _neighbour(served, camera, tour)
-        peak_mb = max(peak_mb, _resident_mb(served))
+        peak_mb = max(peak_mb, resident_mb(served.process.pid))
     assert peak_mb - before_mb < most_mb
-    wait_until(lambda: _resident_mb(served) - before_mb < 0.5 * BODIES_MB)
+    wait_until(lambda: resident_mb(served.process.pid) - before_mb < 0.5 * BODIES_MB)
 
 
 def test_a_frame_longer_than_any_of_its_camera_is_refused_by_itshead(served, camera, tour):
@@ -194,7 +197,7 @@ def test_downloads_that_nobody_reads_end_and_give_back_what_they_hold(served, ca
     """Each is far more than the system's own buffers take."""
     length = large_log(served.folder / LOG, camera, 60)
     _neighbour(served, camera, tour)
-    before, before_mb = wait_until(lambda: _sockets(served)), _resident_mb(served)
+    before, before_mb = wait_until(lambda: _sockets(served)), resident_mb(served.process.pid)
     asked = head(f"/v1/recordings/{LOG}/log", None, "GET")
     with contextlib.ExitStack() as stack:
         for _ in range(3):
@@ -208,9 +211,9 @@ def test_downloads_that_nobody_reads_end_and_give_back_what_they_hold(served, ca
             for _ in range(CONNECTIONS - 20):
                 stack.enter_context(connected(served.url)).sendall(asked)
             _neighbour(served, camera, tour)
-            assert _resident_mb(served) - before_mb < 60.0
+            assert resident_mb(served.process.pid) - before_mb < 60.0
         wait_until(lambda: _sockets(served) <= before)
-        kept_mb.append(_resident_mb(served))
+        kept_mb.append(resident_mb(served.process.pid))
     assert kept_mb[1] - kept_mb[0] < 10.0, (before_mb, kept_mb)
     url = f"{served.url}v1/recordings/{LOG}/log"
     assert len(httpx.get(url, timeout=MOST_S).content) >= length

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import json
-import socket
 import zipfile
-from pathlib import Path
-from urllib.parse import urlsplit
 
 import httpx
 import pytest
+from tests.service.hostile_clients import connected, resident_mb
 from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
@@ -19,15 +17,6 @@ from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_service.http.connections import HEAD_S, MOST_HEAD
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
-
-
-def _connected(url: str) -> socket.socket:
-    parts = urlsplit(url)
-    return socket.create_connection((parts.hostname or "", parts.port or 0), timeout=MOST_S)
-
-
-def _resident_mb(pid: int) -> float:
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096 / 1e6
 
 
 # No connection is closed for its age: those that are have made room.
@@ -60,7 +49,7 @@ def _is_alive(served) -> bool:
 
 def test_half_open_connections_do_not_keep_others_out(guarded):
     with contextlib.ExitStack() as stack:
-        held = [stack.enter_context(_connected(guarded.url)) for _ in range(120)]
+        held = [stack.enter_context(connected(guarded.url)) for _ in range(120)]
         for k, connection in enumerate(held[60:]):
             with contextlib.suppress(OSError):
                 connection.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: "[: 20 + k % 30])
@@ -71,16 +60,16 @@ def test_half_open_connections_do_not_keep_others_out(guarded):
 
 
 def test_a_head_that_does_not_end_is_cut_off(guarded):
-    before_mb = _resident_mb(guarded.process.pid)
+    before_mb = resident_mb(guarded.process.pid)
     sent = 0
-    with _connected(guarded.url) as connection, contextlib.suppress(OSError):
+    with connected(guarded.url) as connection, contextlib.suppress(OSError):
         connection.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Long: ")
         while sent < 66_000_000:
             connection.sendall(bytes(65_536).replace(b"\0", b"a"))
             sent += 65_536
     assert sent < 20_000_000  # what the system's buffers take
-    assert _resident_mb(guarded.process.pid) - before_mb < 20.0
-    with _connected(guarded.url) as connection:
+    assert resident_mb(guarded.process.pid) - before_mb < 20.0
+    with connected(guarded.url) as connection:
         headers = b"".join(b"X-%d: %s\r\n" % (k, b"a" * 1000) for k in range(70))
         connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n" + headers + b"\r\n")
         assert b" 400 " in connection.recv(100)

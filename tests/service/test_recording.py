@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Chunk, MessageIndex
 from mcap_protobuf.decoder import DecoderFactory
+from tests.processes import python
 from tests.waiting import MOST_S
 
 from rendezview.cli.main import main
@@ -159,14 +159,7 @@ def test_another_run_is_not_taken_for_the_same(recorded, refining_model):
 
 
 def _replay(*arguments: object) -> str:
-    command = [sys.executable, "-m", "rendezview", "replay"]
-    done = subprocess.run(
-        [*command, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=MOST_S,
-    )
+    done = python("-m", "rendezview", "replay", *arguments)
     assert done.returncode == 0, done.stderr
     return done.stderr
 

@@ -6,16 +6,14 @@ import itertools
 import os
 import signal
 import threading
-import time
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from tests.http_server import http_server
 from tests.io.bags import START_S, Shot, write_foxglove, write_ros1, write_ros2
+from tests.mjpeg_stream import mjpeg_stream
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -48,28 +46,12 @@ def test_a_recording_is_a_source(tmp_path: Path, write, name: str) -> None:
         assert frame.content == images[k].tobytes()
 
 
-class _NetworkCamera(BaseHTTPRequestHandler):
-    """Grey levels that rise by 10 from frame to frame, as MJPEG; it breaks off after 30."""
-
-    def do_GET(self) -> None:
-        self.send_response(200)
-        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
-        self.end_headers()
-        for k in range(30):
-            image = np.full((48, 64), 20 + 10 * (k % 20), np.uint8)
-            jpeg = cv2.imencode(".jpg", image)[1].tobytes()
-            head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-            self.wfile.write(head.encode() + jpeg + b"\r\n")
-            time.sleep(0.01)
-
-    def log_message(self, *_: object) -> None:
-        """Quietly."""
-
-
 @pytest.fixture
 def network_camera() -> Iterator[str]:
-    with http_server(_NetworkCamera) as port:
-        yield f"http://eve:secret@127.0.0.1:{port}/stream"
+    """Grey levels that rise by 10 from frame to frame, as MJPEG; it breaks off after 30."""
+    pictures = [np.full((48, 64), 20 + 10 * (k % 20), np.uint8) for k in range(30)]
+    with mjpeg_stream(pictures, 30, pause_s=0.01) as address:
+        yield address
 
 
 def test_a_network_stream_is_opened_again_when_it_breaks_off(network_camera, monkeypatch) -> None:
@@ -78,7 +60,7 @@ def test_a_network_stream_is_opened_again_when_it_breaks_off(network_camera, mon
         open_source(network_camera, None)
     source = open_source(network_camera, CAMERA)
     assert source.live
-    assert "secret" not in source.name
+    assert "word" not in source.name
     stop = threading.Event()
     seen: list[float] = []
     breaks: list[str] = []
@@ -94,7 +76,7 @@ def test_a_network_stream_is_opened_again_when_it_breaks_off(network_camera, mon
             break
     stop.set()
     assert len(breaks) == 2
-    assert all("broke off" in told and "secret" not in told for told in breaks)
+    assert all("broke off" in told and "word" not in told for told in breaks)
     assert len(seen) >= 40  # the first of a connection may be lost in opening it
     steps = np.diff(seen)
     assert np.median(steps) == pytest.approx(10.0, abs=1.0)

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.processes import python
 from tests.quick_training import EVERY_STAGE, FEW_STAGES
 from tests.waiting import MOST_S, wait_until
 
@@ -263,15 +264,7 @@ run_shard(task, (), ())
 print(faults() - before)
 """
     environment = dict(os.environ, MALLOC_TRIM_THRESHOLD_="65536")  # as Dask's nannies set it
-    printed = subprocess.run(
-        [sys.executable, "-c", faults],
-        env=environment,
-        check=True,
-        capture_output=True,
-        text=True,
-        timeout=MOST_S,
-    )
-    assert int(printed.stdout) < 2000  # of 20,000 pages
+    assert int(python("-c", faults, env=environment).stdout) < 2000  # of 20,000 pages
 
 
 def test_a_scheduler_that_is_gone_is_told_and_what_was_done_is_kept(

@@ -5,14 +5,12 @@ from __future__ import annotations
 import dataclasses
 import pickle
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.processes import python
 from tests.quick_training import EVERY_STAGE, FEW_STAGES
-from tests.waiting import MOST_S
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -60,13 +58,7 @@ def stopped(
     folder.mkdir()
     inputs, path = folder.parent / "inputs.pickle", folder / "bumpy.rvm"
     inputs.write_bytes(pickle.dumps((mesh, FEW_STAGES)))
-    done = subprocess.run(
-        [sys.executable, "-c", STOPPED, str(inputs), str(path), str(int(by)), str(jobs), stage],
-        capture_output=True,
-        timeout=MOST_S,
-        check=False,
-    )
-    return path, done.returncode
+    return path, python("-c", STOPPED, inputs, path, int(by), jobs, stage).returncode
 
 
 @pytest.mark.requirement("RV-TRAIN-1")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from tests.ground.mesh.mesh_samples import (
     three_mf,
     write,
 )
+from tests.processes import python
 
 from rendezview_ground.mesh.colours import GREY, linear_from_srgb
 from rendezview_ground.mesh.mesh import load_mesh
@@ -178,10 +178,7 @@ def test_textured_mesh_loads_with_a_note_without_pillow(tmp_path: Path, suffix: 
         "print(len(mesh.faces), float(mesh.face_rgb.min()), *mesh.notes, sep='\\n')\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program, str(path)],
-        capture_output=True, text=True, env=environment, check=False,
-    )  # fmt: skip
+    done = python("-W", "error", "-c", program, path, env=environment)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     lines = done.stdout.splitlines()

@@ -7,7 +7,6 @@ import importlib.util
 import os
 import pickle
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -20,6 +19,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from tests.processes import python
 from tests.quick_training import FEW_STAGES, REFINING
 
 from rendezview.cli.main import main
@@ -177,7 +177,7 @@ def test_the_commands_start_without_pyrender_and_opengl():
         "import rendezview_ground.simulate.command, "
         "rendezview_ground.evaluate.demo_command; print({'pyrender', 'OpenGL'} & set(sys.modules))"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    done = python("-c", program)
     assert (done.stdout, done.returncode) == ("set()\n", 0), done.stderr
 
 
