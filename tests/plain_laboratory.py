@@ -5,7 +5,11 @@ For tests and experiments, which ask both the same questions.
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tests import plain_lights as plain
@@ -250,3 +254,20 @@ class OwnLaboratory(Laboratory):
     def picture_bound(self, pose: Pose, options: PictureOptions) -> np.ndarray:
         """(6, 6) Cramér–Rao bound from one picture of each camera."""
         return picture_bound(self.picture_rig, self.leds, pose, options)
+
+
+def write_record(record: LaboratoryRecord, path: Path) -> None:
+    """The file of a laboratory (docs/stereo-laboratory.md); a light that is not seen is null."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, np.ndarray) and value.ndim == 1:
+            return np.round(value, 9).tolist() if np.isfinite(value).all() else None
+        if isinstance(value, np.ndarray | tuple):
+            return [plain(one) for one in value]
+        if isinstance(value, Pose):
+            return value.as_dict()
+        if is_dataclass(value):
+            return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        return value
+
+    path.write_text(json.dumps(plain(record), allow_nan=False))

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.plain_laboratory import rotation_of
+from tests.plain_laboratory import rotation_of, write_record
 
 from rendezview.calibration.board import BoardViews, Chessboard, calibrate_board
 from rendezview.calibration.board import read_board_views as read_views
@@ -20,7 +20,7 @@ from rendezview.calibration.laboratory import (
     LaboratoryRecord,
     calibrate_laboratory,
 )
-from rendezview.calibration.laboratory_files import load_record, save_record
+from rendezview.calibration.laboratory_files import load_record
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -88,7 +88,7 @@ def test_the_calibrated_rig_tracks(truth, made, scole, read):
 
 
 def test_a_record_and_a_rig_survive_their_files(tmp_path: Path, record, made):
-    save_record(record, tmp_path / "record.json")
+    write_record(record, tmp_path / "record.json")
     back = load_record(tmp_path / "record.json")
     assert back.cameras[0].scan == pytest.approx(record.cameras[0].scan, abs=1e-9)
     assert back.views[0].currents[1] is None

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from tests.plain_laboratory import rotation_of
-from tests.waiting import MOST_S
+from tests.plain_laboratory import rotation_of, write_record
+from tests.processes import python
 
-from rendezview.calibration.laboratory_files import save_record
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_results
 from rendezview.io.target import Target
@@ -35,12 +32,9 @@ def laboratory() -> Laboratory:
 @pytest.fixture(scope="module")
 def rig(laboratory: Laboratory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("rig")
-    save_record(laboratory.calibration(np.random.default_rng(71), scans=4), folder / "record.json")
+    write_record(laboratory.calibration(np.random.default_rng(71), scans=4), folder / "record.json")
     arguments = ["calibrate", "rig", folder / "record.json", "-o", folder / "rig.json"]
-    done = subprocess.run(
-        [sys.executable, "-c", RUN, *map(str, arguments)],
-        capture_output=True, text=True, check=False,
-    timeout=MOST_S)  # fmt: skip
+    done = python("-c", RUN, *arguments)
     assert done.returncode == 0, done.stderr
     assert "resection" in done.stderr
     return folder / "rig.json"

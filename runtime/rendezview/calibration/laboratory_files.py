@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Annotated, Any
 
 import numpy as np
@@ -11,10 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 from rendezview.calibration.laboratory import CameraRecord, LaboratoryRecord, PlateView
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
-from rendezview.io.files import StrPath, atomic_write_text, checked, parse_json, read_text
+from rendezview.io.files import StrPath, checked, parse_json, read_text
 from rendezview.sensors.beacons.rig_files import PoseTable
-
-_DIGITS = 9  # of a current or a length; far below any noise. Source: by construction
 
 _Numbers = list[FiniteFloat]
 _Rows = list[_Numbers]
@@ -49,35 +46,6 @@ class _Record(_Table):
 
 
 _RECORD = TypeAdapter(_Record)
-
-
-def save_record(record: LaboratoryRecord, path: StrPath) -> None:
-    """Write a record, atomically; a light that was not visible is null."""
-    content = {
-        "cameras": [
-            {
-                "name": camera.name,
-                "focal_m": camera.focal_m,
-                "half_width_m": camera.half_width_m,
-                **{
-                    key: _plain(getattr(camera, key))
-                    for key in ("beam_m", "scan", "principal_beam", "lens_beam")
-                },
-            }
-            for camera in record.cameras
-        ],
-        "plate_m": _plain(record.plate_m),
-        "plate_sigma_m": record.plate_sigma_m,
-        "views": [
-            {
-                "rig_from_plate": view.rig_from_plate and view.rig_from_plate.as_dict(),
-                "currents": [None if seen is None else _plain(seen) for seen in view.currents],
-                "frames": view.frames,
-            }
-            for view in record.views
-        ],
-    }
-    atomic_write_text(path, json.dumps(content, allow_nan=False) + "\n")
 
 
 def load_record(path: StrPath) -> LaboratoryRecord:
@@ -129,9 +97,3 @@ def _table(rows: Any, shape: tuple[int, ...], what: str) -> Array:
     if not fits:
         raise ValueError(f"{what}: must be {shape} numbers (-1: any), not {array.shape}")
     return array
-
-
-def _plain(array: Array) -> Any:
-    if array.ndim == 2 and not np.isfinite(array).all():
-        return [_plain(row) if np.isfinite(row).all() else None for row in array]
-    return np.round(array, _DIGITS).tolist()
