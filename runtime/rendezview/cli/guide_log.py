@@ -25,6 +25,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.bundled import find_target
 from rendezview.io.files import check_place
+from rendezview.io.pose_log import logged_pose
 from rendezview.io.results import read_json_lines
 from rendezview.sensors.run import Line, run
 
@@ -120,8 +121,4 @@ def _pose(record: dict[str, Any]) -> _Logged:
     given, time_s = record["pose"], float(record["time_s"])
     if given is None or record["covariance"] is None:
         return _Logged(time_s, None, None)
-    pose = Pose.from_quat_wxyz(given["quat_wxyz"], given["translation_m"])
-    covariance = np.array(record["covariance"], dtype=np.float64)
-    if covariance.ndim != 2 or min(covariance.shape) < 6:
-        raise ValueError("the covariance must be 6 × 6, or begin with that of the pose")
-    return _Logged(time_s, pose, covariance[:6, :6])
+    return _Logged(time_s, *logged_pose(record))

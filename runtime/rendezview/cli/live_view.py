@@ -22,11 +22,13 @@ _WAIT_S = 1.0  # s; a viewer learns of the end so late at most. Source: a chosen
 _QUALITY = 85  # of JPEG. Source: by construction, edges are clean
 
 
-class _Server(ThreadingHTTPServer):
+class QuietServer(ThreadingHTTPServer):
+    """A server to whom a client that has gone is no fault."""
+
     daemon_threads = True
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A viewer that has gone is no fault; any other is."""
+        """Any other fault is one."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
@@ -37,7 +39,7 @@ class LiveView:
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._picture, self._number, self._ended = b"", 0, False
-        self._server = _Server(("127.0.0.1", 0), self._handler())
+        self._server = QuietServer(("127.0.0.1", 0), self._handler())
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     @property

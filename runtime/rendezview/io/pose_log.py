@@ -39,7 +39,7 @@ def poses_by_frame(
         try:
             if line["pose"] is None or line["covariance"] is None or line.get("roll_ambiguous"):
                 continue
-            known = use(*_pose(line))
+            known = use(*logged_pose(line))
             if line.get("im_id") is not None:
                 by_id[int(line["im_id"])] = known
             else:
@@ -62,7 +62,12 @@ def poses_by_frame(
     return of_frame
 
 
-def _pose(line: dict[str, Any]) -> tuple[Pose, Array]:
+def logged_pose(line: dict[str, Any]) -> tuple[Pose, Array]:
+    """The pose of a line that has one, and its covariance (6, 6).
+
+    Raises:
+        KeyError, TypeError, ValueError: the line is of another log.
+    """
     pose = Pose.from_quat_wxyz(line["pose"]["quat_wxyz"], line["pose"]["translation_m"])
     covariance = np.array(line["covariance"], dtype=np.float64)
     if covariance.ndim != 2 or min(covariance.shape) < 6:

@@ -46,9 +46,8 @@ from rendezview_service.client.messages import (
     frame_content,
     frame_query,
 )
-from rendezview_service.client.stream import StreamClient
+from rendezview_service.client.stream import PAUSE_S, StreamClient
 
-_PAUSE_S = 0.2  # s, between attempts to connect. Source: chosen
 _FITS_HEADER = re.compile(r"[\x21-\x7e]+")
 _IDLE_S = 30.0  # s; the service may have closed an idle connection. Source: chosen
 
@@ -257,7 +256,7 @@ class Client:
                 if not used:
                     if time.monotonic() > until_s:
                         raise
-                    time.sleep(_PAUSE_S)
+                    time.sleep(PAUSE_S)
             else:
                 self._reached = True
                 wait = response.headers.get("Retry-After", "")

@@ -23,7 +23,7 @@ from rendezview_service.client.messages import (
     frame_content,
 )
 
-_PAUSE_S = 0.2  # s, between attempts to connect. Source: chosen
+PAUSE_S = 0.2  # s, between attempts to connect. Source: chosen
 _FINAL = (1001, 1008)  # the session has ended; refused. Source: RFC 6455, 7.4.1
 
 
@@ -147,7 +147,7 @@ class StreamClient:
                 except RendezviewError:
                     if time.monotonic() > until_s:
                         raise RendezviewError(f"the stream has ended ({error})") from None
-                    time.sleep(_PAUSE_S)
+                    time.sleep(PAUSE_S)
 
     def __iter__(self) -> Iterator[StateDict]:
         """States until the stream ends."""

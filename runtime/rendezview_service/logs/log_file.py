@@ -35,6 +35,7 @@ from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import StrPath
+from rendezview.io.sequences.mcap_messages import MOST_RECORD
 from rendezview_service.logs.log_index import MAGIC
 
 WRITER = "rendezview"  # in the header of the service's own logs
@@ -53,7 +54,6 @@ _PARSED: dict[int, Any] = {
 # Codes of other records, of this or a later version of MCAP. Source: mcap.dev/spec, "Opcodes".
 _OTHER = (*range(0x0B, 0x0F), *range(0x80, 0x100))
 _LEAST_MESSAGE = 22  # bytes of an empty message. Source: mcap.dev/spec, "Message"
-_MOST_RECORD = 4_000_000_000  # bytes; a longer record is damage. Source: a chosen limit
 _WINDOW = 1 << 20  # bytes that are searched at once for the next chunk. Source: chosen
 # The start of a chunk: opcode, a length below 4 GiB, times, size and checksum, a compression.
 # Source: mcap.dev/spec, "Chunk".
@@ -159,7 +159,7 @@ def _record_at(file: BinaryIO, place: int, size: int) -> tuple[McapRecord, int] 
         return None
     opcode, length = _HEAD.unpack(head)
     end = place + _HEAD.size + length
-    if length > _MOST_RECORD or end > size:
+    if length > MOST_RECORD or end > size:
         return None
     record = _parsed(opcode, file.read(length))
     return None if record is None else (record, end - place)

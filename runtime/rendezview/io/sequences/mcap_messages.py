@@ -21,7 +21,7 @@ _FOXGLOVE = (
     "foxglove.RawImage", "foxglove.CompressedImage", "foxglove.CompressedVideo",
     "foxglove.CameraCalibration",
 )  # fmt: skip
-_MOST_RECORD = 4_000_000_000  # bytes; a longer record is damage. Source: a chosen limit
+MOST_RECORD = 4_000_000_000  # bytes; a longer record is damage. Source: a chosen limit
 _Decoder = Callable[[str, int, bytes], Message]
 
 
@@ -42,7 +42,7 @@ def mcap_messages(path: Path) -> Iterator[Message]:
     decoders: dict[int, _Decoder | None] = {}
     try:
         with open(path, "rb") as file:
-            reader = StreamReader(file, validate_crcs=True, record_size_limit=_MOST_RECORD)
+            reader = StreamReader(file, validate_crcs=True, record_size_limit=MOST_RECORD)
             for record in reader.records:
                 if isinstance(record, Schema):
                     schemas[record.id] = record
