@@ -5,16 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.fusion.scenes import (
-    SIGMA,
-    START,
-    TURN,
-    World,
-    along_axis,
-    course,
-    drift,
-    with_jitter,
-)
+from tests.fusion.scenes import SIGMA, START, TURN, World, along_axis, course, drift, with_jitter
 
 from rendezview.fusion import Fusion
 from rendezview.geometry.pose import Pose

@@ -303,10 +303,7 @@ def test_bop_camera_is_read(tmp_path):
         (b"K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nwidth: a\nheight: 4\n", "width: must be a number"),
         (b"K: [-1, 0, 0, 0, 1, 0, 0, 0, 1]\nwidth: 4\nheight: 4\n", "fx must be positive"),
         (b"K: [.nan, 0, 0, 0, 1, 0, 0, 0, 1]\nwidth: 4\nheight: 4\n", "K: must be finite"),
-        (
-            b"K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nD: [1, 2]\nwidth: 4\nheight: 4\n",
-            "D: 2 coefficients",
-        ),
+        (b"K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nD: [1, 2]\nwidth: 4\nheight: 4\n", "D: 2 coefficients"),
         (
             b"K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nD: [1,2,3,4,5,6]\nwidth: 4\nheight: 4\n",
             "D: 6 coefficients; expected 4, 5, 8, 12 or 14",

@@ -292,10 +292,7 @@ def test_lenses_of_others_project_as_their_authors_say(tmp_path, text, lens, fou
         ("1 1D_RADIAL 8 6 4 3\n", "1D_RADIAL is not read: use one of SIMPLE_PINHOLE"),
         ("1 PINHOLE 808 606 702.5\n", "PINHOLE: has 1 parameters"),
         ("1 PINHOLE 8 6 7 7 4 3\n2 PINHOLE 8 6 7 7 4 3\n", "2 cameras: keep the line"),
-        (
-            json.dumps(REALSENSE | {"model": "Inverse Brown Conrady"}),
-            "'Inverse Brown Conr",
-        ),
+        (json.dumps(REALSENSE | {"model": "Inverse Brown Conrady"}), "'Inverse Brown Conr"),
         (json.dumps(REALSENSE | {"model": "ftheta"}), "'ftheta' is not read"),
         (json.dumps(NERF | {"camera_model": "EQUIRECTANGULAR"}), "'EQUIRECTANGULAR' is not read"),
         (json.dumps({"frames": [{"fl_x": 1.0}]}), "each frame has a camera of its own"),

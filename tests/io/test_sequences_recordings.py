@@ -15,14 +15,7 @@ from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from rosbags.rosbag2 import StoragePlugin
-from tests.io.bags import (
-    START_S,
-    Shot,
-    write_foxglove,
-    write_foxglove_json,
-    write_ros1,
-    write_ros2,
-)
+from tests.io.bags import START_S, Shot, write_foxglove, write_foxglove_json, write_ros1, write_ros2
 from tests.io.small_videos import stream
 
 from rendezview.errors import RendezviewError
@@ -249,9 +242,7 @@ def test_a_picture_that_cannot_be_is_refused(
         grey(picture, "here")
 
 
-def test_pictures_are_sorted_by_their_stamps_and_those_without_one_left_out(
-    tmp_path: Path,
-) -> None:
+def test_pictures_are_sorted_by_their_stamps_and_those_without_one_left_out(tmp_path: Path) -> None:
     made = shots(count=8)
     times_s = [0.0, 0.2, 0.1, 0.3, 0.3, 0.4, 0.35, 0.5]
     made = [replace(shot, time_s=t) for shot, t in zip(made, times_s, strict=True)]

@@ -121,10 +121,7 @@ class BoardCalibration:
 
 
 def calibrate_board(
-    views: BoardViews,
-    *,
-    free: tuple[str, ...] = OPENCV_FIVE,
-    corrects: bool = False,
+    views: BoardViews, *, free: tuple[str, ...] = OPENCV_FIVE, corrects: bool = False
 ) -> BoardCalibration:
     """Cameras, lenses and their places from a board; the rig frame is the first camera's.
 

@@ -89,9 +89,7 @@ def aligned_beam(currents: Array, diode: Photodiode) -> tuple[Array, Array]:
 
 
 def calibrate_laboratory(
-    record: LaboratoryRecord,
-    normalisation: Normalisation = Normalisation.TOTAL,
-    order: int = 5,
+    record: LaboratoryRecord, normalisation: Normalisation = Normalisation.TOTAL, order: int = 5
 ) -> LaboratoryCalibration:
     """All steps, then all together.
 

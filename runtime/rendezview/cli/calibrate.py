@@ -11,11 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.calibration.as_built import (
-    AsBuilt,
-    ShapeEstimator,
-    strain_names,
-)
+from rendezview.calibration.as_built import AsBuilt, ShapeEstimator, strain_names
 from rendezview.calibration.as_built.picture import shape_picture
 from rendezview.calibration.board import Chessboard
 from rendezview.calibration.one_camera import CharucoBoard, calibrate_camera

@@ -58,8 +58,7 @@ def fuse(
         ),
     ] = None,
     model: Annotated[
-        Path | None,
-        typer.Option(help="View model: a ranger's beam is cast on its mesh."),
+        Path | None, typer.Option(help="View model: a ranger's beam is cast on its mesh.")
     ] = None,
     options: Annotated[
         Path | None, typer.Option(help="JSON file of options, as docs/fusion.md lists them.")

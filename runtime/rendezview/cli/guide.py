@@ -76,8 +76,7 @@ PlanFile = Annotated[
     typer.Option(help="Planned path (TOML): errors and corrections, spin, of each segment."),
 ]
 ShapeName = Annotated[
-    str | None,
-    typer.Option(help="Fit circular, spiral, vbar, orbit or drift; wins over the plan."),
+    str | None, typer.Option(help="Fit circular, spiral, vbar, orbit or drift; wins over the plan.")
 ]
 ChaserFile = Annotated[
     Path | None,
@@ -86,8 +85,7 @@ ChaserFile = Annotated[
 OemFile = Annotated[Path | None, typer.Option(help="Fitted path, CCSDS OEM (KVN).")]
 AemFile = Annotated[Path | None, typer.Option(help="Fitted attitude, CCSDS AEM (KVN).")]
 Epoch = Annotated[
-    str | None,
-    typer.Option(help="UTC of time 0, for OEM and AEM; times since 1970 need none."),
+    str | None, typer.Option(help="UTC of time 0, for OEM and AEM; times since 1970 need none.")
 ]
 
 
@@ -224,11 +222,7 @@ class Guide:
                     f"{aem}: no spin was fitted, so there is no attitude to write"
                 )
             text = attitude_message(
-                epoch,
-                self.attitude_times_s,
-                np.array(self.attitudes),
-                frame=reference,
-                names=names,
+                epoch, self.attitude_times_s, np.array(self.attitudes), frame=reference, names=names
             )
             atomic_write_text(aem, text)
 

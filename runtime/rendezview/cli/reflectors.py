@@ -79,8 +79,7 @@ def reflectors(
         Path | None, typer.Option(help="Camera file; wins over that of the pictures.")
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="JSON lines of readings."),
+        Path | None, typer.Option("-o", "--output", help="JSON lines of readings.")
     ] = None,
     cameras: Annotated[
         Path | None,

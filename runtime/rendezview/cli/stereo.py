@@ -13,12 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.calibration.board import (
-    OPENCV_FIVE,
-    Chessboard,
-    calibrate_board,
-    read_board_views,
-)
+from rendezview.calibration.board import OPENCV_FIVE, Chessboard, calibrate_board, read_board_views
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.calibration.laboratory_files import load_record
 from rendezview.cli.budget import BudgetReport
@@ -55,8 +50,7 @@ stereo = typer.Typer(
 @stereo.command("calibrate", hidden=True)  # until version 0.4
 def calibrate_rig(
     source: Annotated[
-        Path,
-        typer.Argument(help="Folder of board pictures, or a laboratory's record (*.json)."),
+        Path, typer.Argument(help="Folder of board pictures, or a laboratory's record (*.json).")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Rig file to write (JSON).")],
     board: Annotated[str, typer.Option(help="Inner corners of the chessboard.")] = "9x6",

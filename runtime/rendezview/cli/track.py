@@ -10,12 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from rendezview.cli.compiling import (
-    COMMANDS,
-    compile_ahead,
-    compile_beside,
-    tell_of_compiling,
-)
+from rendezview.cli.compiling import COMMANDS, compile_ahead, compile_beside, tell_of_compiling
 from rendezview.cli.guide import (
     AemFile,
     ChaserFile,

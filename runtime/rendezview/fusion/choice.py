@@ -30,14 +30,7 @@ from rendezview.fusion.rivals import (
     new_rivals,
     with_doubt,
 )
-from rendezview.fusion.state import (
-    FilterState,
-    begin,
-    estimate_of,
-    pushed,
-    sensor_options,
-    turned,
-)
+from rendezview.fusion.state import FilterState, begin, estimate_of, pushed, sensor_options, turned
 from rendezview.fusion.trust import Trust, Verdict, after_reading, outlier_log
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import (

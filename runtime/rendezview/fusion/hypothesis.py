@@ -16,13 +16,7 @@ from rendezview.fusion.models import Forecast, forecasts
 from rendezview.fusion.options import FusionOptions, MotionOptions
 from rendezview.fusion.state import FilterState, predict, sensor_options, with_slot
 from rendezview.fusion.trust import Trust, after_reading, judge, lasting
-from rendezview.fusion.update_kernels import (
-    compared,
-    corrected,
-    jitter_step,
-    renewed,
-    white_share,
-)
+from rendezview.fusion.update_kernels import compared, corrected, jitter_step, renewed, white_share
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 

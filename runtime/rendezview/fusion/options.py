@@ -109,10 +109,7 @@ class MotionOptions:
 
 # Of one kind: the work grows with the square of their product. Source: a chosen limit
 _MOST_MODELS = 4
-_BESIDE = {
-    "accelerations": ("lasting_accelerations", "stays_s"),
-    "jitters": ("jitters_s",),
-}
+_BESIDE = {"accelerations": ("lasting_accelerations", "stays_s"), "jitters": ("jitters_s",)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

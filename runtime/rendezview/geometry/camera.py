@@ -15,12 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.geometry.distortion import (
-    distort,
-    distort_fisheye,
-    undistort,
-    undistort_fisheye,
-)
+from rendezview.geometry.distortion import distort, distort_fisheye, undistort, undistort_fisheye
 
 Array = npt.NDArray[np.float64]
 
@@ -133,10 +128,7 @@ class Camera:
 
     @classmethod
     def from_matrix(
-        cls,
-        matrix: npt.ArrayLike,
-        size: Sequence[int],
-        distortion: Sequence[float] = (),
+        cls, matrix: npt.ArrayLike, size: Sequence[int], distortion: Sequence[float] = ()
     ) -> Camera:
         """The camera of a (3, 3) matrix K, or its nine numbers row by row, and (width, height) px.
 

@@ -111,10 +111,7 @@ class Pose:
 
     def as_dict(self) -> dict[str, list[float]]:
         """As JSON has it: ``quat_wxyz`` and ``translation_m``."""
-        return {
-            "quat_wxyz": self.quat_wxyz.tolist(),
-            "translation_m": self.translation_m.tolist(),
-        }
+        return {"quat_wxyz": self.quat_wxyz.tolist(), "translation_m": self.translation_m.tolist()}
 
     @overload
     def __matmul__(self, other: Pose) -> Pose: ...
@@ -125,8 +122,7 @@ class Pose:
         if not isinstance(other, Pose):
             return self.apply(other)
         return Pose(
-            self.rotation @ other.rotation,
-            self.rotation @ other.translation_m + self.translation_m,
+            self.rotation @ other.rotation, self.rotation @ other.translation_m + self.translation_m
         )
 
     def inverse(self) -> Pose:

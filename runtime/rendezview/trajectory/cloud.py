@@ -47,10 +47,7 @@ class PointCloud:
 
     @classmethod
     def of_nodes(
-        cls,
-        times_s: npt.ArrayLike,
-        points_m: npt.ArrayLike,
-        weights: npt.ArrayLike | None = None,
+        cls, times_s: npt.ArrayLike, points_m: npt.ArrayLike, weights: npt.ArrayLike | None = None
     ) -> PointCloud:
         """Points (N, 3) of active nodes, path frame, with times (N,) and the trust in each (N,)."""
         points = np.asarray(points_m, np.float64).reshape(-1, 3)

@@ -20,13 +20,7 @@ from rendezview.geometry.pose import Array
 from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.scaling import typical_sizes
 from rendezview.trajectory.shapes import DRIFT, HOPS, LINE, SPIRAL
-from rendezview.trajectory.simplex import (
-    RESIDUALS,
-    cost,
-    downhill_simplex,
-    gauss_newton,
-    residuals,
-)
+from rendezview.trajectory.simplex import RESIDUALS, cost, downhill_simplex, gauss_newton, residuals
 from rendezview.trajectory.start import first_guess, hops_of
 
 # c² of the robust cost over the variance of a point: 3.5 σ counts half. Source: by construction

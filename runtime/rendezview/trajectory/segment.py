@@ -14,19 +14,8 @@ from rendezview.trajectory.cloud import PointCloud
 from rendezview.trajectory.descent import CUT, Descent, Method, descend
 from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.scaling import held, inverse_of, robust_root, typical_sizes
-from rendezview.trajectory.shapes import (
-    HOPS,
-    SPIRAL,
-    Shape,
-    code_of,
-    places,
-)
-from rendezview.trajectory.simplex import (
-    RESIDUALS,
-    jacobian,
-    normal_equations,
-    residuals,
-)
+from rendezview.trajectory.shapes import HOPS, SPIRAL, Shape, code_of, places
+from rendezview.trajectory.simplex import RESIDUALS, jacobian, normal_equations, residuals
 from rendezview.trajectory.start import first_guess
 
 Carrier = Callable[[Array], Array]  # times (N,) s to places (N, 3) m

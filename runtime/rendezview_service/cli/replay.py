@@ -26,8 +26,7 @@ def replay(
         Path | None, typer.Option("-o", "--output", help="The states again, JSON lines.")
     ] = None,
     tolerance: Annotated[
-        float,
-        typer.Option(min=0.0, help="Differences allowed; compiled on another machine: 1e-9."),
+        float, typer.Option(min=0.0, help="Differences allowed; compiled on another machine: 1e-9.")
     ] = 0.0,
     mend: Annotated[
         bool,

@@ -54,8 +54,7 @@ def serve(
         ),
     ] = None,
     approach: Annotated[
-        Path | None,
-        typer.Option(help="Docking port, corridor, keep-out zone and limits (TOML)."),
+        Path | None, typer.Option(help="Docking port, corridor, keep-out zone and limits (TOML).")
     ] = None,
     plan: Annotated[
         Path | None, typer.Option(help="Planned path (TOML), as for `rendezview track`.")

@@ -192,10 +192,7 @@ class Gateway:
             try:
                 actor = self._actor(slot)
                 result: tuple[int, list[Any], bytes] = await self._while_alive(
-                    slot,
-                    actor,
-                    partial(actor.http.remote, name, scope, body),
-                    limit_s,
+                    slot, actor, partial(actor.http.remote, name, scope, body), limit_s
                 )
             except (ray.exceptions.RayActorError, OSError, ValueError):
                 dead = slot

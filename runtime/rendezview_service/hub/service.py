@@ -209,11 +209,7 @@ class Service:
 
     # Sessions
 
-    async def open(
-        self,
-        request: SessionRequest,
-        resumed: Checkpoint | None = None,
-    ) -> Session:
+    async def open(self, request: SessionRequest, resumed: Checkpoint | None = None) -> Session:
         """Open a session, or go on with one of before; while the service starts, wait for that.
 
         Raises:

@@ -21,13 +21,7 @@ from pathlib import Path
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    Channel,
-    Header,
-    Metadata,
-    Schema,
-)
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from rendezview_service.logs import log_schemas
 from rendezview_service.logs.log_file import MODEL_ATTACHMENT, SESSION_METADATA, WRITER

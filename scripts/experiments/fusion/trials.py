@@ -16,12 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import CLIENT, nees
-from rendezview.fusion import (
-    Fusion,
-    Measurement,
-    PoseMeasurement,
-    RingMeasurement,
-)
+from rendezview.fusion import Fusion, Measurement, PoseMeasurement, RingMeasurement
 from rendezview.fusion.logs import LogContext, merged, read_log
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose

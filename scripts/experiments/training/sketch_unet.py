@@ -13,12 +13,7 @@ from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_
 from torch import nn
 from torch.nn import functional
 
-from rendezview.sensors.appearance.edges.network import (
-    FAINT_GREY,
-    SIDE_PX,
-    SQUARE_PX,
-    to_squares,
-)
+from rendezview.sensors.appearance.edges.network import FAINT_GREY, SIDE_PX, SQUARE_PX, to_squares
 from rendezview.sensors.appearance.model.sketches import COVER, MAPS
 
 CHANNELS = 2  # grey levels, and faint differences magnified

@@ -69,8 +69,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     model = train(mesh, folder / "box.rvm", name="box", options=options, jobs=1).model
     camera = Camera.from_fov(160, 120, np.deg2rad(40.0))
     poses = trajectory(
-        "circular",
-        TrajectoryOptions(frames=10, start_range_m=7.0, centre_m=tuple(model.centre_m)),
+        "circular", TrajectoryOptions(frames=10, start_range_m=7.0, centre_m=tuple(model.centre_m))
     )
     poses[3] = (poses[3][0], Pose(np.eye(3), np.array([0.0, 2.6, 7.0])))  # over the lower border
     scene = folder / "000007"

@@ -8,12 +8,7 @@ from scipy.stats import binom
 
 from rendezview_ground.evaluate.pictures.palette import png
 from rendezview_ground.evaluate.pictures.stanford_pictures import stanford_picture
-from rendezview_ground.evaluate.stanford import (
-    Judged,
-    stanford_dict,
-    stanford_text,
-    upper_limit,
-)
+from rendezview_ground.evaluate.stanford import Judged, stanford_dict, stanford_text, upper_limit
 
 
 def judged() -> Judged:

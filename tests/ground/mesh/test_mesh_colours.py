@@ -10,14 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from tests.ground.mesh.mesh_samples import (
-    box,
-    checker,
-    export,
-    note_with,
-    three_mf,
-    write,
-)
+from tests.ground.mesh.mesh_samples import box, checker, export, note_with, three_mf, write
 from tests.processes import python
 
 from rendezview_ground.mesh.colours import GREY, linear_from_srgb

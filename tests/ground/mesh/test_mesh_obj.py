@@ -7,14 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from tests.ground.mesh.mesh_samples import (
-    TETRAHEDRON,
-    TRIANGLE,
-    note_with,
-    obj,
-    triangles,
-    write,
-)
+from tests.ground.mesh.mesh_samples import TETRAHEDRON, TRIANGLE, note_with, obj, triangles, write
 
 from rendezview.errors import RendezviewError
 from rendezview_ground.mesh.colours import GREY, linear_from_srgb

@@ -156,8 +156,7 @@ def test_azimuth_zero_is_a_sun_on_the_right_and_a_quarter_turn_below() -> None:
 def test_a_fixed_sun_lights_the_same_side_of_the_target_from_everywhere(tmp_path: Path) -> None:
     # The Sun on +X: bright from +X, dark from −X.
     circle = trajectory(
-        "circular",
-        TrajectoryOptions(frames=3, start_range_m=9.0, centre_m=tuple(CENTRE_M)),
+        "circular", TrajectoryOptions(frames=3, start_range_m=9.0, centre_m=tuple(CENTRE_M))
     )
     options = SceneOptions(shading=QUICK, sensor=CLEAN, sun_direction_sky=(1.0, 0.0, 0.0))
     simulate(MESH, CAMERA, circle, options, tmp_path / "s", 0)

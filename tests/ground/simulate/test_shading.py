@@ -108,9 +108,7 @@ def test_edges_on_sample_borders_cover_exactly_their_share_of_each_pixel() -> No
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (0.31, -0.17), (-1.4, 0.83)])
-def test_a_spheres_centroid_is_that_of_its_projected_outline(
-    offset: tuple[float, float],
-) -> None:
+def test_a_spheres_centroid_is_that_of_its_projected_outline(offset: tuple[float, float]) -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.25)
     centre = np.array([*offset, 5.0])
     options = ShadingOptions(samples=6)

@@ -12,11 +12,7 @@ from tests.plain_readings import CAMERA, HALF_TURN, PINHOLE, frames_of
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import ReflectorSensor, TrackingOptions, predict_spots
-from rendezview.sensors.beacons.detect.cover import (
-    compare_spots,
-    middle,
-    uncovered_sizes,
-)
+from rendezview.sensors.beacons.detect.cover import compare_spots, middle, uncovered_sizes
 from rendezview.sensors.beacons.detect.spot_columns import (
     AMPLITUDE,
     COLUMNS,

@@ -52,12 +52,7 @@ from rendezview.sensors.beacons.pose.shares import (
 )
 from rendezview.sensors.beacons.rates import RateEstimator
 from rendezview.sensors.beacons.track import Branch, Track
-from rendezview.sensors.beacons.windows import (
-    VISIBLE,
-    place_windows,
-    read_windows,
-    window_noise,
-)
+from rendezview.sensors.beacons.windows import VISIBLE, place_windows, read_windows, window_noise
 
 DISTORTED = Camera(512, 384, 652.0, 648.0, 250.0, 195.0, (-0.2, 0.05, 1e-3, -5e-4, 0.01))
 SIX = SixNumbers(4.0, 0.1, -0.08, 0.4, -0.2, 0.3)

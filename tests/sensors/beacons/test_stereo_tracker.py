@@ -13,12 +13,7 @@ from tests.plain_laboratory import rotation_of
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons import (
-    MotionOptions,
-    Spots,
-    StereoTracker,
-    TrackerOptions,
-)
+from rendezview.sensors.beacons import MotionOptions, Spots, StereoTracker, TrackerOptions
 from rendezview.sensors.beacons.match.agreement import LightsFit, distance
 from rendezview.sensors.observation import Status
 from rendezview_ground.simulate.led_laboratory import Laboratory

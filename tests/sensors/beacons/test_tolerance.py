@@ -22,11 +22,7 @@ from rendezview.sensors.beacons import (
     pose_of,
 )
 from rendezview.sensors.beacons.card import Paper, dots_m, write_card
-from rendezview.sensors.beacons.detect.difference import (
-    ThresholdOptions,
-    background_of,
-    faint_mask,
-)
+from rendezview.sensors.beacons.detect.difference import ThresholdOptions, background_of, faint_mask
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.beacons.tolerance import fit_dots, scaled
 

@@ -5,9 +5,4 @@ from rendezview_ground.evaluate.pictures.frame_pictures import frame_overlay
 from rendezview_ground.evaluate.pictures.palette import png
 from rendezview_ground.evaluate.report import write_report
 
-__all__ = [
-    "evaluate",
-    "frame_overlay",
-    "png",
-    "write_report",
-]
+__all__ = ["evaluate", "frame_overlay", "png", "write_report"]

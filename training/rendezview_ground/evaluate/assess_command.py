@@ -20,12 +20,7 @@ from rendezview.io.bundled import find_target
 from rendezview.io.files import atomic_write, check_place
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT
-from rendezview_ground.evaluate.assessment import (
-    WRONG_RAD,
-    Answers,
-    AssessmentOptions,
-    Conditions,
-)
+from rendezview_ground.evaluate.assessment import WRONG_RAD, Answers, AssessmentOptions, Conditions
 from rendezview_ground.evaluate.assessment import assess as run_assessment
 from rendezview_ground.evaluate.pictures.assessment_picture import assessment_picture
 from rendezview_ground.evaluate.pictures.palette import png
@@ -108,13 +103,7 @@ def assess(
         ProgressBar() as progress,
     ):
         seen, answers = run_assessment(
-            views,
-            mesh,
-            given_camera(camera) or default_camera(),
-            path,
-            executor,
-            options,
-            progress,
+            views, mesh, given_camera(camera) or default_camera(), path, executor, options, progress
         )
     printed = Console(width=118)
     printed.print(_by_knowledge(f"{views.name}: {frames} random frames, seed {seed}", answers))

@@ -91,13 +91,7 @@ def bop_model(mesh_path: Path) -> BopModel | None:
         continuous += turns_about(axis, offset_m)
         symmetries.append(Symmetry("continuous", axis, None, offset_m))
     kept, unused = _consistent(symmetries, discrete[1:], info.diameter / 1000.0)
-    return BopModel(
-        obj_id,
-        info.diameter / 1000.0,
-        combined(discrete, continuous),
-        kept,
-        unused,
-    )
+    return BopModel(obj_id, info.diameter / 1000.0, combined(discrete, continuous), kept, unused)
 
 
 def _consistent(

@@ -17,13 +17,7 @@ from rendezview_ground.evaluate.scores import Scores, scores
 _SCORES: tuple[tuple[str, str, float, str, int], ...] = (
     ("speed", "SPEED score, mean", 1.0, "", 4),
     ("speed_plus", "SPEED+ score, mean", 1.0, "", 4),
-    (
-        "speed_plus_all",
-        "SPEED+ score, no pose: 180° and the whole range",
-        1.0,
-        "",
-        4,
-    ),
+    ("speed_plus_all", "SPEED+ score, no pose: 180° and the whole range", 1.0, "", 4),
     ("right_share", "right: a pose within 5°", 100.0, "%", 1),
     ("wrong_share", "wrong: a pose beyond 10°", 100.0, "%", 1),
     ("rbot_share", "within 5 cm and 5° (RBOT)", 100.0, "%", 1),

@@ -40,12 +40,7 @@ from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.simulate.command import default_camera
 from rendezview_ground.simulate.ranger import Ranger, write_echoes
 from rendezview_ground.simulate.scene import SceneOptions, simulate
-from rendezview_ground.simulate.trajectories import (
-    TimedPose,
-    TrajectoryOptions,
-    Triple,
-    trajectory,
-)
+from rendezview_ground.simulate.trajectories import TimedPose, TrajectoryOptions, Triple, trajectory
 
 _TARGET = "client"  # it has a docking ring
 _ORDER = 2  # 162 nodes instead of 642: as many poses, as accurate, in half the time

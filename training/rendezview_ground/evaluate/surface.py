@@ -35,10 +35,7 @@ class ModelPoints:
 
     @classmethod
     def of(
-        cls,
-        points_m: npt.ArrayLike,
-        alike: Sequence[Pose] = (),
-        diameter_m: float | None = None,
+        cls, points_m: npt.ArrayLike, alike: Sequence[Pose] = (), diameter_m: float | None = None
     ) -> ModelPoints:
         """Compute hull and diameter of the vertices.
 

@@ -33,11 +33,7 @@ from rendezview_ground.fly.options import FlyPlan
 from rendezview_ground.fly.sensors import CAMERA, OwnSensors
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate import SceneOptions, ShadingOptions, render_frame, sun_at_phase
-from rendezview_ground.simulate.reflector_frames import (
-    Clutter,
-    ReflectorFrameOptions,
-    render_pair,
-)
+from rendezview_ground.simulate.reflector_frames import Clutter, ReflectorFrameOptions, render_pair
 
 _STREAM, _GLARE_STREAM = 5, 6  # of the seed
 _GLARE_PX = 400.0  # px over which stray light falls by e. Source: chosen, half of the picture

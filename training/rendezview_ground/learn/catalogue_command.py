@@ -42,11 +42,7 @@ def catalogue(
         ProgressBar() as progress,
     ):
         outcome = train_catalogue(
-            entries,
-            output,
-            executor,
-            at_once=at_once or (3 if dask else 1),
-            progress=progress,
+            entries, output, executor, at_once=at_once or (3 if dask else 1), progress=progress
         )
     console.print(
         f"{output}: {len(outcome.trained)} models trained, {len(outcome.there_already)} existed "

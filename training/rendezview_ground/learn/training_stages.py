@@ -47,12 +47,7 @@ from rendezview_ground.learn.views.surface_points import (
     shown_from_near,
     visible_points,
 )
-from rendezview_ground.learn.views.views import (
-    ViewSet,
-    clean_views,
-    far_views,
-    lattice_slopes,
-)
+from rendezview_ground.learn.views.views import ViewSet, clean_views, far_views, lattice_slopes
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.crossings import faces_beside
 from rendezview_ground.render.projection import SilhouetteRenderer, SurfaceRenderer

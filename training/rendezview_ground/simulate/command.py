@@ -137,8 +137,7 @@ def simulate(
         int, typer.Option(help="Specks of dust before the camera, like stars, in each frame.")
     ] = 0,
     mesh_error: Annotated[
-        float,
-        typer.Option(help="Smooth error of the mesh: RMS displacement, share of its radius."),
+        float, typer.Option(help="Smooth error of the mesh: RMS displacement, share of its radius.")
     ] = 0.0,
     joint: Annotated[
         list[str] | None,

@@ -147,11 +147,7 @@ def _render(
                 # Mitsuba's camera has x to the left and y up.
                 "to_world": mi.ScalarTransform4f().rotate([0, 0, 1], 180.0),
                 "film": film,
-                "sampler": {
-                    "type": "independent",
-                    "sample_count": options.samples,
-                    "seed": seed,
-                },
+                "sampler": {"type": "independent", "sample_count": options.samples, "seed": seed},
             },
             "sun": {
                 "type": "directional",

@@ -32,11 +32,7 @@ from rendezview_ground.simulate.joint_motion import JointMotion
 from rendezview_ground.simulate.mesh_error import MOST_MESH_ERROR, deformed
 from rendezview_ground.simulate.mitsuba_renderer import MitsubaOptions, render_mitsuba
 from rendezview_ground.simulate.sensor import SensorOptions, UInt8s, automatic_exposure, expose
-from rendezview_ground.simulate.shading import (
-    ShadingOptions,
-    render,
-    unit,
-)
+from rendezview_ground.simulate.shading import ShadingOptions, render, unit
 from rendezview_ground.simulate.trajectories import TimedPose, Triple
 
 Progress = Callable[[int, int], None]

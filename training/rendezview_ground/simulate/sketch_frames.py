@@ -16,12 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.zbuffer import (
-    Float32s,
-    Int32s,
-    draw_perspective,
-    empty_buffers,
-)
+from rendezview.geometry.zbuffer import Float32s, Int32s, draw_perspective, empty_buffers
 from rendezview.sensors.appearance.edges.network import SIDE_PX
 from rendezview.sensors.appearance.model.sketches import COVER, MAPS
 from rendezview_ground.learn.views.sketch_maps import SAMPLES, facing_normals, sketch_maps
@@ -100,10 +95,7 @@ def magnified(options: HardLightOptions, larger: float) -> HardLightOptions:
 
 
 def draw_craft(
-    mesh: Mesh,
-    rng: np.random.Generator,
-    side_px: int = SIDE_PX,
-    texture: Float32s | None = None,
+    mesh: Mesh, rng: np.random.Generator, side_px: int = SIDE_PX, texture: Float32s | None = None
 ) -> CraftDrawing:
     """A craft in a random pose and random sunlight, that covers a part of a square picture.
 

@@ -112,12 +112,7 @@ def open_bop_scene(
             )
         )
     notes = (*notes, *instances_note(several, len(frames)))
-    return Sequence(
-        scene_id=_scene_id(folder),
-        frames=tuple(frames),
-        source=folder,
-        notes=notes,
-    )
+    return Sequence(scene_id=_scene_id(folder), frames=tuple(frames), source=folder, notes=notes)
 
 
 def instances_note(several: int, frames: int) -> tuple[str, ...]:

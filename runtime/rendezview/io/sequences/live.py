@@ -150,11 +150,7 @@ def without_password(address: str) -> str:
 
 
 def _frames(
-    capture: cv2.VideoCapture,
-    source: str,
-    camera: Camera,
-    note: Callable[[str], None],
-    every: bool,
+    capture: cv2.VideoCapture, source: str, camera: Camera, note: Callable[[str], None], every: bool
 ) -> Generator[Frame, None, None]:
     name, start_s, last_s, first = without_password(source), time.monotonic(), -1.0, 0
     try:

@@ -81,12 +81,7 @@ def _decoder(path: Path, encoding: str, schema: Any) -> _Decoder | None:
 
 def _ros(path: Path, schema: Any, encoding: str) -> _Decoder:
     with optional(f"{path}: ROS's messages need", "ros"):
-        from rosbags.typesys import (
-            Stores,
-            get_types_from_idl,
-            get_types_from_msg,
-            get_typestore,
-        )
+        from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
     package, name = short_name(schema.name).split("/")
     full = f"{package}/msg/{name}"
     store = get_typestore(Stores.EMPTY)

@@ -124,9 +124,7 @@ def closed_form(
 
 
 def calibrate(
-    camera: Camera,
-    pattern: ReflectorPattern,
-    readings: Iterable[tuple[npt.ArrayLike, SixNumbers]],
+    camera: Camera, pattern: ReflectorPattern, readings: Iterable[tuple[npt.ArrayLike, SixNumbers]]
 ) -> ClosedFormCalibration:
     """Fit the constants to readings: (3, 2) centroids of left, centre, right, and the truth.
 

@@ -8,11 +8,7 @@ import numpy as np
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
-from rendezview.sensors.beacons.closed_form import (
-    ClosedFormCalibration,
-    closed_form,
-    post_of,
-)
+from rendezview.sensors.beacons.closed_form import ClosedFormCalibration, closed_form, post_of
 from rendezview.sensors.beacons.constellation import Face, ReflectorPattern, SixNumbers
 from rendezview.sensors.beacons.observation import ReflectorObservation, rates_record
 from rendezview.sensors.beacons.rates import RateEstimator

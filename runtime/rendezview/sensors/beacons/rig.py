@@ -16,11 +16,7 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera, LensModel
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.beacons.detect.brown_lens import (
-    COEFFICIENT_NAMES,
-    Array,
-    Lens,
-)
+from rendezview.sensors.beacons.detect.brown_lens import COEFFICIENT_NAMES, Array, Lens
 from rendezview.sensors.beacons.detect.detectors import Photodiode, Spots
 
 # Numbers of a camera in the order of their covariance: intrinsics, then camera_from_rig.

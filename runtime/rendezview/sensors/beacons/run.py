@@ -16,11 +16,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.io.sequences import Frame, Sequence
 from rendezview.sensors.beacons.accelerations import Accelerations
-from rendezview.sensors.beacons.closed_form import (
-    ClosedFormCalibration,
-    base_and_post,
-    calibrate,
-)
+from rendezview.sensors.beacons.closed_form import ClosedFormCalibration, base_and_post, calibrate
 from rendezview.sensors.beacons.constellation import ReflectorPattern, SixNumbers, six_numbers
 from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptions, registered
 from rendezview.sensors.beacons.detect.spots import find_spots
@@ -82,10 +78,7 @@ class FramePair:
 
 
 def pair_up(
-    sequences: list[Sequence],
-    mode: Mode,
-    lit_from_dark: Array | None = None,
-    invert: bool = False,
+    sequences: list[Sequence], mode: Mode, lit_from_dark: Array | None = None, invert: bool = False
 ) -> list[FramePair]:
     """The readings of one or two sequences; ``invert``: dark dots on a bright ground.
 
@@ -204,11 +197,7 @@ def follow(
         camera = pair.lit.camera
         if camera not in sensors:
             sensors[camera] = ReflectorSensor(
-                camera,
-                patterns,
-                threshold=threshold,
-                acquisition=acquisition,
-                tracking=tracking,
+                camera, patterns, threshold=threshold, acquisition=acquisition, tracking=tracking
             )
         elif independent:
             sensors[camera].forget()

@@ -113,10 +113,7 @@ def update(
     gain = prior[6:, :6] @ inverse  # of the rates by a pose's correction
     lost = prior[:6, :6] - posterior
     whole = np.block(
-        [
-            [posterior, posterior @ gain.T],
-            [gain @ posterior, prior[6:, 6:] - gain @ lost @ gain.T],
-        ]
+        [[posterior, posterior @ gain.T], [gain @ posterior, prior[6:, 6:] - gain @ lost @ gain.T]]
     )
     moved = difference(rotation, translation, state.rotation, state.translation)
     return Motion(state.time_s, rotation, translation, state.rates + gain @ moved, whole)

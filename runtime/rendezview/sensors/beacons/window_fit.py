@@ -27,12 +27,7 @@ from rendezview.sensors.beacons.match.mirrored_pose import mirror
 from rendezview.sensors.beacons.pose.refinement import Refined, loose_px, solve_spots
 from rendezview.sensors.beacons.pose.shares import CAUSES
 from rendezview.sensors.beacons.track import Branch, Track, TrackingOptions
-from rendezview.sensors.beacons.windows import (
-    VISIBLE,
-    place_windows,
-    read_windows,
-    window_noise,
-)
+from rendezview.sensors.beacons.windows import VISIBLE, place_windows, read_windows, window_noise
 
 Ints = npt.NDArray[np.int64]
 

@@ -76,10 +76,7 @@ def sketch_maps(nearness: Float32s, owner: Int32s, normals: Float32s, radius_m: 
 
 
 def sketched_view(
-    mesh: Mesh,
-    geometry: ViewGeometry,
-    direction: Array,
-    renderer: SurfaceRenderer | None = None,
+    mesh: Mesh, geometry: ViewGeometry, direction: Array, renderer: SurfaceRenderer | None = None
 ) -> dict[str, npt.NDArray[Any]]:
     """One view of a model from a unit direction (3,): the fields of ``ViewSketches``."""
     range_m = RANGE_RADII * geometry.target_radius_m

@@ -11,9 +11,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.model.signature import Readings, Signature
 from rendezview.sensors.appearance.model.view_model import FAR_RADII
-from rendezview.sensors.appearance.outline.silhouette import (
-    outlines_of_mask,
-)
+from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
 from rendezview_ground.learn.options import TrainingOptions, ViewGeometry
 from rendezview_ground.render.projection import SilhouetteRenderer, Window
 

@@ -167,11 +167,7 @@ def registered(dark: Grey, lit_from_dark: npt.ArrayLike) -> Grey:
     # A narrower kernel would smooth the noise, whose error neighbouring pixels would then hide.
     return np.asarray(
         cv2.warpAffine(
-            dark,
-            affine,
-            (width, height),
-            flags=cv2.INTER_LANCZOS4,
-            borderMode=cv2.BORDER_REPLICATE,
+            dark, affine, (width, height), flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE
         ),
         dtype=np.uint8,
     )

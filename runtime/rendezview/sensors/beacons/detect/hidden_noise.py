@@ -15,12 +15,7 @@ import cv2
 import numpy as np
 
 from rendezview.geometry.pose import Array
-from rendezview.sensors.beacons.detect.difference import (
-    Grey,
-    LitDark,
-    background_of,
-    noise_grey,
-)
+from rendezview.sensors.beacons.detect.difference import Grey, LitDark, background_of, noise_grey
 from rendezview.sensors.beacons.detect.spot_columns import (
     AMPLITUDE,
     BOTTOM,

@@ -17,12 +17,7 @@ import numpy as np
 from numba import njit
 
 from rendezview.estimation.saturated_spot import Plane, fit_rim
-from rendezview.estimation.spot_centroid import (
-    centre_spot,
-    elongation,
-    overlap_error,
-    ring_plane,
-)
+from rendezview.estimation.spot_centroid import centre_spot, elongation, overlap_error, ring_plane
 from rendezview.geometry.pose import Array
 from rendezview.sensors.beacons.detect.blended import parted
 from rendezview.sensors.beacons.detect.difference import (
