@@ -9,8 +9,8 @@ import numpy as np
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.io.sequences import BopSceneWriter
 from rendezview.sensors.beacons import ReflectorPattern
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
 
 CLIENT = Path(__file__).resolve().parents[2] / "models_cad" / "client"

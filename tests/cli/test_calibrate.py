@@ -16,7 +16,6 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import load_camera, save_camera
 from rendezview.io.sequences import open_sequence
-from rendezview.io.sequences.bop_writer import BopSceneWriter
 from rendezview.io.sequences.frame import Frame
 from rendezview.io.sequences.live import is_live, live_frames, with_rate
 from rendezview.sensors.appearance import ViewModel
@@ -24,6 +23,7 @@ from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptio
 from rendezview.sensors.beacons.observation import ReflectorObservation
 from rendezview.sensors.beacons.run import FramePair, wrong_mode
 from rendezview.sensors.observation import Status
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 
 CAMERA = Camera(640, 480, 620.0, 625.0, 322.0, 236.0)
 SQUARE = 40  # px of the printed board

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import ResultRow, write_results
-from rendezview.io.sequences import BopSceneWriter
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 
 CAMERA = Camera.from_fov(64, 48, 1.0)
 

@@ -14,9 +14,9 @@ from rendezview.geometry import so3
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_json_lines
-from rendezview.io.sequences import BopSceneWriter
 from rendezview.sensors.appearance import ViewModel
 from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 
 FRAMES = 4
 

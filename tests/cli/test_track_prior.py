@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.pose_log import poses_by_frame
-from rendezview.io.sequences import BopSceneWriter, open_sequence
+from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance.following import follow
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 
 DARK = range(3, 10)
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_results
-from rendezview.io.sequences import BopSceneWriter
 from rendezview.sensors.appearance.edges.contour_at import target_box
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 
 
 @pytest.fixture(scope="module")

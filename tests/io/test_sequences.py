@@ -12,7 +12,8 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import save_camera
-from rendezview.io.sequences import BopSceneWriter, open_sequence
+from rendezview.io.sequences import open_sequence
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 
 CAMERA = Camera(64, 48, 80.0, 81.0, 31.0, 24.0, (-0.1, 0.01, 0.001, 0.0, 0.0))
 

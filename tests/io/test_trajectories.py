@@ -14,7 +14,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import JsonLinesWriter
 from rendezview.io.sequences.frame import Frame, Sequence
-from rendezview.io.trajectories import results_of_tum, tum_text
+from rendezview.io.trajectories import tum_text
+from rendezview_ground.evaluate.tum import results_of_tum
 
 
 def log_of(path: Path, times_s) -> list[Pose]:

@@ -20,7 +20,7 @@ from tests.waiting import MOST_S, wait_until
 
 from rendezview.cli.main import main
 from rendezview.errors import RendezviewError
-from rendezview.io.sequences import BopSceneWriter
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 from rendezview_service.client import ServiceError
 from rendezview_service.hub.service import Service
 from rendezview_service.logs.log_repair import mend

@@ -14,7 +14,7 @@ from tests.waiting import wait_until
 
 from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import save_camera
-from rendezview.io.sequences import BopSceneWriter
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 from rendezview_service.messages.model_messages import JobInfo
 from rendezview_service.tracker.tracking import camera_message
 

@@ -14,7 +14,8 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import JsonLinesWriter
-from rendezview.io.sequences import BopSceneWriter, open_sequence
+from rendezview.io.sequences import open_sequence
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 from rendezview_service.viewers.rerun_file import write_rerun
 from rendezview_service.viewers.runs import Moment, moments
 

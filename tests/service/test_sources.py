@@ -18,7 +18,8 @@ from tests.mjpeg_stream import mjpeg_stream
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.io.sequences import BopSceneWriter, open_sequence
+from rendezview.io.sequences import open_sequence
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 from rendezview_service.hub.source_process import open_apart
 from rendezview_service.hub.sources import SourceFrame, open_source
 

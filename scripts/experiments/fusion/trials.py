@@ -21,7 +21,7 @@ from rendezview.fusion.logs import LogContext, merged, read_log
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.results import JsonLinesWriter, read_json_lines
-from rendezview.io.sequences import BopSceneWriter, Frame, open_sequence
+from rendezview.io.sequences import Frame, open_sequence
 from rendezview.io.target import DockingRing, Target
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.following import follow, record
@@ -33,6 +33,7 @@ from rendezview.sensors.ring.run import record as ring_record
 from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.simulate import SceneOptions, render_frame, sun_at_phase
 from rendezview_ground.simulate.approach import ApproachOptions, approach
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 from rendezview_ground.simulate.ranger import Ranger, write_echoes
 from rendezview_ground.simulate.shading import ShadingOptions
 

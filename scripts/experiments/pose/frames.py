@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from experiments.frame import mesh_of
 from rendezview import Camera, Pose
-from rendezview.io.sequences import BopSceneWriter
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate import (
     Earth,
@@ -22,6 +21,7 @@ from rendezview_ground.simulate import (
     render_frame,
     sun_at_phase,
 )
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 from rendezview_ground.simulate.command import default_camera
 from rendezview_ground.simulate.near_symmetric_craft import CRAFT
 

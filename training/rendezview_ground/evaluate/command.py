@@ -18,7 +18,6 @@ from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.bundled import find_target
 from rendezview.io.files import atomic_write, make_folder
 from rendezview.io.results import read_results
-from rendezview.io.trajectories import results_of_tum
 from rendezview_ground.evaluate.bop_models import bop_model
 from rendezview_ground.evaluate.comparison import (
     comparison_dict,
@@ -36,6 +35,7 @@ from rendezview_ground.evaluate.pictures.track_pictures import error_curves
 from rendezview_ground.evaluate.scores import scores
 from rendezview_ground.evaluate.stanford import Judged, judged_log, stanford_dict, stanford_text
 from rendezview_ground.evaluate.surface import ModelPoints, alike_of
+from rendezview_ground.evaluate.tum import results_of_tum
 from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.mesh.symmetries import described, find_symmetries
 

@@ -17,7 +17,6 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.zbuffer import Float32s
-from rendezview.io.sequences import BopSceneWriter
 from rendezview_ground.mesh.insulation import MOST_INSULATION, insulated
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate.background import (
@@ -27,6 +26,7 @@ from rendezview_ground.simulate.background import (
     ground_rotation,
     star_radiance,
 )
+from rendezview_ground.simulate.bop_writer import BopSceneWriter
 from rendezview_ground.simulate.dust import add_dust
 from rendezview_ground.simulate.joint_motion import JointMotion
 from rendezview_ground.simulate.mesh_error import MOST_MESH_ERROR, deformed

@@ -1,7 +1,6 @@
 """Image sequences: BOP scenes, folders of images, videos, SPEED and SPEED+, recordings."""
 
-from rendezview.io.sequences.bop_writer import BopSceneWriter
 from rendezview.io.sequences.frame import Frame, Sequence
 from rendezview.io.sequences.opening import open_sequence
 
-__all__ = ["BopSceneWriter", "Frame", "Sequence", "open_sequence"]
+__all__ = ["Frame", "Sequence", "open_sequence"]
