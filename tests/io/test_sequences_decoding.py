@@ -1,12 +1,12 @@
 """Packed pictures: what is damaged never reaches a decoder that could hang over it."""
 
 import struct
-import zlib
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
 import pytest
+from tests.service.hostile_pictures import chunk
 
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences.decoding import PNG, decode_grey
@@ -22,11 +22,6 @@ def image():
 @pytest.fixture(scope="module")
 def png(image):
     return cv2.imencode(".png", image)[1].tobytes()
-
-
-def chunk(kind: bytes, content: bytes) -> bytes:
-    checksum = zlib.crc32(kind + content)
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", checksum)
 
 
 def animated(png: bytes) -> bytes:

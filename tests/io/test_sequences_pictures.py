@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from tests.service.hostile_pictures import chunk
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -21,11 +22,6 @@ from rendezview.io.sequences.picture_marks import marks_of
 CAMERA = Camera(64, 48, 80.0, 81.0, 31.0, 24.0)
 RNG = np.random.default_rng(71)
 COLOUR = RNG.integers(0, 256, (48, 64, 3), dtype=np.uint8)
-
-
-def chunk(kind: bytes, content: bytes) -> bytes:
-    checksum = zlib.crc32(kind + content)
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", checksum)
 
 
 GAMMAS = {

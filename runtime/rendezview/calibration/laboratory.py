@@ -158,7 +158,7 @@ def _with_beams(
     off = (centre - principal) / one.focal_m
     off_sigma = np.hypot(centre_sigma, sigma) / one.focal_m
     # The misfit of the cubic is a floor under the σ of every place.
-    expected = float(np.sqrt((_place_sigma(diode, one.scan.mean(axis=0)) ** 2).mean()))
+    expected = float(np.sqrt((diode.read(one.scan.mean(axis=0)).sigma ** 2).mean()))
     floor = np.sqrt(max(fit.rms_m**2 - expected**2 / len(one.scan), 0.0))
     camera = RigCamera(
         one.name, one.focal_m, one.focal_m, float(principal[0]), float(principal[1]),
@@ -169,10 +169,6 @@ def _with_beams(
     beams = [(f"c{axis}", float(principal[i]), float(sigma[i])) for i, axis in enumerate("xy")]
     beams += [(f"o{axis}", float(off[i]), float(off_sigma[i])) for i, axis in enumerate("xy")]
     return camera, beams
-
-
-def _place_sigma(diode: Photodiode, currents: Array) -> Array:
-    return diode.read(currents).sigma
 
 
 def _with_lens(camera: RigCamera, k: int, record: LaboratoryRecord) -> tuple[RigCamera, Step]:

@@ -20,6 +20,7 @@ from rendezview.geometry.pose import Array
 _At = TypeVar("_At")  # parameters, of any type
 Equations = tuple[float, Array, Array]  # cost, normal matrix (P, P), right side (P,)
 
+MOST_STEPS = 30  # of a loop that a few steps end. Source: by construction, a bound only
 # Damping, a share of the diagonal: the first after a plain step failed, and its factors after a
 # worse and a better step. Source: Marquardt, SIAM J. 11(2), 1963, whose λ₀ is 0.01 and ν 10; 1e-4
 # because the starts here are near.

@@ -120,9 +120,8 @@ def p3p_roots(
 ) -> int:
     """`solve_p3p` for other compiled code: fills (4, 3, 3) and (4, 3), returns the number.
 
-    ``residual``: largest error of a squared side over the longest side squared. Where noise has
-    made two poses meet and vanish, a larger one keeps the point nearest to them.
-    """
+    ``residual``: largest error of a squared side, over the longest squared. A larger one keeps what
+    is left of two poses that noise has made one."""
     n0 = math.sqrt(rays[0, 0] ** 2 + rays[0, 1] ** 2 + rays[0, 2] ** 2)
     n1 = math.sqrt(rays[1, 0] ** 2 + rays[1, 1] ** 2 + rays[1, 2] ** 2)
     n2 = math.sqrt(rays[2, 0] ** 2 + rays[2, 1] ** 2 + rays[2, 2] ** 2)

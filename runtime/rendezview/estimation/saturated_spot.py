@@ -26,6 +26,7 @@ from rendezview.estimation.least_squares import (
     DAMPING_DECAY,
     DAMPING_GROWTH,
     FIRST_DAMPING,
+    MOST_STEPS,
     damped_step,
 )
 from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into, invert
@@ -39,7 +40,6 @@ FULL_GREY = 250  # grey: brighter may be cut off. Source: by construction, 255 l
 _NUMBERS = 7  # x, y, R, e₁, e₂, ln s, ln A. Source: by construction
 _PRIORS = 4  # of the last of these something is known before. Source: by construction
 _BEYOND_PX = 4  # of the spot's box. Source: by construction, 4 σ of the blur and a pixel's width
-_ITERATIONS = 30  # Source: by construction, a bound only
 _TRIALS = 6  # of damping. Source: by construction, a bound only
 _GAIN = 1e-3  # of χ²: the end. Source: by construction, a thirtieth of one σ
 _LONGEST = 1.5  # of a step of ln s and ln A. Source: by construction, a factor of 4.5
@@ -129,7 +129,7 @@ def _fit(
     normal_there, right_there, lower = np.empty_like(normal), right.copy(), np.empty_like(normal)
     cost, rim, count = _equations(image, dark, plane, noise, box, apart, prior, at, normal, right)
     damping, gain = 0.0, np.inf
-    for _ in range(_ITERATIONS):
+    for _ in range(MOST_STEPS):
         gain = -1.0
         for _ in range(_TRIALS):
             if damped_step(normal, right, damping, lower, step):

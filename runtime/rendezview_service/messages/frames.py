@@ -80,7 +80,7 @@ def read_frame(content: Bytes, camera: Camera) -> GreyImage:
     if len(content) > longest_frame(camera.width, camera.height):
         raise RendezviewError(damaged)
     size = png_size(content) if kind is FrameKind.PNG else jpeg_size(content)
-    if size is None or (kind is FrameKind.JPEG and not _jpeg_ends(content)):
+    if size is None or (kind is FrameKind.JPEG and b"\xff\xd9" not in bytes(content[-64:])):
         raise RendezviewError(damaged)
     if size != (camera.width, camera.height):
         raise RendezviewError(
@@ -128,7 +128,3 @@ def jpeg_size(content: Bytes) -> tuple[int, int] | None:
             return None
         place += 2 + length
     return None
-
-
-def _jpeg_ends(content: Bytes) -> bool:
-    return b"\xff\xd9" in bytes(content[-64:])

@@ -173,15 +173,6 @@ def test_a_turn_about_an_axis_beside_the_origin_moves_the_origin_and_is_no_error
     assert errors.range_fraction == pytest.approx(0.0, abs=1e-12)
 
 
-def test_two_continuous_axes_make_a_ball() -> None:
-    rng = np.random.default_rng(5)
-    ball = [Symmetry("continuous", Z, None), Symmetry("continuous", X, None)]
-    truth, estimate = random_pose(rng), random_pose(rng)
-    errors = pose_errors(truth, estimate, symmetries=ball)
-    assert errors.rotation_rad == pytest.approx(0.0, abs=1e-7)
-    assert errors.translation_m > 0.0
-
-
 def test_the_turns_of_a_cube_are_twenty_four() -> None:
     quarter = [Symmetry("discrete", axis, math.pi / 2) for axis in (X, Y)]
     assert len(discrete_turns(quarter)) == 24

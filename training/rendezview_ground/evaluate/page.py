@@ -107,8 +107,9 @@ def page(
             pictures that a report does not always have come after the frames.
     """
     by_name = {card.name: card for card in cards}
-    strip = "".join(_image(card, f"{card.title} {card.name[6:]}") for card in cards
-                    if card.name.startswith("frame_"))  # fmt: skip
+    frames = (card for card in cards if card.name.startswith("frame_"))
+    pictures = (_tag(card, f"{card.title} {card.name[6:]}") for card in frames)
+    strip = "".join(f"<figure>{picture}</figure>" for picture in pictures)
     pair = "".join(figure(by_name[n]) for n in _PAIR if n in by_name)
     wide = "".join(figure(by_name[n]) for n in _WIDE if n in by_name)
     videos = [card for card in cards if card.kind == WEBM]
@@ -229,10 +230,6 @@ def figure(card: Card) -> str:
     if card.kind == PNG:  # wider than a phone
         shown = f'<div class="plot">{shown}</div>'
     return f"<figure><figcaption><h3>{escape(card.title)}</h3>{words}</figcaption>{shown}</figure>"
-
-
-def _image(card: Card, words: str) -> str:
-    return f"<figure>{_tag(card, words)}</figure>"
 
 
 def _tag(card: Card, words: str) -> str:

@@ -77,8 +77,8 @@ def read_fits(path: Path, place: int) -> npt.NDArray[Any]:
         else:
             lead = (0,) * (len(unit.shape) - 3)
             levels = np.asarray(unit.section[(*lead, plane)])
-        header = _header(units, index)
-    return levels[::-1] if _from_below(header) else levels
+        order = str(_header(units, index).get("ROWORDER", ""))
+    return levels[::-1] if order.upper().startswith("BOTTOM") else levels
 
 
 @contextmanager
@@ -121,10 +121,6 @@ def _header(units: Any, index: int) -> dict[str, Any]:
     """The keywords that are used, of a unit, else of the first."""
     first, own = units[0].header, units[index].header
     return {key: own.get(key, first.get(key)) for key in _KEYS if key in own or key in first}
-
-
-def _from_below(header: dict[str, Any]) -> bool:
-    return str(header.get("ROWORDER", "")).upper().startswith("BOTTOM")
 
 
 def _notes(header: dict[str, Any], planes: int) -> list[str]:

@@ -14,10 +14,10 @@ import numpy as np
 from rendezview.estimation.motion import predict_covariance
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
+from rendezview.sensors.beacons.match.agreement import ITERATIONS
 from rendezview.sensors.beacons.pose.collinearity import solve
 from rendezview.sensors.beacons.rig import Rig
 
-_ITERATIONS = 15  # Source: by construction, a bound only
 _TOLERANCE = 0.1  # of a standard deviation, of the last step. Source: by construction
 # Squared distance of reading and forecast, in σ, at which the forecast is wrong. Source: χ²
 # distribution, six degrees, 10⁻¹⁴
@@ -105,7 +105,7 @@ def update(
     inverse = np.asarray(np.linalg.inv(prior[:6, :6]), np.float64)
     _, _, done = solve(
         rotation, translation, leds, rig.rotations, rig.translations, xy, weight, inverse,
-        state.rotation, state.translation, _ITERATIONS, _TOLERANCE, information,
+        state.rotation, state.translation, ITERATIONS, _TOLERANCE, information,
     )  # fmt: skip
     if not done:
         return None

@@ -22,11 +22,11 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.errors import RendezviewError
+from rendezview.estimation.least_squares import MOST_STEPS
 
 Array = npt.NDArray[np.float64]
 
 COEFFICIENT_NAMES = ("l1", "l2", "l3", "p1", "p2", "p3", "ox", "oy")
-_NEWTON_STEPS = 30  # Source: by construction, a bound only
 # A side, of the grid on which models are compared.
 _FIELD_SAMPLES = 21  # Source: by construction, a grid
 
@@ -209,7 +209,7 @@ def shift(x: float, y: float, c: Array) -> tuple[float, float, float, float, flo
 def unshift(u: float, v: float, c: Array) -> tuple[float, float, float, float, float, float]:
     """(x, y) with ``(x, y) + Δ(x, y) = (u, v)`` by Newton, and the derivatives of Δ there."""
     x, y = u, v
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(MOST_STEPS):
         dx, dy, xx, xy, yx, yy = shift(x, y, c)
         ex, ey = u - x - dx, v - y - dy
         a, d = 1.0 + xx, 1.0 + yy

@@ -13,6 +13,7 @@ from rendezview.estimation.least_squares import (
     DAMPING_DECAY,
     DAMPING_GROWTH,
     FIRST_DAMPING,
+    MOST_STEPS,
     damped_step,
 )
 from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into, invert
@@ -40,7 +41,6 @@ from rendezview.sensors.beacons.pose.shares import (
 
 Ints = npt.NDArray[np.int64]
 
-_ITERATIONS = 30  # Source: by construction, a bound only
 # Of damping, before the last pose is taken as the minimum.
 _TRIALS = 8  # Source: by construction, a bound only
 _STEP = 1e-12  # rad and share of the range: the end. Source: by construction, rounding
@@ -209,7 +209,7 @@ def _bent(
             lens, arms, normals, diameters, moved, sigma, turned_r, moved_t, residuals, normal,
             lower,
         )  # fmt: skip
-        if used < 0 or used >= _ITERATIONS:
+        if used < 0 or used >= MOST_STEPS:
             return False
         turn = between(turned_r, rotation)
         for a in range(3):
@@ -229,7 +229,7 @@ def _converge(
     cost = _cost(lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals)
     if not math.isfinite(cost):
         return -1
-    for _ in range(_ITERATIONS):
+    for _ in range(MOST_STEPS):
         used += 1
         _equations(lens, arms, normals, diameters, sigma, rotation, shift, residuals, normal, right)
         if done:
@@ -258,7 +258,7 @@ def _converge(
                     break
             damping = max(DAMPING_GROWTH * damping, FIRST_DAMPING)
         done = done or not accepted
-    return used if done else _ITERATIONS
+    return used if done else MOST_STEPS
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -321,7 +321,7 @@ def solve_spots(
         lens, doubts, some_arms, some_normals, some_discs, spots, sigma, cover,
         rotation, shift, shares, residuals,
     )  # fmt: skip
-    if used < 0 or used >= _ITERATIONS:
+    if used < 0 or used >= MOST_STEPS:
         return -1
     x, y, z = turned(rotation, centre.reshape(1, 3), 0)
     translation[0], translation[1], translation[2] = shift[0] - x, shift[1] - y, shift[2] - z
