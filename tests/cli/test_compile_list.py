@@ -16,7 +16,7 @@ from rendezview_ground.simulate.trajectories import TrajectoryOptions, trajector
 
 _TRACK = """
 import json, sys
-from rendezview.cli.compiling import recorded
+from experiments.startup.recorded import recorded
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.following import follow

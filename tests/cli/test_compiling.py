@@ -19,6 +19,7 @@ from numba.core.caching import IndexDataCacheFile
 from numba.core.event import install_listener
 from tests.waiting import MOST_S
 
+from experiments.startup.recorded import recorded
 from rendezview.cli import compiling
 from rendezview.cli import warm as warm_command
 from rendezview.cli.progress import ProgressBar
@@ -237,7 +238,7 @@ def test_a_loop_that_is_compiled_unexpectedly_is_announced_once():
     with install_listener("numba:compile", compiling._Teller(said.append)):
         work()
     assert len(said) == 1
-    entries = compiling.recorded(lambda: njit(lambda x: 2.0 * x)(1))
+    entries = recorded(lambda: njit(lambda x: 2.0 * x)(1))
     assert [entry["arguments"] for entry in entries] == [["int64"]]
 
 

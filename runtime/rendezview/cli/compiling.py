@@ -28,7 +28,6 @@ from typing import Any
 import numpy as np
 from numba import types
 from numba.core.caching import IndexDataCacheFile
-from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 from numba.core.event import Event, Listener, register
 
@@ -297,38 +296,6 @@ def _shares(entries: Sequence[dict[str, Any]], count: int) -> list[list[dict[str
 
 def _seconds(entries: Sequence[dict[str, Any]]) -> float:
     return sum(float(entry["seconds"]) for entry in entries)
-
-
-def recorded(run: Callable[[], object]) -> list[dict[str, Any]]:
-    """The loops that a run calls from Python, by types of arguments, with the seconds of each.
-
-    With an empty cache the seconds are those of compiling; a loop that was compiled as a part of
-    another is not listed then.
-    """
-    entries: list[dict[str, Any]] = []
-    numba_s: Any = Dispatcher
-    prepare = numba_s._compile_for_args
-
-    def noted(self: Any, *arguments: Any) -> Any:
-        start = time.process_time()
-        try:
-            return prepare(self, *arguments)
-        finally:
-            function = self.py_func
-            entries.append(
-                {
-                    "loop": f"{function.__module__}:{function.__qualname__}",
-                    "arguments": [type_to_json(self.typeof_pyval(a)) for a in arguments],
-                    "seconds": round(time.process_time() - start, 1),
-                }
-            )
-
-    numba_s._compile_for_args = noted
-    try:
-        run()
-    finally:
-        numba_s._compile_for_args = prepare
-    return entries
 
 
 def _compile(entries: list[dict[str, Any]], done: Callable[[float], None] | None = None) -> None:

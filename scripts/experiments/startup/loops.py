@@ -17,9 +17,10 @@ import numpy as np
 
 import rendezview as rv
 from experiments.frame import ROOT, mesh_of
+from experiments.startup.recorded import recorded
 from experiments.stereo.accuracy import leds_of, spots_of
 from rendezview.calibration.laboratory import calibrate_laboratory
-from rendezview.cli.compiling import COMMANDS, recorded
+from rendezview.cli.compiling import COMMANDS
 from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.appearance.following import follow, result_row
 from rendezview.sensors.beacons import MotionOptions, SixNumbers, TrackerOptions, pose_of
