@@ -17,6 +17,7 @@ EXPERIMENTS = {
     },
     "ring, reflectors, stereo": {
         "ring-accuracy": ("ring.accuracy", "accuracy and detection beside OpenCV's detectors"),
+        "ring-size": ("ring.size", "size of a ring from drawn fly-arounds"),
         "reflector-accuracy": ("reflectors.accuracy", "pose errors against the Cramér–Rao bound"),
         "reflector-hidden": ("reflectors.hidden", "every three to five of five reflectors"),
         "reflector-nees": ("reflectors.nees", "errors against covariances, by condition"),
