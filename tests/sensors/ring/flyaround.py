@@ -28,15 +28,17 @@ def draw(
     rng: np.random.Generator,
     offset_m: tuple[float, float] = (0.0, 0.0),
     noise_grey: float = 2.0,
+    panel_grey: float = 110.0,
+    ring_grey: float = 220.0,
 ) -> np.ndarray:
     """(H, W) uint8: a grey panel, before it a bright ring with a dark middle; noise."""
     picture = np.full((camera.height, camera.width), 12.0)
     across, up = _on_plane(camera, pose, 0.0)
     inside = _within(0.5 * PANEL_M[0] - np.abs(across)) * _within(0.5 * PANEL_M[1] - np.abs(up))
-    picture += inside * (110.0 - picture)
+    picture += inside * (panel_grey - picture)
     across, up = _on_plane(camera, pose, DISTANCE_M)
     away = np.hypot(across - offset_m[0], up - offset_m[1])
-    for radius, level in ((RADIUS_M, 220.0), (RADIUS_M - WIDTH_M, 60.0)):
+    for radius, level in ((RADIUS_M, ring_grey), (RADIUS_M - WIDTH_M, 60.0)):
         picture += _within(radius - away) * (level - picture)
     noisy = picture + rng.normal(0.0, noise_grey, picture.shape)
     return np.clip(np.round(noisy), 0, 255).astype(np.uint8)

@@ -18,7 +18,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.ring.circle_pose import shape_of_circle
 from rendezview.sensors.ring.rectangle import rectangle_pose
-from rendezview.sensors.ring.ring_size import RingSight, ring_size
+from rendezview.sensors.ring.ring_size import RingSight
+from rendezview.sensors.ring.size_circles import Ellipses
 
 LEAST_FRAMES = 3  # as for a circle through points. Source: by construction
 _OWN, _SHARED = 6, 6  # unknowns of a frame, and of the pass. Source: by construction
@@ -56,7 +57,7 @@ class _State:
 
 
 def ring_size_of_pass(
-    camera: Camera, sights: Sequence[RingSight], common_px: float = 0.0
+    camera: Camera, sights: Sequence[RingSight], common_px: float = 0.0, along_px: float = 0.0
 ) -> PassSize | None:
     """R, D_f and the axis' offset from all frames of a pass; None where too few frames fit.
 
@@ -68,6 +69,8 @@ def ring_size_of_pass(
         sights: what each frame measured.
         common_px: σ of an error of the ring's semi-axes that all frames share: a model of edges is
             wrong by the same in all of them, so more frames do not lessen it.
+        along_px: σ of a shift of the ring along its axis that all pictures share: of a rim that
+            shows its wall.
     """
     used, state = _start(camera, sights)
     for _ in range(_ROUNDS):
@@ -82,7 +85,8 @@ def ring_size_of_pass(
         if fits.all():
             size = _finished(problem, found.at, tuple(used), found.cost)
             if size is not None:
-                size.covariance[0, 0] += _common_variance(camera, found.at, common_px)
+                size.covariance[0, 0] += (common_px * _metres(camera, found.at)) ** 2
+                size.covariance[1, 1] += (along_px * _metres(camera, found.at, along=True)) ** 2
             return size
         # A wrong frame spoils its neighbours: those far worse than the limit go first.
         fits |= misfits < 0.1 * misfits.max()
@@ -93,12 +97,13 @@ def ring_size_of_pass(
 
 
 def _start(camera: Camera, sights: Sequence[RingSight]) -> tuple[list[int], _State]:
-    """The sights that have a solution of their own, and the means of these."""
-    used, poses, sides, sizes, weights = [], [], [], [], []
-    for number, sight in enumerate(sights):
-        size = ring_size(camera, sight)
+    """The sights that give a circle, and the circle and sides of all."""
+    ellipses = Ellipses(camera, [[sight] for sight in sights])
+    used, poses, sides, common = [], [], [], np.zeros(_SHARED)
+    for number in ellipses.index[:, 0].tolist():
+        sight = sights[number]
         found = rectangle_pose(camera, sight.corners_px, sight.range_m, sight.beam)
-        if size is None or found is None or not np.isfinite(size.covariance).all():
+        if found is None:
             continue
         pose, _ = found
         rays = camera.rays(sight.corners_px)
@@ -107,13 +112,10 @@ def _start(camera: Camera, sights: Sequence[RingSight]) -> tuple[list[int], _Sta
         used.append(number)
         poses.append(pose)
         sides.append([np.linalg.norm(corners[0] - corners[k]) for k in (1, 2)])
-        sizes.append([size.radius_m, size.distance_m])
-        weights.append(np.linalg.inv(size.covariance))
-    common = np.zeros(_SHARED)
-    if used:
+    if len(used) > 1:
         common[:2] = np.median(sides, axis=0)
-        weighted = np.einsum("nij,nj->i", weights, np.array(sizes))
-        common[2:4] = np.linalg.solve(np.sum(weights, axis=0), weighted)
+        for _ in range(2):
+            common[2:] = ellipses.circle(common[3], np.arange(len(ellipses)))[0]
     return used, _State(tuple(poses), common)
 
 
@@ -201,8 +203,13 @@ def _finished(problem: _Pass, state: _State, used: tuple[int, ...], chi2: float)
     return PassSize(float(radius), float(distance), offset, sides, covariance, used, chi2, freedom)
 
 
-def _common_variance(camera: Camera, state: _State, common_px: float) -> float:
-    """Variance of R by an error of ``common_px`` of the ring's size in every picture, m²."""
+def _metres(camera: Camera, state: _State, along: bool = False) -> float:
+    """How long a pixel is at the ring, across the line of sight or along the ring's axis, m."""
     centre = np.array([state.common[3], *state.common[4:]])
-    depth_m = float(np.mean([pose.apply(centre)[2] for pose in state.poses]))
-    return (common_px * depth_m / math.sqrt(camera.fx * camera.fy)) ** 2
+    places = np.array([pose.apply(centre) for pose in state.poses])
+    across = 1.0
+    if along:
+        sights = places / np.linalg.norm(places, axis=1)[:, None]
+        axes = np.array([pose.rotation[:, 0] for pose in state.poses])
+        across = float(np.mean(np.linalg.norm(np.cross(sights, axes), axis=1)))
+    return float(places[:, 2].mean()) / math.sqrt(camera.fx * camera.fy) / across

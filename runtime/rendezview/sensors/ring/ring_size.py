@@ -111,14 +111,7 @@ def _single(camera: Camera, measured: Array, beam: Beam) -> tuple[float, float, 
     start = slope * origin[0] - origin[1:]  # (y, z) of every ray at x = 0
     # First the plane whose circle's middle comes nearest to the target's x axis: the middle is seen
     # in the direction C⁻¹ n, C the cone over the ellipse.
-    inverse = np.linalg.inv(matrix @ matrix)
-    x, y = shape[:2] - (camera.cx, camera.cy)
-    scale = np.diag([camera.fx, camera.fy])
-    inner = scale @ inverse @ scale
-    place = np.array([x / camera.fx, y / camera.fy])
-    cone = np.zeros((3, 3))
-    cone[:2, :2], cone[:2, 2] = inner, -inner @ place
-    cone[2, :2], cone[2, 2] = cone[:2, 2], place @ inner @ place - 1.0
+    cone = cone_of(camera, shape)
     middle = np.linalg.solve(cone, pose.rotation[:, 0])
     (_, distance), *_ = np.linalg.lstsq(
         np.column_stack([middle / np.linalg.norm(middle), -pose.rotation[:, 0]]),
@@ -142,3 +135,21 @@ def _single(camera: Camera, measured: Array, beam: Beam) -> tuple[float, float, 
         return None
     radius = float(np.linalg.norm(start + distance * slope, axis=1).mean())
     return radius, distance, skew
+
+
+def cone_of(camera: Camera, shape: Array) -> Array:
+    """(3, 3) C of the cone q' C q = 0 of the rays q through an ellipse; negative within.
+
+    Args:
+        camera: without distortion.
+        shape: (5,) shape vector of the ellipse, px.
+    """
+    matrix = np.array([[shape[2], shape[3]], [shape[3], shape[4]]])
+    x, y = shape[:2] - (camera.cx, camera.cy)
+    scale = np.diag([camera.fx, camera.fy])
+    inner = scale @ np.linalg.inv(matrix @ matrix) @ scale
+    place = np.array([x / camera.fx, y / camera.fy])
+    cone = np.zeros((3, 3))
+    cone[:2, :2], cone[:2, 2] = inner, -inner @ place
+    cone[2, :2], cone[2, 2] = cone[:2, 2], place @ inner @ place - 1.0
+    return cone

@@ -1,11 +1,12 @@
 """The size of a ring from a sequence of frames and a ranger's log (Zhai et al.'s task).
 
 Each frame gives a panel's corners, ellipses and a range. Which ellipse is the ring's is decided by
-the pass: a circle has the same radius and distance in every frame, a chance ellipse has not.
+the pass: a circle has the same radius and place in every frame, a chance ellipse has not.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -16,24 +17,27 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.io.sequences.frame import Frame, Sequence
-from rendezview.sensors.ring.detector import RingDetector, RingEdge, RingOptions
+from rendezview.sensors.observation import Status
+from rendezview.sensors.ring.detector import Grey, RingDetector, RingEdge, RingOptions
+from rendezview.sensors.ring.ellipse import Ellipse
 from rendezview.sensors.ring.panel import Panel, find_panel
 from rendezview.sensors.ring.rectangle import Beam
 from rendezview.sensors.ring.ring_pass import LEAST_FRAMES, PassSize, ring_size_of_pass
-from rendezview.sensors.ring.ring_size import RingSight, RingSize, ring_size
+from rendezview.sensors.ring.ring_size import RingSight, ring_size
+from rendezview.sensors.ring.size_choice import which_is_the_ring
+from rendezview.sensors.ring.size_circles import Ellipses, PassCircle, circles_of_pass
 
 _MOST_GAP_S = 1.0  # between two echoes that a range is interpolated from. Source: by construction
 _SAME_S = 1e-3  # an echo of the frame's own time. Source: by construction, a time in ms
-# Ellipses are of one circle where R and D_f agree to so many of their common σ, and a share for
-# errors of the model. Source: by construction, normal distribution
-_AGREE_SIGMAS = 4.0
-_AGREE_SHARE = (0.005, 0.02)  # of R, of D_f. Source: a fifth of a rim's width in models_cad/client
-_SURE_SHARE = 0.05  # σ of R over R, of an ellipse that may name a circle. Source: by construction
-_AS_MANY = 0.8  # of the most frames, of a circle that may be the ring too. Source: by construction
-# σ of an error of the ring's size that all pictures share. Source: ring-size-pictures (0.1), seed
-# 62
-_COMMON_PX = 0.05
-_MOST_CIRCLES = 4  # reported. Source: by construction
+# σ of an error of the ring's size, and of its place along its axis, that all pictures share: a
+# rim's wall, of another grey, is next to its edge. Over the edge's contrast it gives px. Source:
+# ring-size, seed 77: of 96 passes 4.9 (R) and 4.2 (D), from a contrast of 20 to one of 250
+_COMMON_PX_GREY = 5.0
+# Level within an edge over that outside, of no light. Source: ring-size, seed 77: shadows 0.04 to
+# 0.09, rings from 0.23 on
+_UNLIT = 0.14
+_WHITE = 250  # grey level of a pixel that may be more. Source: by construction, 8 bits less noise
+_ASIDE_PX = 3.0  # from an edge to its sides. Source: by construction, 3 σ of the blur
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +49,31 @@ class Echo:
     beam: Beam
 
 
+@dataclass(frozen=True, slots=True)
+class EdgeSides:
+    """What the grey levels beside an edge say."""
+
+    near_px: float  # σ of an error by what is next to the edge, the same in all frames
+    cut_px: float  # the same by levels cut at white: the edge is measured too far on the dark side
+    unlit: bool  # no light comes from within
+
+    @classmethod
+    def of(cls, image: Grey, camera: Camera, edge: RingEdge, blur_px: float) -> EdgeSides:
+        """Of an edge of a picture."""
+        x, y, a11, a12, a22 = edge.ellipse.shape
+        levels = []
+        for move in (-_ASIDE_PX, _ASIDE_PX):
+            side = Ellipse.from_shape(np.array([x, y, a11 + move, a12, a22 + move]))
+            places = np.rint(camera.project(camera.pinhole.rays(side.points())))
+            within = ((places >= 0) & (places < (camera.width, camera.height))).all(axis=1)
+            column, row = places[within].astype(np.int64).T
+            levels.append(image[row, column] if len(row) else np.zeros(1))
+        inside, outside = levels
+        white = float(np.mean((outside if edge.contrast_grey > 0.0 else inside) >= _WHITE))
+        unlit = bool(np.median(inside) < _UNLIT * np.median(outside))
+        return cls(_COMMON_PX_GREY / abs(edge.contrast_grey), white * blur_px, unlit)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SizeFrame:
     """One frame of the pass."""
@@ -54,11 +83,13 @@ class SizeFrame:
     panel: Panel | None = None
     echo: Echo | None = None
     edges: tuple[RingEdge, ...] = ()
-    sights: tuple[RingSight, ...] = ()  # of the edges that have a size
-    sizes: tuple[RingSize, ...] = ()
+    sights: tuple[RingSight, ...] = ()  # of the edges beside the beam
+    sides: tuple[EdgeSides, ...] = ()  # of the same edges
 
     def record(self) -> dict[str, Any]:
-        """Its line of the log."""
+        """Its line of the log; each frame's circles as if their axis met the panel's middle."""
+        camera = self.frame.camera.pinhole
+        sizes = filter(None, (ring_size(camera, sight) for sight in self.sights))
         return {
             "im_id": self.frame.im_id,
             "image": self.frame.name,
@@ -69,7 +100,7 @@ class SizeFrame:
             "range_m": None if self.echo is None else self.echo.range_m,
             "circles": [
                 {"radius_m": s.radius_m, "distance_m": s.distance_m, "covariance": s.covariance}
-                for s in self.sizes
+                for s in sizes
             ],
         }
 
@@ -82,12 +113,20 @@ class SizeResult:
     reason: str | None
     frames: int
     measured: int  # frames with a panel, a range and an ellipse
-    circles: tuple[tuple[float, float, int], ...] = ()  # R, D_f, frames; the chosen first
+    circles: tuple[PassCircle, ...] = ()  # the likeliest one first
+    ambiguous: bool = False
+
+    @property
+    def status(self) -> Status:
+        """OK, AMBIGUOUS or NOT_FOUND."""
+        if self.size is not None:
+            return Status.OK
+        return Status.AMBIGUOUS if self.ambiguous else Status.NOT_FOUND
 
     def record(self) -> dict[str, Any]:
         """One line of JSON: metres; σ are one standard deviation."""
         record: dict[str, Any] = {
-            "status": "not found" if self.size is None else "ok",
+            "status": str(self.status),
             "reason": self.reason,
             "frames": self.frames,
             "measured": self.measured,
@@ -111,7 +150,8 @@ class SizeResult:
                 "freedom": size.freedom,
             }
         record["circles"] = [
-            {"radius_m": r, "distance_m": d, "frames": n} for r, d, n in self.circles
+            {"radius_m": c.radius_m, "distance_m": c.distance_m, "frames": len(c.members)}
+            for c in self.circles
         ]
         return record
 
@@ -209,19 +249,21 @@ class SizeSensor:
         if frame.camera not in self._detectors:
             self._detectors[frame.camera] = RingDetector(frame.camera, self.options)
         edges = self._detectors[frame.camera].detect(image).edges
-        sights, sizes = [], []
+        sights, sides = [], []
         for edge in edges:
-            if edge.ellipse.holds(spot):
-                continue  # what the beam meets there is not known to be the panel
-            sight = RingSight(
-                corners, edge.ellipse, echo.range_m, panel.sigma_px, echo.sigma_m, echo.beam
+            spread = edge.ellipse.shape_covariance
+            # What the beam meets within an ellipse is not known to be the panel.
+            if edge.ellipse.holds(spot) or spread is None or not np.isfinite(spread).all():
+                continue
+            side = EdgeSides.of(image, frame.camera, edge, self.options.blur_px)
+            spread = spread + (edge.systematic_px**2 + side.cut_px**2) * np.eye(5)
+            ellipse = Ellipse.from_shape(edge.ellipse.shape, spread)
+            sides.append(side)
+            sights.append(
+                RingSight(corners, ellipse, echo.range_m, panel.sigma_px, echo.sigma_m, echo.beam)
             )
-            size = ring_size(camera, sight)
-            if size is not None and np.isfinite(size.covariance).all():
-                sights.append(sight)
-                sizes.append(size)
-        reason = None if sizes else "no ellipse beside the beam has a size"
-        return SizeFrame(frame, reason, panel, echo, edges, tuple(sights), tuple(sizes))
+        reason = None if sights else "no ellipse beside the beam"
+        return SizeFrame(frame, reason, panel, echo, edges, tuple(sights), tuple(sides))
 
 
 def measure_pass(
@@ -243,61 +285,42 @@ def measure_pass(
     for frame in sequence:
         measured = sensor.measure(frame, echo_of(frame))
         each(measured)
-        if measured.sizes:
+        if measured.sights:
             frames.append(measured)
-    total, count = len(sequence), len(frames)
+    return size_of_frames(frames, len(sequence))
+
+
+def size_of_frames(frames: list[SizeFrame], total: int) -> SizeResult:
+    """The ring's size from the frames with sights; ``total``: frames of the pass."""
+    count = len(frames)
     if count < LEAST_FRAMES:
         return SizeResult(
             None, f"{count} frames with a panel, a range and an ellipse: {LEAST_FRAMES} are needed",
             total, count,
         )  # fmt: skip
     camera = frames[0].frame.camera.pinhole
-    circles = _circles(frames)
-    for number, members in enumerate(circles):
-        sights = [frames[k].sights[i] for k, i in members.items()]
-        size = ring_size_of_pass(camera, sights, _COMMON_PX)
-        if size is not None:
-            rest = [circles[number], *circles[:number], *circles[number + 1 :]]
-            return SizeResult(
-                size, None, total, count, tuple(_reported(frames, one) for one in rest)
-            )
-    return SizeResult(None, "no circle has one size in three frames", total, count)
+    ellipses = Ellipses(camera, [frame.sights for frame in frames])
+    circles = circles_of_pass(ellipses, LEAST_FRAMES)
 
+    def sides(circle: PassCircle) -> list[EdgeSides]:
+        return [frames[k].sides[i] for k, i in circle.members.items()]
 
-def _circles(frames: list[SizeFrame]) -> list[dict[int, int]]:
-    """Circles that several frames agree on: number of the ellipse by frame, the ring's first.
+    def unlit(circle: PassCircle) -> bool:
+        return 2 * sum(side.unlit for side in sides(circle)) > len(circle.members)
 
-    Of circles with about as many frames the largest is first: the outermost edge of the ring.
-    """
-    index = np.array([(k, i) for k, f in enumerate(frames) for i in range(len(f.sizes))])
-    sizes = np.array([(s.radius_m, s.distance_m) for f in frames for s in f.sizes])
-    variances = np.array([np.diag(s.covariance) for f in frames for s in f.sizes])
-    left = np.ones(len(index), dtype=bool)
-    found: list[tuple[int, float, dict[int, int]]] = []
-    while left.any() and len(found) < _MOST_CIRCLES:
-        best: dict[int, int] = {}
-        best_spread, best_near = np.inf, left
-        for one in np.flatnonzero(left & (variances[:, 0] < (_SURE_SHARE * sizes[:, 0]) ** 2)):
-            allowed = (_AGREE_SHARE * np.abs(sizes[one])) ** 2
-            away = (sizes - sizes[one]) ** 2 / (variances + variances[one] + allowed)
-            near = left & (away < _AGREE_SIGMAS**2).all(axis=1)
-            members: dict[int, int] = {}
-            for j in np.flatnonzero(near)[np.argsort(-away[near].sum(axis=1))]:
-                members[int(index[j, 0])] = int(index[j, 1])  # the nearest of a frame is the last
-            spread = float(np.median(away[near]))
-            if (len(members), -spread) > (len(best), -best_spread):
-                best, best_spread, best_near = members, spread, near
-        if len(best) < LEAST_FRAMES:
-            break
-        radius = float(np.median([frames[k].sizes[i].radius_m for k, i in best.items()]))
-        found.append((len(best), radius, best))
-        left &= ~best_near
-    most = max((count for count, _, _ in found), default=0)
-    found.sort(key=lambda one: (one[0] < _AS_MANY * most, -one[1]))
-    return [members for _, _, members in found]
-
-
-def _reported(frames: list[SizeFrame], members: dict[int, int]) -> tuple[float, float, int]:
-    sizes = [frames[k].sizes[i] for k, i in members.items()]
-    radius = float(np.median([size.radius_m for size in sizes]))
-    return radius, float(np.median([size.distance_m for size in sizes])), len(members)
+    answers = which_is_the_ring(circles, unlit, ellipses, count)
+    if not answers:
+        return SizeResult(None, "no circle has one size in three frames", total, count)
+    best = answers[0].circle
+    order = (best, *(one for one in circles if one is not best))
+    if len(answers) > 1 or answers[0].instead:
+        places = " or ".join(answer.words for answer in answers)
+        reason = f"the ring's radius is not clear: {places}"
+        return SizeResult(None, reason, total, count, order, ambiguous=True)
+    near_px = float(np.mean([side.near_px for side in sides(best)]))
+    cut_px = float(np.mean([side.cut_px for side in sides(best)]))
+    sights = [frames[k].sights[i] for k, i in best.members.items()]
+    size = ring_size_of_pass(camera, sights, math.hypot(near_px, cut_px), near_px)
+    if size is None:
+        return SizeResult(None, "the frames of its circle do not fit", total, count, order)
+    return SizeResult(size, None, total, count, order)

@@ -1,0 +1,217 @@
+"""The circles of a pass: which ellipses of its frames are pictures of one circle.
+
+With a panel's pose, an ellipse is one circle for each distance D of a plane parallel to the panel.
+The middle and radius of that circle are linear in D. So two frames give a circle by linear least
+squares, and every other ellipse either agrees with it or does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtri
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array
+from rendezview.sensors.ring.rectangle import Beam, rectangle_pose
+from rendezview.sensors.ring.ring_size import RingSight, cone_of
+
+Bools = npt.NDArray[np.bool_]
+Ints = npt.NDArray[np.int64]
+
+_RISK = 1 / 5000  # that noise exceeds a limit of χ². Source: by construction
+# χ² of an ellipse beside a circle, and of two beside theirs. Source: by construction, χ²
+# distribution
+_FAR, _FAR_PAIR = chdtri((5, 6), _RISK)
+_SURE_SHARE = 0.05  # σ of R over R, of a pair that may name a circle. Source: by construction
+_START_FRAMES = 24  # whose ellipses name circles. Source: by construction, a bound of time
+_TINY = 1e-6  # information on a length, m⁻². Source: by construction, less than any picture's
+_ROUNDS = 3  # of members and their circle. Source: by construction
+_STEP = 1e-4  # px, of slopes. Source: by construction, between rounding and curvature
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PassCircle:
+    """A circle that several frames agree on, in the panel's frame."""
+
+    radius_m: float
+    distance_m: float  # of its plane from the panel's
+    offset_m: Array  # (2,) y, z of its middle
+    covariance: Array  # (4, 4) m² of radius, distance and offset
+    members: dict[int, int]  # number of its ellipse, by frame
+
+    @property
+    def numbers(self) -> Array:
+        """(4,) radius, distance and offset, m."""
+        return np.array([self.radius_m, self.distance_m, *self.offset_m])
+
+
+class Ellipses:
+    """The E ellipses of a pass as circles before the panel; those that are none are left out.
+
+    Five numbers in metres: y and z of the middle, radius, and two of what is not round. Each is
+    ``start + D rate``; their errors are ``errors + D error_rates`` times 14 unit normals.
+    """
+
+    def __init__(self, camera: Camera, sights: Sequence[Sequence[RingSight]]) -> None:
+        """``sights``: of each frame."""
+        index, lines, errors = [], [], []
+        for k, of_frame in enumerate(sights):
+            for i, sight in enumerate(of_frame):
+                found = _with_errors(camera, sight)
+                if found is not None:
+                    index.append((k, i))
+                    lines.append(found[0])
+                    errors.append(found[1])
+        self.index = np.array(index, dtype=np.int64).reshape(-1, 2)  # (E, 2) frame, ellipse
+        line = np.array(lines).reshape(-1, 5, 2)
+        error = np.array(errors).reshape(-1, 5, 2, 14)
+        self.start, self.rate = line[..., 0], line[..., 1]
+        self.errors, self.error_rates = error[:, :, 0], error[:, :, 1]
+        # Slopes (E, 5, 4) of what is left by radius, distance and offset.
+        self.slopes = np.zeros((len(line), 5, 4))
+        self.slopes[:, 2, 0] = self.slopes[:, 0, 2] = self.slopes[:, 1, 3] = -1.0
+        self.slopes[:, :, 1] = self.rate
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def covariances(self, distance_m: npt.ArrayLike, which: Any = slice(None)) -> Array:
+        """(K, 5, 5) of the numbers of ellipses ``which`` at distances (K,) or one of all, m²."""
+        far = np.asarray(distance_m, dtype=np.float64)[..., None, None]
+        roots = self.errors[which] + far * self.error_rates[which]
+        return np.asarray(roots @ roots.transpose(0, 2, 1))
+
+    def radii(self, distance_m: float) -> tuple[Array, Array]:
+        """(E,) radii at a distance and their σ, m."""
+        sigma = np.sqrt(self.covariances(distance_m)[:, 2, 2])
+        return self.start[:, 2] + self.rate[:, 2] * distance_m, sigma
+
+    def misfits(self, numbers: Array, covariance: Array) -> Array:
+        """(E,) χ² of each ellipse with a circle (4,) and its covariance (4, 4)."""
+        left = self.start + self.slopes @ numbers
+        spread = self.covariances(numbers[1])
+        spread += self.slopes @ covariance @ self.slopes.transpose(0, 2, 1)
+        return np.asarray(np.sum(left * np.linalg.solve(spread, left[..., None])[..., 0], axis=1))
+
+    def equations(self, distance_m: npt.ArrayLike, which: Any) -> tuple[Array, Array, Array]:
+        """(K, 4, 4), (K, 4) normal equations of a circle by each ellipse, (K,) squares at zero."""
+        weights = np.linalg.inv(self.covariances(distance_m, which))
+        start, slopes = self.start[which][..., None], self.slopes[which]
+        turned = slopes.transpose(0, 2, 1) @ weights
+        squares = (start.transpose(0, 2, 1) @ weights @ start)[:, 0, 0]
+        return turned @ slopes, -(turned @ start)[..., 0], squares
+
+    def circle(self, distance_m: float, which: Ints) -> tuple[Array, Array, float]:
+        """(4,), covariance (4, 4) and χ² of the circle of some ellipses, near a distance."""
+        normal, right, squares = (part.sum(axis=0) for part in self.equations(distance_m, which))
+        covariance = np.linalg.inv(normal)
+        numbers = covariance @ right
+        return numbers, covariance, float(squares - right @ numbers)
+
+
+def circles_of_pass(ellipses: Ellipses, least_frames: int) -> list[PassCircle]:
+    """Circles that so many frames or more agree on, of most frames first."""
+    left = np.ones(len(ellipses), dtype=bool)
+    starts = _starts(ellipses)
+    found: list[PassCircle] = []
+    while left.any():
+        grown = [_grown(ellipses, *start, left) for one, start in starts if left[one]]
+        kept = [one for one in grown if one is not None and len(one[1]) >= least_frames]
+        best = max(kept, key=lambda one: (len(one[1]), -one[2]), default=None)
+        if best is None:
+            break
+        circle, which, chi2 = best
+        # Edges of two bodies that follow one another are one ellipse, and fit badly.
+        if chi2 < chdtri(5 * len(which) - 4, _RISK):
+            found.append(circle)
+        left[which] = False
+        left &= ellipses.misfits(circle.numbers, circle.covariance) > _FAR  # two of one edge
+    return found
+
+
+def _grown(
+    ellipses: Ellipses, numbers: Array, covariance: Array, left: Bools
+) -> tuple[PassCircle, Ints, float] | None:
+    """The circle of all ellipses that agree with a first one, their numbers, and χ²."""
+    chi2 = 0.0
+    for _ in range(_ROUNDS):
+        misfits = ellipses.misfits(numbers, covariance)
+        near = np.flatnonzero(left & (misfits < _FAR))
+        order = near[np.argsort(-misfits[near])]
+        nearest = {int(ellipses.index[k, 0]): int(k) for k in order}  # of a frame, the last one
+        if len(nearest) < 2:
+            return None
+        which = np.array(sorted(nearest.values()))
+        numbers, covariance, chi2 = ellipses.circle(float(numbers[1]), which)
+        if not numbers[0] > 0.0:
+            return None
+    members = {int(frame): int(k) for frame, k in ellipses.index[which]}
+    radius_m, distance_m = numbers[:2].tolist()
+    return PassCircle(radius_m, distance_m, numbers[2:], covariance, members), which, chi2
+
+
+def _starts(ellipses: Ellipses) -> list[tuple[int, tuple[Array, Array]]]:
+    """Of each ellipse the surest circle that it gives with one of another frame."""
+    frame = ellipses.index[:, 0]
+    frames = np.unique(frame)
+    few = frames[np.linspace(0, len(frames) - 1, min(len(frames), _START_FRAMES)).astype(np.int64)]
+    of_few = np.isin(frame, few)
+    one, other = np.nonzero((frame[:, None] != frame) & of_few[:, None] & of_few)
+    start, rate = (x[one, :3] - x[other, :3] for x in (ellipses.start, ellipses.rate))
+    far = -np.sum(start * rate, axis=1) / np.fmax(np.sum(rate * rate, axis=1), _TINY)
+    parts = zip(ellipses.equations(far, one), ellipses.equations(far, other), strict=True)
+    normal, right, squares = (a + b for a, b in parts)
+    covariance = np.linalg.inv(normal + _TINY * np.eye(4))  # two like pictures give no distance
+    numbers = (covariance @ right[..., None])[..., 0]
+    misfit = squares - np.sum(right * numbers, axis=1)
+    sigma = np.sqrt(covariance[:, 0, 0])
+    good = (misfit < _FAR_PAIR) & (sigma < _SURE_SHARE * numbers[:, 0])
+    surest = {int(one[k]): k for k in np.flatnonzero(good)[np.argsort(-sigma[good])]}
+    return [(i, (numbers[k], covariance[k])) for i, k in sorted(surest.items())]
+
+
+def _with_errors(camera: Camera, sight: RingSight) -> tuple[Array, Array] | None:
+    """(5, 2) start and rate of an ellipse's numbers, and (5, 2, 14) their errors."""
+    base = sight.measured()
+    line = _line(camera, base, sight.beam)
+    if line is None:
+        return None
+    slopes = np.empty((5, 2, 14))
+    for k in range(14):
+        pair = []
+        for step in (_STEP, -_STEP):
+            moved = base.copy()
+            moved[k] += step
+            found = _line(camera, moved, sight.beam)
+            if found is None:
+                return None
+            pair.append(found)
+        slopes[..., k] = (pair[0] - pair[1]) / (2.0 * _STEP)
+    return line, slopes @ np.linalg.cholesky(sight.noise())
+
+
+def _line(camera: Camera, measured: Array, beam: Beam) -> Array | None:
+    """(5, 2) of `Ellipses` from (14,) numbers of `RingSight.measured`."""
+    found = rectangle_pose(camera, measured[:8].reshape(4, 2), float(measured[13]), beam)
+    if found is None:
+        return None
+    turn = found[0].rotation
+    eye = -turn.T @ found[0].translation_m
+    cone = turn.T @ cone_of(camera, measured[8:13]) @ turn
+    # Where the cone meets the plane one metre before the camera: points (v - w)' A (v - w) = k.
+    square, across = cone[1:, 1:], cone[1:, 0]
+    middle = -np.linalg.solve(square, across)
+    shape = -(cone[0, 0] + across @ middle) * np.linalg.inv(square)
+    area = float(np.linalg.det(shape))
+    if not (area > 0.0 and shape[0, 0] > 0.0):
+        return None
+    radius = area**0.25
+    odd = 0.5 / radius * np.array([0.5 * (shape[0, 0] - shape[1, 1]), shape[0, 1]])
+    size = np.array([radius, *odd])
+    start = np.concatenate([eye[1:] - eye[0] * middle, eye[0] * size])
+    return np.column_stack([start, np.concatenate([middle, -size])])
