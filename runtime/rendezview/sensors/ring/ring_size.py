@@ -16,7 +16,8 @@ from rendezview.sensors.ring.rectangle import Beam, rectangle_pose
 
 Array = npt.NDArray[np.float64]
 
-_POINTS = 36  # of the ellipse. Source: Zhai et al., its ring points
+_STEP = 1e-4  # px and m, of slopes. Source: by construction, between rounding and curvature
+_ROUNDS = 4  # of a distance and its weights. Source: by construction, the third changes nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,90 +61,83 @@ class RingSize:
     radius_m: float
     distance_m: float  # of the ring's plane from the origin along target x
     covariance: Array  # (2, 2) of the two, m²
-    skew_rad: float  # of the rectangle's sides before they were made square
 
 
 def ring_size(camera: Camera, sight: RingSight) -> RingSize | None:
     """R and D_f from one frame (eq. 9–11), with uncertainty; None where they are not determined.
 
-    The ray of every ring point meets the plane x = D_f of the target frame at (y, z), R² = y² + z².
-    The ring's own plane is the one in which R is the same for all. Head-on the ring gives little
-    information on D_f, and the covariance shows it.
+    The ring's axis meets the rectangle's middle. Its plane is the one in which every point of the
+    ellipse is as far from that axis, by least squares with the errors of corners, ellipse and
+    range. Head-on the ring gives little information on D_f, and the covariance shows it.
+    """
+    found = circle_line(camera, sight)
+    if found is None:
+        return None
+    (start, rate), errors = found[0].T, found[1]
+    slopes = np.column_stack([[0.0, 0.0, -1.0, 0.0, 0.0], rate])
+    numbers = np.zeros(2)
+    for _ in range(_ROUNDS):
+        roots = errors[:, 0] + numbers[1] * errors[:, 1]
+        weighted = np.linalg.solve(roots @ roots.T, slopes).T
+        covariance = np.linalg.inv(weighted @ slopes)
+        numbers = -covariance @ (weighted @ start)
+    if not numbers[0] > 0.0:
+        return None
+    return RingSize(float(numbers[0]), float(numbers[1]), covariance)
+
+
+def circle_line(camera: Camera, sight: RingSight) -> tuple[Array, Array] | None:
+    """The circles whose picture an ellipse is, one for each distance D of a plane from the panel.
+
+    Their numbers are linear in D: y and z of the middle, the radius, and two of what is not round,
+    all in metres.
+
+    Returns:
+        (5, 2) the numbers at D = 0 and their rates, and (5, 2, 14) errors of both: the square root
+        of their covariance. None where the ellipse is no circle of such a plane.
     """
     base = sight.measured()
-    solved = _single(camera, base, sight.beam)
-    if solved is None:
+    line = _line(camera, base, sight.beam)
+    if line is None:
         return None
-    radius, distance, skew = solved
-    jacobian = np.empty((2, 14))
+    slopes = np.empty((5, 2, 14))
     for k in range(14):
-        size = 1e-4 if k < 13 else 1e-5 * sight.range_m
         pair = []
-        for sign in (1.0, -1.0):
+        for step in (_STEP, -_STEP):
             moved = base.copy()
-            moved[k] += sign * size
-            found = _single(camera, moved, sight.beam)
+            moved[k] += step
+            found = _line(camera, moved, sight.beam)
             if found is None:
                 return None
-            pair.append(found[:2])
-        jacobian[:, k] = (np.array(pair[0]) - np.array(pair[1])) / (2.0 * size)
-    return RingSize(radius, distance, jacobian @ sight.noise() @ jacobian.T, skew)
+            pair.append(found)
+        slopes[..., k] = (pair[0] - pair[1]) / (2.0 * _STEP)
+    return line, slopes @ np.linalg.cholesky(sight.noise())
 
 
-def _single(camera: Camera, measured: Array, beam: Beam) -> tuple[float, float, float] | None:
-    """R, D_f and the skew of the rectangle's sides from (14,) numbers of `RingSight.measured`."""
-    shape = measured[8:13]
+def _line(camera: Camera, measured: Array, beam: Beam) -> Array | None:
+    """(5, 2) of `circle_line` from (14,) numbers of `RingSight.measured`."""
     found = rectangle_pose(camera, measured[:8].reshape(4, 2), float(measured[13]), beam)
     if found is None:
         return None
-    pose, skew = found
-    angles = 2.0 * np.pi * np.arange(_POINTS) / _POINTS
-    matrix = np.array([[shape[2], shape[3]], [shape[3], shape[4]]])
-    points = shape[:2] + np.column_stack([np.cos(angles), np.sin(angles)]) @ matrix
-    rays = np.column_stack(
-        [(points - (camera.cx, camera.cy)) / (camera.fx, camera.fy), np.ones(_POINTS)]
-    )
-    # Target axes: p = R'(x1c q - T), eq. 11; on the plane x = D_f the point is linear in D_f.
-    turned, origin = rays @ pose.rotation, pose.rotation.T @ pose.translation_m
-    if np.abs(turned[:, 0]).min() < 1e-9:
+    turn = found[0].rotation
+    eye = -turn.T @ found[0].translation_m
+    cone = turn.T @ _cone(camera, measured[8:13]) @ turn
+    # Where the cone meets the plane one metre before the camera: points (v - w)' A (v - w) = k.
+    square, across = cone[1:, 1:], cone[1:, 0]
+    middle = -np.linalg.solve(square, across)
+    shape = -(cone[0, 0] + across @ middle) * np.linalg.inv(square)
+    area = float(np.linalg.det(shape))
+    if not (area > 0.0 and shape[0, 0] > 0.0):
         return None
-    slope = turned[:, 1:] / turned[:, :1]
-    start = slope * origin[0] - origin[1:]  # (y, z) of every ray at x = 0
-    # First the plane whose circle's middle comes nearest to the target's x axis: the middle is seen
-    # in the direction C⁻¹ n, C the cone over the ellipse.
-    cone = cone_of(camera, shape)
-    middle = np.linalg.solve(cone, pose.rotation[:, 0])
-    (_, distance), *_ = np.linalg.lstsq(
-        np.column_stack([middle / np.linalg.norm(middle), -pose.rotation[:, 0]]),
-        pose.translation_m, rcond=None,
-    )  # fmt: skip
-    # Then that in which all points are equally far from it (eq. 9, 10): the least spread of log R.
-    longest = 0.1 * float(np.linalg.norm(origin))
-    for _ in range(30):
-        places = start + distance * slope
-        squares = np.sum(places * places, axis=1)
-        rates = np.sum(places * slope, axis=1) / squares
-        spread = rates - rates.mean()
-        power = float(spread @ spread)
-        if power < 1e-14:
-            return None
-        move = -0.5 * float(spread @ np.log(squares)) / power
-        distance += min(max(move, -longest), longest)
-        if abs(move) < 1e-12:
-            break
-    else:
-        return None
-    radius = float(np.linalg.norm(start + distance * slope, axis=1).mean())
-    return radius, distance, skew
+    radius = area**0.25
+    odd = 0.5 / radius * np.array([0.5 * (shape[0, 0] - shape[1, 1]), shape[0, 1]])
+    size = np.array([radius, *odd])
+    start = np.concatenate([eye[1:] - eye[0] * middle, eye[0] * size])
+    return np.column_stack([start, np.concatenate([middle, -size])])
 
 
-def cone_of(camera: Camera, shape: Array) -> Array:
-    """(3, 3) C of the cone q' C q = 0 of the rays q through an ellipse; negative within.
-
-    Args:
-        camera: without distortion.
-        shape: (5,) shape vector of the ellipse, px.
-    """
+def _cone(camera: Camera, shape: Array) -> Array:
+    """(3, 3) C of the cone q' C q = 0 of the rays q through an ellipse; negative within."""
     matrix = np.array([[shape[2], shape[3]], [shape[3], shape[4]]])
     x, y = shape[:2] - (camera.cx, camera.cy)
     scale = np.diag([camera.fx, camera.fy])

@@ -17,8 +17,7 @@ from scipy.special import chdtri
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
-from rendezview.sensors.ring.rectangle import Beam, rectangle_pose
-from rendezview.sensors.ring.ring_size import RingSight, cone_of
+from rendezview.sensors.ring.ring_size import RingSight, circle_line
 
 Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int64]
@@ -31,7 +30,6 @@ _SURE_SHARE = 0.05  # σ of R over R, of a pair that may name a circle. Source: 
 _START_FRAMES = 24  # whose ellipses name circles. Source: by construction, a bound of time
 _TINY = 1e-6  # information on a length, m⁻². Source: by construction, less than any picture's
 _ROUNDS = 3  # of members and their circle. Source: by construction
-_STEP = 1e-4  # px, of slopes. Source: by construction, between rounding and curvature
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +60,7 @@ class Ellipses:
         index, lines, errors = [], [], []
         for k, of_frame in enumerate(sights):
             for i, sight in enumerate(of_frame):
-                found = _with_errors(camera, sight)
+                found = circle_line(camera, sight)
                 if found is not None:
                     index.append((k, i))
                     lines.append(found[0])
@@ -173,45 +171,3 @@ def _starts(ellipses: Ellipses) -> list[tuple[int, tuple[Array, Array]]]:
     good = (misfit < _FAR_PAIR) & (sigma < _SURE_SHARE * numbers[:, 0])
     surest = {int(one[k]): k for k in np.flatnonzero(good)[np.argsort(-sigma[good])]}
     return [(i, (numbers[k], covariance[k])) for i, k in sorted(surest.items())]
-
-
-def _with_errors(camera: Camera, sight: RingSight) -> tuple[Array, Array] | None:
-    """(5, 2) start and rate of an ellipse's numbers, and (5, 2, 14) their errors."""
-    base = sight.measured()
-    line = _line(camera, base, sight.beam)
-    if line is None:
-        return None
-    slopes = np.empty((5, 2, 14))
-    for k in range(14):
-        pair = []
-        for step in (_STEP, -_STEP):
-            moved = base.copy()
-            moved[k] += step
-            found = _line(camera, moved, sight.beam)
-            if found is None:
-                return None
-            pair.append(found)
-        slopes[..., k] = (pair[0] - pair[1]) / (2.0 * _STEP)
-    return line, slopes @ np.linalg.cholesky(sight.noise())
-
-
-def _line(camera: Camera, measured: Array, beam: Beam) -> Array | None:
-    """(5, 2) of `Ellipses` from (14,) numbers of `RingSight.measured`."""
-    found = rectangle_pose(camera, measured[:8].reshape(4, 2), float(measured[13]), beam)
-    if found is None:
-        return None
-    turn = found[0].rotation
-    eye = -turn.T @ found[0].translation_m
-    cone = turn.T @ cone_of(camera, measured[8:13]) @ turn
-    # Where the cone meets the plane one metre before the camera: points (v - w)' A (v - w) = k.
-    square, across = cone[1:, 1:], cone[1:, 0]
-    middle = -np.linalg.solve(square, across)
-    shape = -(cone[0, 0] + across @ middle) * np.linalg.inv(square)
-    area = float(np.linalg.det(shape))
-    if not (area > 0.0 and shape[0, 0] > 0.0):
-        return None
-    radius = area**0.25
-    odd = 0.5 / radius * np.array([0.5 * (shape[0, 0] - shape[1, 1]), shape[0, 1]])
-    size = np.array([radius, *odd])
-    start = np.concatenate([eye[1:] - eye[0] * middle, eye[0] * size])
-    return np.column_stack([start, np.concatenate([middle, -size])])
