@@ -20,12 +20,15 @@ from tests.sensors.ring.test_ring_size import CAMERA, pose_at, sight
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.frame import Frame
 from rendezview.sensors.ring import Ellipse, shape_of_circle
+from rendezview.sensors.ring.edge_sides import EdgeSides
 from rendezview.sensors.ring.rectangle import Beam
+from rendezview.sensors.ring.size_choice import which_is_the_ring
 from rendezview.sensors.ring.size_circles import Ellipses, circles_of_pass
 from rendezview.sensors.ring.size_run import Echo, SizeResult, measure_pass
 
 ANGLES = (-0.9, -0.75, -0.6, -0.45, 0.5, 0.65, 0.8, 0.95)
 INNER_M = RADIUS_M - WIDTH_M
+PLAIN = EdgeSides(near_px=0.05, cut_px=0.0, unlit=False, shown=1.0)
 
 
 def measured(panels_grey: list[float], ring_grey: float = 220.0, **kinds: float) -> SizeResult:
@@ -89,6 +92,15 @@ def test_circles_of_a_pass_are_exact_without_noise_wherever_they_are():
     for one in found:
         np.testing.assert_allclose(one.offset_m, (0.08, -0.06), atol=1e-6)
         assert len(one.members) == 4
+
+
+def test_a_ring_and_an_equally_visible_foot_of_its_adapter_are_rivals():
+    poses = [pose_at(angle) for angle in (-0.8, -0.4, 0.3, 0.7)]
+    bodies = ((0.597, 1.68), (0.557, 1.68), (0.71, 1.43), (0.6466, 1.43))
+    ellipses = Ellipses(CAMERA, [[circle(pose, *one) for one in bodies] for pose in poses])
+    answers = which_is_the_ring(circles_of_pass(ellipses, 3), [[PLAIN] * 4] * 4, ellipses)
+    assert sorted(round(one.circle.radius_m, 6) for one in answers) == [0.597, 0.71]
+    assert not any(one.instead for one in answers)
 
 
 def test_ellipses_that_no_circle_explains_are_none():

@@ -8,7 +8,7 @@ probability; rivals that are nearly as probable leave the radius open.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,20 +16,21 @@ import numpy as np
 from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.pose import Array
 from rendezview.sensors.ring.concentric import PLANE_SHARE
+from rendezview.sensors.ring.edge_sides import EdgeSides
 from rendezview.sensors.ring.size_circles import Ellipses, PassCircle
 from rendezview.sensors.ring.which_circle import RIVAL_COST
 
-# Of 116 passes with a ring, less than half of the ring's frames show its outer edge in 3, its
-# inner edge in 4. Source: ring-size, seed 77: plain, varied, hole and plate
-_NO_OUTER, _NO_INNER = math.log(3 / 116), math.log(4 / 116)
-# A circle about the ring's axis besides its two edges: larger, in one frame or more, in 2 of 113
+# Of 116 passes with a ring, its frames show less than half of its outer edge in 10, of its inner
+# edge in 12. Source: ring-size, seed 77: plain, varied, hole and plate
+_NO_OUTER, _NO_INNER = math.log(10 / 116), math.log(12 / 116)
+# A circle about the ring's axis besides its two edges: larger, in one frame or more, in 1 of 113
 # passes, smaller in less than 1 of 109. Source: as above
-_CHANCE_OUTER, _CHANCE_INNER = math.log(2 / 113), math.log(1 / 109)
+_CHANCE_OUTER, _CHANCE_INNER = math.log(1 / 113), math.log(1 / 109)
 # No light comes from a ring in less than 1 of 113 passes; of 120, 2 show only its shadow. Source:
 # as above
 _UNLIT, _ONLY_SHADOW = math.log(1 / 113), math.log(2 / 120)
-# A frame without the ring over a frame with it: 207 of 250 show it before a plate. Source: as above
-_MISSED = math.log(43 / 207)
+# Less than half of the frames show one of the ring's edges in 2 of 116 passes. Source: as above
+_SELDOM = math.log(2 / 116)
 _SIGMAS = 4.0  # by which circles differ in a number. Source: by construction, normal distribution
 # χ² of 3 and of 5 degrees of freedom that noise exceeds once in 5000. Source: by construction, χ²
 # distribution
@@ -60,26 +61,27 @@ class Proposed:
 
 
 def which_is_the_ring(
-    circles: Sequence[PassCircle], unlit: Callable[[PassCircle], bool], ellipses: Ellipses,
-    frames: int,
-) -> list[Proposed]:  # fmt: skip
+    circles: Sequence[PassCircle], sides: Sequence[Sequence[EdgeSides]], ellipses: Ellipses
+) -> list[Proposed]:
     """The best answer, then its rivals, best first; empty where there is no circle.
 
     The radius is known where the best one has no rival, and is not something else instead.
 
     Args:
         circles: that three frames or more agree on.
-        unlit: whether no light comes from within a circle, next to it: it may be a shadow's.
+        sides: of every ellipse of every frame.
         ellipses: of the pass.
-        frames: that have ellipses.
     """
     proposed: list[Proposed] = []
     for body in _bodies([one for one in circles if not _is_shadow(one, circles)]):
         seen = len(set().union(*(one.members for one in body)))
-        base = _MISSED * (frames - seen)
+        base = 0.0 if 2 * seen >= len(sides) else _SELDOM
 
         def often(circle: PassCircle, frames: int = seen) -> bool:
-            return 2 * len(circle.members) >= frames
+            return 2.0 * sum(side.shown for side in circle.of(sides)) >= frames
+
+        def unlit(circle: PassCircle) -> bool:
+            return 2 * sum(side.unlit for side in circle.of(sides)) > len(circle.members)
 
         larger = 0.0
         for k, circle in enumerate(body):

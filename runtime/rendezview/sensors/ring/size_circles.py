@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from rendezview.sensors.ring.ring_size import RingSight, circle_line
 
 Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int64]
+T = TypeVar("T")
 
 _RISK = 1 / 5000  # that noise exceeds a limit of χ². Source: by construction
 # χ² of an ellipse beside a circle, and of two beside theirs. Source: by construction, χ²
@@ -46,6 +47,10 @@ class PassCircle:
     def numbers(self) -> Array:
         """(4,) radius, distance and offset, m."""
         return np.array([self.radius_m, self.distance_m, *self.offset_m])
+
+    def of(self, table: Sequence[Sequence[T]]) -> list[T]:
+        """What a table of all frames and ellipses has of its members."""
+        return [table[frame][k] for frame, k in self.members.items()]
 
 
 class Ellipses:

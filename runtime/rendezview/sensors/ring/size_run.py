@@ -18,7 +18,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.io.sequences.frame import Frame, Sequence
 from rendezview.sensors.observation import Status
-from rendezview.sensors.ring.detector import Grey, RingDetector, RingEdge, RingOptions
+from rendezview.sensors.ring.detector import RingDetector, RingEdge, RingOptions
+from rendezview.sensors.ring.edge_sides import EdgeSides
 from rendezview.sensors.ring.ellipse import Ellipse
 from rendezview.sensors.ring.panel import Panel, find_panel
 from rendezview.sensors.ring.rectangle import Beam
@@ -29,15 +30,6 @@ from rendezview.sensors.ring.size_circles import Ellipses, PassCircle, circles_o
 
 _MOST_GAP_S = 1.0  # between two echoes that a range is interpolated from. Source: by construction
 _SAME_S = 1e-3  # an echo of the frame's own time. Source: by construction, a time in ms
-# σ of an error of the ring's size, and of its place along its axis, that all pictures share: a
-# rim's wall, of another grey, is next to its edge. Over the edge's contrast it gives px. Source:
-# ring-size, seed 77: of 96 passes 4.9 (R) and 4.2 (D), from a contrast of 20 to one of 250
-_COMMON_PX_GREY = 5.0
-# Level within an edge over that outside, of no light. Source: ring-size, seed 77: shadows 0.04 to
-# 0.09, rings from 0.23 on
-_UNLIT = 0.14
-_WHITE = 250  # grey level of a pixel that may be more. Source: by construction, 8 bits less noise
-_ASIDE_PX = 3.0  # from an edge to its sides. Source: by construction, 3 σ of the blur
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,31 +39,6 @@ class Echo:
     range_m: float
     sigma_m: float
     beam: Beam
-
-
-@dataclass(frozen=True, slots=True)
-class EdgeSides:
-    """What the grey levels beside an edge say."""
-
-    near_px: float  # σ of an error by what is next to the edge, the same in all frames
-    cut_px: float  # the same by levels cut at white: the edge is measured too far on the dark side
-    unlit: bool  # no light comes from within
-
-    @classmethod
-    def of(cls, image: Grey, camera: Camera, edge: RingEdge, blur_px: float) -> EdgeSides:
-        """Of an edge of a picture."""
-        x, y, a11, a12, a22 = edge.ellipse.shape
-        levels = []
-        for move in (-_ASIDE_PX, _ASIDE_PX):
-            side = Ellipse.from_shape(np.array([x, y, a11 + move, a12, a22 + move]))
-            places = np.rint(camera.project(camera.pinhole.rays(side.points())))
-            within = ((places >= 0) & (places < (camera.width, camera.height))).all(axis=1)
-            column, row = places[within].astype(np.int64).T
-            levels.append(image[row, column] if len(row) else np.zeros(1))
-        inside, outside = levels
-        white = float(np.mean((outside if edge.contrast_grey > 0.0 else inside) >= _WHITE))
-        unlit = bool(np.median(inside) < _UNLIT * np.median(outside))
-        return cls(_COMMON_PX_GREY / abs(edge.contrast_grey), white * blur_px, unlit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -301,14 +268,8 @@ def size_of_frames(frames: list[SizeFrame], total: int) -> SizeResult:
     camera = frames[0].frame.camera.pinhole
     ellipses = Ellipses(camera, [frame.sights for frame in frames])
     circles = circles_of_pass(ellipses, LEAST_FRAMES)
-
-    def sides(circle: PassCircle) -> list[EdgeSides]:
-        return [frames[k].sides[i] for k, i in circle.members.items()]
-
-    def unlit(circle: PassCircle) -> bool:
-        return 2 * sum(side.unlit for side in sides(circle)) > len(circle.members)
-
-    answers = which_is_the_ring(circles, unlit, ellipses, count)
+    sides = [frame.sides for frame in frames]
+    answers = which_is_the_ring(circles, sides, ellipses)
     if not answers:
         return SizeResult(None, "no circle has one size in three frames", total, count)
     best = answers[0].circle
@@ -317,9 +278,9 @@ def size_of_frames(frames: list[SizeFrame], total: int) -> SizeResult:
         places = " or ".join(answer.words for answer in answers)
         reason = f"the ring's radius is not clear: {places}"
         return SizeResult(None, reason, total, count, order, ambiguous=True)
-    near_px = float(np.mean([side.near_px for side in sides(best)]))
-    cut_px = float(np.mean([side.cut_px for side in sides(best)]))
-    sights = [frames[k].sights[i] for k, i in best.members.items()]
+    near_px = float(np.mean([side.near_px for side in best.of(sides)]))
+    cut_px = float(np.mean([side.cut_px for side in best.of(sides)]))
+    sights = best.of([frame.sights for frame in frames])
     size = ring_size_of_pass(camera, sights, math.hypot(near_px, cut_px), near_px)
     if size is None:
         return SizeResult(None, "the frames of its circle do not fit", total, count, order)
