@@ -10,6 +10,7 @@ from numba.core.event import Event, Listener, install_listener
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.sky import Sky
 from rendezview_service.tracker.frame_sensors import warm_up as warm_up_frame_sensors
 from rendezview_service.tracker.session_filter import warm_up as warm_up_filter
@@ -64,7 +65,7 @@ def warm_up(model: ViewModel, tell: Callable[[int], None] = _untold) -> int:
             image[70:170, 110:220] = rng.integers(170, 250, size=(100, 110), dtype=np.uint8)
             recognizer.recognize(image, None if sky_grey == 0 else prior)
             if recognizer.search is not None:
-                recognizer.search.at(image, Sky.of(image), prior, np.pi)
+                recognizer.search.at(image, Sky.of(image), Near(prior, np.pi, model.centre_m))
         contour_at(model, camera, prior)
         warm_up_filter()
     return counted.count

@@ -29,6 +29,7 @@ from rendezview.estimation.motion import extrapolate
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.judge import sketch_choice
+from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.judge.probability_forest import ProbabilityForest
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
@@ -160,7 +161,8 @@ def _searched(
     if prior is None:
         choice = search.anywhere(picture, sky, turned=turned)
     else:
-        choice = search.near(picture, sky, prior, np.deg2rad(SEARCH_DEG))
+        near = Near(prior, np.deg2rad(SEARCH_DEG), search.model.centre_m)
+        choice = search.near(picture, sky, near)
     chosen = None if choice is None or choice.passes is None else choice.passes.chosen()
     if choice is None or choice.passes is None or chosen is None:
         return None

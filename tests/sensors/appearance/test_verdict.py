@@ -13,9 +13,9 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.observation import AppearanceObservation
-from rendezview.sensors.appearance.search.starts import within
-from rendezview.sensors.appearance.verdict import Near, contradiction, refused
+from rendezview.sensors.appearance.verdict import contradiction, refused
 from rendezview.sensors.observation import Status
 
 
@@ -43,10 +43,10 @@ def beside(
     ("apart_deg", "sigma_deg", "kept"), [(7.9, 0.1, True), (8.4, 0.1, False), (12.0, 2.0, True)]
 )
 def test_an_answer_is_as_near_to_its_prior_as_both_errors_allow(apart_deg, sigma_deg, kept):
-    near = Near(turned(20.0), np.deg2rad(8.0))
+    near = Near(turned(20.0), np.deg2rad(8.0), np.zeros(3))
     answer = found(turned(20.0 + apart_deg), sigma_deg)
-    assert near.bounds(answer) is (answer if kept else None)
-    assert near.bounds(None) is None
+    assert near.bounded(answer) is (answer if kept else None)
+    assert near.bounded(None) is None
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_the_range_of_a_prior_is_as_right_as_its_attitude_a_quarter_at_most(shar
     prior, centre_m = turned(20.0), np.array([0.5, 0.0, 0.2])
     arm = prior.rotation @ centre_m
     moved = Pose(prior.rotation, share * (prior.translation_m + arm) - arm)
-    assert within(prior, np.deg2rad(error_deg), centre_m)(moved) == near
+    assert Near(prior, np.deg2rad(error_deg), centre_m).holds(moved) == near
 
 
 def test_an_ambiguous_pose_is_as_likely_as_it_is_among_its_look_alikes():
@@ -83,8 +83,8 @@ def odds(probability: float) -> float:
 def test_the_odds_of_a_sketch_and_of_its_look_alikes_are_multiplied():
     weighed = (beside(turned(0.0), 0.6), beside(turned(6.0), 0.2), beside(turned(90.0), 0.2))
     together = sketched(turned(3.0), 0.8).beside(weighed, ())
-    assert odds(together.confidence) == pytest.approx(odds(0.8) ** 2)
-    assert together.posterior == together.confidence
+    assert odds(together.posterior) == pytest.approx(odds(0.8) ** 2)
+    assert together.confidence == 0.8  # the pictures say nothing of poses that nobody drew
     assert sketched(turned(90.0), 0.8).beside(weighed, ()).confidence == pytest.approx(0.5)
     assert sketched(turned(45.0), 0.99).beside(weighed, ()).confidence == 0.0
 
@@ -94,7 +94,7 @@ def test_a_sure_search_does_not_choose_between_poses_whose_pictures_are_the_same
     assert sketched(turned(0.0), 0.999).beside(weighed, ()).confidence == pytest.approx(0.6)
     half = (beside(turned(0.0), 0.6), beside(turned(90.0), 0.4, distinct=0.5))
     together = sketched(turned(0.0), 0.9).beside(half, ())
-    assert odds(together.confidence) == pytest.approx(odds(0.6) * math.sqrt(odds(0.9)))
+    assert odds(together.posterior) == pytest.approx(odds(0.6) * math.sqrt(odds(0.9)))
     # The likeliest differs from the pose as the pose does from it.
     other = (beside(turned(90.0), 0.6, distinct=0.0), beside(turned(0.0), 0.4, distinct=0.0))
     assert sketched(turned(0.0), 0.999).beside(other, ()).confidence == pytest.approx(0.4)
@@ -104,9 +104,9 @@ def test_a_sure_search_does_not_choose_between_poses_whose_pictures_are_the_same
 def test_look_alikes_that_are_unlikely_do_not_save_a_bad_pose():
     weighed = (beside(turned(0.0), 0.99), beside(turned(90.0), 0.01))
     assert sketched(turned(0.0), 0.4).beside(weighed, ()).confidence == 0.4
-    assert odds(sketched(turned(0.0), 0.6).beside(weighed, ()).confidence) == pytest.approx(
-        odds(0.6) * odds(0.95)
-    )
+    together = sketched(turned(0.0), 0.6).beside(weighed, ())
+    assert odds(together.posterior) == pytest.approx(odds(0.6) * odds(0.95))
+    assert together.confidence == 0.6
 
 
 def test_a_pose_without_rivals_keeps_its_confidence():
@@ -118,7 +118,7 @@ def test_a_pose_without_rivals_keeps_its_confidence():
 def test_a_pose_that_the_sketch_leads_to_the_same_one_is_the_same_answer():
     rival = beside(turned(90.0), 0.05)
     led = (beside(turned(11.0), 0.95, on_sketch=turned(1.0)), rival)
-    assert sketched(turned(0.0), 0.7).beside(led, ()).confidence > 0.95
+    assert sketched(turned(0.0), 0.7).beside(led, ()).posterior > 0.95
     away = (beside(turned(11.0), 0.95, on_sketch=turned(12.0)), rival)
     assert sketched(turned(0.0), 0.7).beside(away, ()).confidence == 0.0
 
@@ -126,7 +126,7 @@ def test_a_pose_that_the_sketch_leads_to_the_same_one_is_the_same_answer():
 def test_poses_that_a_symmetry_makes_one_agree():
     half = Symmetry("discrete", np.array([0.0, 1.0, 0.0]), math.pi)
     weighed = (beside(turned(180.0), 0.9), beside(turned(90.0), 0.1))
-    assert sketched(turned(0.0), 0.7).beside(weighed, (half,)).confidence > 0.9
+    assert sketched(turned(0.0), 0.7).beside(weighed, (half,)).posterior > 0.9
     assert sketched(turned(0.0), 0.7).beside(weighed, ()).confidence == 0.0
 
 

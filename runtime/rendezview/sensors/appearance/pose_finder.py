@@ -14,9 +14,10 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.by_outline import OutlineRecognition
+from rendezview.sensors.appearance.by_outline import OutlineRecognition, Traced
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
-from rendezview.sensors.appearance.judge.found import HELD_FOR_WRONG, Found
+from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.judge.rivals import Rivals
 from rendezview.sensors.appearance.judge.sketch_choice import NEAR_RAD
 from rendezview.sensors.appearance.model.joint_angles import JointAngles
@@ -35,7 +36,6 @@ from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.appearance.verdict import (
     LEAST_POSTERIOR,
-    Near,
     beside_look_alikes,
     contradicted,
     contradiction,
@@ -48,6 +48,12 @@ from rendezview.sensors.observation import Status
 # look-alikes of what a sketch in doubt proposes are not tried.
 # Source: by hand, seeds 5 and 6 of rendezview simulate --trajectory random
 _LEAST_CONFIDENT = 0.1
+# Confidence of grey edges below which a sketch is asked, too: of 1,560 poses nine were wrong, eight
+# below it. Source: docs/notes/refinement.md, local optima
+_SURE = 0.9
+# Probability of a pose on a sketch; with less, the search holds it for wrong.
+# Source: by construction
+_HELD_FOR_WRONG = 0.5
 # merit; chance decides between two poses nearer to each other, where no look-alike was drawn.
 # Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
@@ -148,7 +154,7 @@ class PoseFinder:
             if look_further and not self._open(seen.found):
                 return self._among_others(seen, request)
             return seen
-        near = Near(prior, prior_error_rad or self.prior_error_rad)
+        near = Near(prior, prior_error_rad or self.prior_error_rad, self.model.centre_m)
         close = self._next_to(search, frame, sky, near, enough_inliers, clock)
         return close or self._near(search, frame, sky, near, clock)
 
@@ -157,33 +163,13 @@ class PoseFinder:
     ) -> AppearanceObservation:
         """Without a prior: by the outline, then on a sketch."""
         traced = self.outline.trace(frame, None, clock, bright_sky=not sky.dark)
-        # In a window of a bright frame other things have edges, too: two estimators must agree.
-        alone = sky.dark or self.sketch is None or self.region is None
-        found, sketched = None, None
+        alone = self._alone(sky)
+        found = None
         if alone and traced.outlines is not None:
             give_up = 0.0 if self.sketch is None else _LEAST_CONFIDENT
             found = search.anywhere(frame, sky, traced.outlines, give_up=give_up)
             clock.lap("refine")
-        given, surer = found if self._confident(found) else None, found
-        if given is None and self.sketch is not None:
-            sketched = self.sketch.best(frame, sky, traced.sketch)
-            clock.lap("sketch")
-            surer = sketched
-            likely = sketched is not None and sketched.confidence >= HELD_FOR_WRONG
-            if sketched is not None and (alone or likely):
-                # Grey edges judge what the sketch proposes, and are the finer ones.
-                answers = sketched.answers
-                if found is not None and found.confidence >= _LEAST_CONFIDENT:
-                    answers += found.answers
-                doubted = not self._confident(sketched) or sketched.margin < CLOSE_MARGIN
-                proposed = search.proposed(
-                    frame, sky, answers, traced.outlines, half_turns=doubted, sketched=sketched,
-                    give_up=0.0 if likely else _LEAST_CONFIDENT,
-                )  # fmt: skip
-                found = found if proposed is None else proposed
-            if alone or likely:
-                given, surer = self._chosen(search, frame, sky, found, sketched)
-            clock.lap("refine")
+        given, surer, sketched = self._decided(search, frame, sky, traced, found, None, clock)
         doubt = None
         if given is not None and sketched is not None and not alone:
             doubt = contradiction(given, sketched, self.model.symmetries)
@@ -193,6 +179,48 @@ class PoseFinder:
         if doubt is None or self.region is None:
             return seen
         return contradicted(seen, doubt, boxed=not self.region.is_open)
+
+    def _alone(self, sky: Sky) -> bool:
+        """Whether one estimator is enough without a prior.
+
+        In a window of a bright frame other things have edges, too: two must agree.
+        """
+        return sky.dark or self.sketch is None or self.region is None
+
+    def _decided(
+        self, search: PoseSearch, frame: Picture, sky: Sky, traced: Traced, found: Found | None,
+        near: Near | None, clock: StageClock,
+    ) -> tuple[Found | None, Found | None, Found | None]:  # fmt: skip
+        """What grey edges show, beside a sketch where they are in doubt.
+
+        Returns:
+            The one to give, if any; the surer one; and what the sketch shows.
+        """
+        given = found if self._confident(found) else None
+        if self.sketch is None or (given is not None and given.confidence >= _SURE):
+            return given, found, None
+        if near is None:
+            sketched = self.sketch.best(frame, sky, traced.sketch)
+        else:
+            sketched = near.bounded(self.sketch.near(frame, sky, near))
+        clock.lap("sketch")
+        likely = sketched is not None and sketched.confidence >= _HELD_FOR_WRONG
+        if near is None and not likely and not self._alone(sky):
+            return given, sketched, sketched
+        if sketched is not None:
+            # Grey edges judge what the sketch proposes, and are the finer ones.
+            answers = sketched.answers
+            if found is not None and found.confidence >= _LEAST_CONFIDENT:
+                answers += found.answers
+            doubted = not self._confident(sketched) or sketched.margin < CLOSE_MARGIN
+            proposed = search.proposed(
+                frame, sky, answers, traced.outlines, half_turns=doubted, sketched=sketched,
+                give_up=0.0 if likely else _LEAST_CONFIDENT, near=near,
+            )  # fmt: skip
+            found = found if proposed is None else proposed
+        given, surer = self._chosen(search, frame, sky, found, sketched)
+        clock.lap("refine")
+        return given, surer, sketched
 
     def _among_others(self, seen: AppearanceObservation, request: Request) -> AppearanceObservation:
         """The pose of the body that is the target, where a frame is full of other things.
@@ -237,11 +265,11 @@ class PoseFinder:
     ) -> AppearanceObservation | None:  # fmt: skip
         """The pose next to a prior; None unless it is confident at once."""
         if self.close is not None:
-            found = near.bounds(self.close.at(frame, sky, near.prior, enough_inliers))
+            found = near.bounded(self.close.at(frame, sky, near.prior, enough_inliers))
             clock.lap("refine")
             if found is not None:
                 return self._given(AppearanceObservation(Status.OK, stage_ms=clock.stage_ms), found)
-        found = near.bounds(search.at(frame, sky, near.prior, near.error_rad, enough_inliers))
+        found = near.bounded(search.at(frame, sky, near, enough_inliers))
         clock.lap("refine")
         if found is None or not self._confident(found):
             return None
@@ -264,15 +292,11 @@ class PoseFinder:
         if self.overflows(prior):
             return refused(view, None)
         also = [] if view.pose is None else [view.pose]
-        found = near.bounds(search.near(frame, sky, prior, error_rad, traced.outlines, also))
+        give_up = 0.0 if self.sketch is None else _LEAST_CONFIDENT
+        found = near.bounded(search.near(frame, sky, near, traced.outlines, also, give_up=give_up))
         clock.lap("refine")
-        given, surer = found if self._confident(found) else None, found
-        if given is None and self.sketch is not None:
-            sketched = near.bounds(self.sketch.near(frame, sky, prior, error_rad))
-            clock.lap("sketch")
-            given, surer = self._chosen(search, frame, sky, found, sketched)
-            given = near.bounds(given)
-            clock.lap("refine")
+        given, surer, _ = self._decided(search, frame, sky, traced, found, near, clock)
+        given = near.bounded(given)
         if given is None:
             return refused(view, surer, dark=sky.dark)
         if not sky.dark and self.trees:
@@ -292,7 +316,8 @@ class PoseFinder:
         given = next(filter(self._confident, answers), None)
         if given is not None and given is sketched:
             # Grey edges are the finer ones, where they are seen: alone, or as the sketch confirms.
-            finer = search.at(frame, sky, given.best.pose, NEAR_RAD)
+            there = Near(given.best.pose, NEAR_RAD, self.model.centre_m)
+            finer = search.at(frame, sky, there)
             if finer is None and found is not None and found.confidence >= _LEAST_CONFIDENT:
                 finer = given.confirming(found, self.model.symmetries)
             given = finer or given

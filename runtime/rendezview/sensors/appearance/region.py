@@ -14,10 +14,10 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contour_at import target_box
 from rendezview.sensors.appearance.edges.network import Box
+from rendezview.sensors.appearance.judge.near import RANGE_ERROR
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.reading import LateReading, OutlineReading
-from rendezview.sensors.appearance.search.starts import RANGE_ERROR
 
 # Of the longer side of a box: what is looked at around it. A detector's box that is 20 % too small
 # and 20 % aside still leaves the whole target, and some sky. Source: by construction

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.judge.found import Found
@@ -20,26 +18,9 @@ from rendezview.sensors.observation import Status
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
 # Of a pose among its look-alikes. Source: docs/notes/rivals.md
 LEAST_POSTERIOR = 0.9
-_SIGMAS = 3.0  # of a pose beyond the error of its prior. Source: normal distribution, 99.7 %
 # Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
 # tells how far. Source: by construction
 _MOST_SIGMA = 0.5
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Near:
-    """A prior, and how far off its attitude may be."""
-
-    prior: Pose  # camera_from_target
-    error_rad: float
-
-    def bounds(self, found: Found | None) -> Found | None:
-        """What was found, unless it is farther off than the error and three σ of the pose."""
-        if found is None or found.best.covariance is None:
-            return None
-        sigma_rad = math.sqrt(float(np.linalg.eigvalsh(found.best.covariance[:3, :3])[-1]))
-        apart = found.best.pose.angle_to(self.prior)
-        return found if apart <= self.error_rad + _SIGMAS * sigma_rad else None
 
 
 def is_known(refined: Hypothesis) -> bool:

@@ -12,6 +12,8 @@ from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.hypothesis import Hypothesis
+from rendezview.sensors.appearance.judge.candidates import Candidates
+from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.observation import StageClock
 from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.starts import half_turns
@@ -47,13 +49,23 @@ def test_a_proposal_that_is_half_a_turn_off_leads_to_the_pose(
 
 
 def test_half_turns_are_left_out_where_the_witness_has_ruled_them_out(
-    refining_model, bumpy_mesh, camera, draw, truth
+    refining_model, bumpy_mesh, camera, draw, truth, monkeypatch
 ):
-    search = PoseSearch(refining_model, camera)
+    search, tried = PoseSearch(refining_model, camera), []
     frame = draw(bumpy_mesh, truth, camera)
+    half_turned = PoseSearch._half_turned
+
+    def seen(*args):
+        tried.append(args[2])
+        half_turned(*args)
+
+    monkeypatch.setattr(PoseSearch, "_half_turned", seen)
     wrong = turned(truth, half_turns(refining_model)[0], refining_model.centre_m)
-    found = search.proposed(frame, Sky.of(frame), [wrong], None, half_turns=False)
-    assert found is None or found.best.pose.angle_to(truth) > np.deg2rad(90.0)
+    search.proposed(frame, Sky.of(frame), [wrong], None, half_turns=False)
+    assert tried == []
+    found = search.proposed(frame, Sky.of(frame), [wrong], None)
+    assert len(tried) == 1
+    assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
     right = search.proposed(frame, Sky.of(frame), [truth], None, half_turns=False)
     assert right is not None
     assert right.best.pose.angle_to(truth) < np.deg2rad(0.5)
@@ -146,7 +158,7 @@ def test_where_coarse_stages_lead_away_from_a_prior_the_pose_next_to_it_counts_t
         return replace(found, pose=pose, outline=0.9 * found.outline, inner=0.8 * found.inner)
 
     monkeypatch.setattr(refiner, "refine", another_optimum)
-    found = search.at(frame, Sky.of(frame), truth, np.deg2rad(20.0))
+    found = search.at(frame, Sky.of(frame), Near(truth, np.deg2rad(20.0), refining_model.centre_m))
     assert found is not None
     assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
 
@@ -159,13 +171,15 @@ def test_every_pose_that_pictures_speak_for_has_its_look_alikes_aligned(refining
     def found(pose: Pose) -> SimpleNamespace:
         return SimpleNamespace(best=Hypothesis(pose))
 
-    def look_alikes(pose: Pose) -> list[Pose]:
+    def look_alikes(pose: Pose, most_rad: float) -> list[Pose]:
         asked.append(pose)
         return [Pose(np.diag([-1.0, -1.0, 1.0]), pose.translation_m)]
 
     candidates = SimpleNamespace(
         level=SimpleNamespace(rivals=SimpleNamespace(look_alikes=look_alikes)),
         sky=Sky(0.0, 1.0, dark=True),
+        reach_rad=np.pi,
+        may_be=lambda pose: True,
         refine=lambda others, least: aligned.extend(others),
         choose=lambda: found(poses[0]),
         weighed=lambda on_sketch: found(next(by_pictures)),
@@ -175,3 +189,77 @@ def test_every_pose_that_pictures_speak_for_has_its_look_alikes_aligned(refining
     assert chosen.best.pose is poses[0]
     assert asked == poses
     assert [one.translation_m[2] for one in aligned] == [5.0, 6.0, 7.0]
+
+
+def test_the_surroundings_of_a_pose_in_doubt_are_searched_until_it_is_sure(
+    refining_model, camera, monkeypatch
+):
+    """Each better pose has its surroundings searched, a sure one does not."""
+    found = [
+        SimpleNamespace(best=Hypothesis(Pose(np.eye(3), [0.0, 0.0, z])), confidence=confidence)
+        for z, confidence in ((5.0, 0.7), (5.6, 0.8), (6.1, 0.99))
+    ]
+    searched = []
+    monkeypatch.setattr(PoseSearch, "_around", lambda self, _, best: searched.append(best))
+    search, best = PoseSearch(refining_model, camera), iter(found)
+    assert search._settled(SimpleNamespace(choose=lambda: next(best))) is found[2]
+    assert searched == [one.best.pose for one in found[:2]]
+    searched.clear()
+    assert search._settled(SimpleNamespace(choose=lambda: found[0])) is found[0]
+    assert searched == [found[0].best.pose]
+
+
+@pytest.mark.parametrize("times", [0.87, 1.0, 1.15])
+def test_a_pose_is_found_from_nine_degrees_aside_and_a_sixth_too_near_or_too_far(
+    refining_model, bumpy_mesh, camera, draw, truth, times
+):
+    search, frame = PoseSearch(refining_model, camera), draw(bumpy_mesh, truth, camera)
+    candidates = search._candidates(frame, Sky.of(frame), truth, None)
+    turn = Rotation.from_rotvec(np.deg2rad([5.0, -5.0, 5.0])).as_matrix()
+    aside = turned(truth, turn, refining_model.centre_m)
+    centre = times * aside.apply(refining_model.centre_m)
+    search._around(
+        candidates, Pose(aside.rotation, centre - aside.rotation @ search.model.centre_m)
+    )
+    best = candidates.most_inliers
+    assert best is not None
+    assert best.pose.angle_to(truth) < np.deg2rad(0.5)
+
+
+def test_look_alikes_near_a_prior_are_tried_too(
+    refining_model, bumpy_mesh, camera, draw, truth, monkeypatch
+):
+    """They are those within the error of the prior."""
+    search, frame = PoseSearch(refining_model, camera), draw(bumpy_mesh, truth, camera)
+    centre_m, aligned = refining_model.centre_m, []
+    turns = [Rotation.from_euler("z", deg, degrees=True).as_matrix() for deg in (12.0, 40.0)]
+    alike = [turned(truth, turn, centre_m) for turn in turns]
+
+    class FewRivals:
+        def look_alikes(self, pose: Pose, most_rad: float) -> list[Pose]:
+            assert most_rad < np.deg2rad(50.0)
+            return alike
+
+        def weigh(self, *_args: object) -> list[Hypothesis]:
+            return []
+
+    refine = Candidates.refine
+
+    def seen(self, poses, **how):
+        poses = list(poses)
+        aligned.extend(poses)
+        refine(self, poses, **how)
+
+    monkeypatch.setattr(Candidates, "refine", seen)
+    level = search.levels.whole
+    monkeypatch.setitem(search.levels._levels, 1, replace(level, rivals=FewRivals()))
+    monkeypatch.setattr(search.levels, "whole", replace(level, rivals=FewRivals()))
+    near = Near(truth, np.deg2rad(20.0), centre_m)
+    for search_near in (search.at, search.near):
+        more = () if search_near == search.at else (None, [])
+        found = search_near(frame, Sky.of(frame), near, *more)
+        assert found is not None
+        assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
+        assert any(one is alike[0] for one in aligned)
+        assert not any(one is alike[1] for one in aligned)
+        aligned.clear()

@@ -222,6 +222,17 @@ def test_from_afar_look_alikes_have_the_outline_of_the_pose(model: ViewModel) ->
     assert min(likest) > 0.8
 
 
+def test_look_alikes_that_are_turned_too_far_are_left_out(model: ViewModel) -> None:
+    rivals = Rivals(model, CAMERA)
+    every = rivals.look_alikes(SIDE)
+    near = rivals.look_alikes(SIDE, np.deg2rad(70.0))
+    expected = [one for one in every if one.angle_to(SIDE) <= np.deg2rad(70.0)]
+    assert 0 < len(near) == len(expected) < len(every)
+    for one, other in zip(near, expected, strict=True):
+        np.testing.assert_array_equal(one.rotation, other.rotation)
+        np.testing.assert_array_equal(one.translation_m, other.translation_m)
+
+
 def test_the_frame_tells_turns_by_sixty_degrees_apart(model: ViewModel, drum: Mesh) -> None:
     frame = picture(drum, SIDE)
     poses = [aside(SIDE, angle) for angle in (120.0, 0.0, 60.0)]

@@ -16,6 +16,7 @@ from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.edges.contour_at import target_box
 from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.judge.sketch_choice import (
     CHOICE_FEATURES,
     PACKAGED,
@@ -143,7 +144,9 @@ def test_poses_are_found_before_a_sky_where_no_threshold_holds(
         choice = search.anywhere(frame, Sky.of(frame))
         errors.append(180.0 if choice is None else np.rad2deg(choice.best.pose.angle_to(truth)))
         start = truth.perturbed([0.05, -0.06, 0.04, 0.05, -0.05, 0.2])
-        near = search.near(frame, Sky.of(frame), start, np.deg2rad(10.0))
+        near = search.near(
+            frame, Sky.of(frame), Near(start, np.deg2rad(10.0), refining_model.centre_m)
+        )
         assert near is not None
         assert near.prior
         assert near.best.pose.angle_to(start) < np.deg2rad(20.0)
@@ -187,7 +190,8 @@ def test_a_model_without_a_surface_knows_no_light(bumpy_mesh, refining_model, ca
     _, pose = hard_frame(bumpy_mesh, refining_model, camera, 0)
     frame = lit_frame(bumpy_mesh, pose, camera)
     sky = Sky.of(frame)
-    known, unknown = (one.near(frame, sky, pose, 0.1).best for one in (search, bare))
+    near = Near(pose, 0.1, refining_model.centre_m)
+    known, unknown = (one.near(frame, sky, near).best for one in (search, bare))
     assert known.sketch[LIGHT].min() > 0.0
     assert not unknown.sketch[LIGHT].any()
 
@@ -286,9 +290,10 @@ def test_an_empty_sky_gives_no_pose(refining_model, camera, search):
     observation = Recognizer(refining_model, camera).recognize(frame)
     assert observation.pose is None
     far = Pose(np.eye(3), [100.0, 0.0, 5.0])
-    assert search.near(frame, Sky.of(frame), far, 0.1) is None
     behind = Pose(np.eye(3), [0.0, 0.0, -9.0])
-    assert search.near(frame, Sky.of(frame), behind, 0.1) is None
+    for prior in (far, behind):
+        near = Near(prior, 0.1, refining_model.centre_m)
+        assert search.near(frame, Sky.of(frame), near) is None
 
 
 def some_pose(merit: float, turn_deg: float) -> Hypothesis:

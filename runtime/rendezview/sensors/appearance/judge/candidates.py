@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
@@ -15,6 +16,7 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.hypothesis import Aligned, Bound, Hypothesis
 from rendezview.sensors.appearance.judge.found import Found, merit
 from rendezview.sensors.appearance.judge.level import Level
+from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.judge.rivals import MERIT_WEIGHT, RIVAL_RAD, line_scores
 from rendezview.sensors.appearance.judge.sketch_choice import sketch_merit
 from rendezview.sensors.appearance.model.forest import ForestScores
@@ -29,6 +31,8 @@ Indices = npt.NDArray[np.intp]
 _IN_DOUBT = 0.35
 # Log odds by edges behind the best; poses closer than this are drawn. Source: docs/notes/rivals.md
 _MOST_BEHIND = 8.0
+# rad; error of a good proposal. Source: by hand, seeds of docs/notes/refinement.md
+_CLOSE_RAD = np.deg2rad(3.0)
 _MOST_RIVALS = 32  # that are drawn, of most merit. Source: by construction, a bound of time
 
 
@@ -42,20 +46,42 @@ class Candidates:
     sky: Sky
     outlines: Outlines | None
     forest_scores: ForestScores | None = None
-    prior: bool = False  # the search starts from a prior
+    near: Near | None = None  # where the answer is
     bounds: tuple[Bound, ...] = ()  # of all poses
     _all: list[Hypothesis] = field(default_factory=list)
+
+    def may_be(self, pose: Pose) -> bool:
+        """Whether a pose is within the bounds."""
+        return (self.near is None or self.near.holds(pose)) and all(b(pose) for b in self.bounds)
+
+    @property
+    def reach_rad(self) -> float:
+        """How far two poses may be from each other."""
+        return math.pi if self.near is None else min(2.0 * self.near.furthest_rad, math.pi)
 
     def add(self, refined: Iterable[Hypothesis | None]) -> None:
         """Take more poses, those within the bounds."""
         for one in refined:
-            if one is not None and all(bound(one.pose) for bound in self.bounds):
+            if one is not None and self.may_be(one.pose):
                 self._all.append(replace(one, overshoot=self._overshoot(one)))
 
-    def refine(self, poses: Iterable[Pose], *, closely: bool = False, least: float = 0.0) -> None:
-        """Add the poses next to some that fit the edges; see ``Refiner.refine``."""
-        image, sky, refine = self.image, self.sky, self.level.refiner.refine
-        self.add(refine(image, sky, one, closely=closely, least=least) for one in poses)
+    def refine(self, poses: Iterable[Pose], *, guess: bool = False, least: float = 0.0) -> None:
+        """Add the poses next to some that fit the edges; see ``Refiner.refine``.
+
+        Those may be right to a few degrees, unless each is a ``guess``: where the coarse stages
+        lead elsewhere, what is next to them counts, too.
+        """
+        refine = self.level.refiner.refine
+        for start in poses:
+            refined = refine(self.image, self.sky, start, least=least)
+            self.add([refined])
+            if not guess and (refined is None or refined.pose.angle_to(start) > _CLOSE_RAD):
+                self.add([refine(self.image, self.sky, start, closely=True, least=least)])
+
+    def refine_closely(self, pose: Pose) -> None:
+        """Add the pose next to one that fits the edges, without the coarse stages."""
+        refine = self.level.refiner.refine
+        self.add([refine(self.image, self.sky, pose, closely=True)])
 
     def refine_best(
         self, rotations: Array, centres: Array, keep: int, *, least: float = 0.0
@@ -136,7 +162,7 @@ class Candidates:
             best,
             chosen.margin if chosen.rivals else 1.0,
             self.sky.dark,
-            self.prior,
+            self.near is not None,
             self._all[chosen.rivals[0]] if chosen.rivals else None,
             self._votes(best),
             error_model=self.level.refiner.error_model,

@@ -36,9 +36,6 @@ _SHADING_WEIGHT = 0.4  # of a correlation
 # Of overshoot and of margin in the regression, which saturate there. Source: fixed with the fit of
 # error_model.json
 MOST_FEATURE = 0.3
-# Probability of a pose on a sketch; with less, the search holds it for wrong.
-# Source: by construction
-HELD_FOR_WRONG = 0.5
 # Of the drawn look-alikes; a surer pose is no surer. Of .9, .95 and .99 it gives most right poses
 # and none wrong. Source: docs/notes/rivals.md
 _SUREST_SHARE = 0.95
@@ -60,9 +57,10 @@ class Found:
     single: bool = False  # only the pose next to the prior was tried
     weighed: tuple[Hypothesis, ...] = ()  # beside its look-alikes, likeliest first; (): not asked
     error_model: ErrorModel = field(default_factory=ErrorModel.packaged)
-    # Of a pose on a sketch: probability that it is right, other poses on the finer sketch, and how
-    # the search went
+    # Of a pose on a sketch: probability that it is right, with the odds of its look-alikes, too,
+    # other poses on the finer sketch, and how the search went
     probability: float | None = None
+    among: float | None = None
     aligned: Aligned | None = None
     passes: Passes | None = None
 
@@ -78,13 +76,10 @@ class Found:
 
     @property
     def posterior(self) -> float:
-        """Probability of the pose among its look-alikes; 1 where they were not asked.
-
-        On a sketch the confidence, which counts them.
-        """
-        if self.probability is not None:
-            return self.probability
-        return self.weighed[0].probability if self.weighed else 1.0
+        """Probability of the pose among its look-alikes; 1 where they were not asked."""
+        if not self.weighed:
+            return 1.0
+        return self.weighed[0].probability if self.among is None else self.among
 
     @property
     def answers(self) -> list[Pose]:
@@ -128,12 +123,13 @@ class Found:
         return replace(first, probability=float(expit(opinions @ packaged().opinions)))
 
     def beside(self, weighed: Sequence[Hypothesis], symmetries: Sequence[Symmetry]) -> Found:
-        """A pose on a sketch with the odds of its look-alikes in its probability, if it has any.
+        """A pose on a sketch beside its look-alikes, if it has any.
 
         The forest that knows how the search went has hardly seen craft that look alike from
         several sides, and drawings of look-alikes know nothing of the search: the odds of both
         are multiplied, as far as the pictures differ: between poses that look the same the search
-        chose by chance. A pose that the search holds for wrong gains nothing by its look-alikes.
+        chose by chance. That is the probability among look-alikes. It says nothing of poses that
+        nobody drew, so the confidence does not grow by it.
         """
         pose, own = self.best.pose, self.confidence
 
@@ -151,9 +147,7 @@ class Found:
         odds = float(np.exp(logit(np.clip(own, _NOTHING, _SUREST_SEARCH)) * -apart) @ rest)
         share = min(float(shares[alike].sum()), _SUREST_SHARE)
         together = float(expit(logit(share) - math.log(odds / rest.sum())))
-        if own < HELD_FOR_WRONG:
-            together = min(together, own)
-        return replace(self, probability=together, weighed=tuple(weighed))
+        return replace(self, probability=min(own, together), among=together, weighed=tuple(weighed))
 
     def confirming(self, grey: Found, symmetries: Sequence[Symmetry]) -> Found:
         """A pose on a sketch, with that of grey edges in its place if both agree and it is finer.

@@ -46,6 +46,7 @@ _OTHER_EDGES, _OTHER_LINES = 0.1, 0.03
 # Source: the limit of a wrong pose there
 RIVAL_RAD = np.deg2rad(5.0)
 _IN_DOUBT = 0.9999  # probability; below it Suns are looked for on the picture. Source: the same
+_ROUNDING = 1e-9  # of a trace. Source: by construction
 _ROUNDS = 2  # of comparisons with the likeliest. Source: by construction
 
 
@@ -68,20 +69,17 @@ class Rivals:
         other._shading = self._shading.with_camera(camera)
         return other
 
-    def look_alikes(self, pose: Pose) -> list[Pose]:
-        """Poses (camera_from_target) that look nearly like one."""
+    def look_alikes(self, pose: Pose, most_rad: float = np.pi) -> list[Pose]:
+        """Poses (camera_from_target) that look nearly like one, turned by ``most_rad`` at most."""
         centre = pose.apply(self._centre_m)
         sight = centre / np.linalg.norm(centre)
-        across = np.eye(3) - 2.0 * np.outer(sight, sight)
-        found = []
-        for turn, shift_m, mirrored in zip(
-            self._turns, self._shifts_m, self._mirrored, strict=True
-        ):
-            seen = across @ pose.rotation if mirrored else pose.rotation
-            rotation = seen @ turn.T
-            moved = centre - rotation @ shift_m
-            found.append(Pose(rotation, moved - rotation @ self._centre_m))
-        return found
+        mirrored = pose.rotation - 2.0 * np.outer(sight, sight @ pose.rotation)
+        seen = np.where(self._mirrored[:, None, None], mirrored, pose.rotation)
+        rotations = seen @ self._turns.transpose(0, 2, 1)
+        traces = np.einsum("kij,ij->k", rotations, pose.rotation)
+        near = traces >= 1.0 + 2.0 * np.cos(most_rad) - _ROUNDING
+        rotations, shifts_m = rotations[near], self._shifts_m[near] + self._centre_m
+        return list(map(Pose, rotations, centre - np.einsum("kij,kj->ki", rotations, shifts_m)))
 
     def weigh(
         self, image: Picture, sky: Sky, hypotheses: list[Hypothesis], merits: Array,

@@ -21,6 +21,7 @@ from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.hypothesis import Bound, Hypothesis
 from rendezview.sensors.appearance.judge.candidates import Candidates
 from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
@@ -30,9 +31,7 @@ from rendezview.sensors.appearance.search.starts import (
     half_turns,
     quarter_turns,
     rotated_about,
-    rotated_about_axes,
     rotated_by,
-    within,
 )
 from rendezview.sensors.appearance.sky import Sky
 
@@ -50,15 +49,17 @@ _WORTH_REFINING = 0.15
 # Inlier ratio of a look-alike after the coarse stages, behind the best pose's: of 300 that come
 # within 0.15 of its merit, 1 % are farther behind. Source: docs/notes/rivals.md
 _MOST_BEHIND = 0.3
-_ROUNDS = (
-    2  # of look-alikes: of the best, and of the one that is best then. Source: by construction
-)
-_MOST_ASKED = 4  # poses that pictures speak for. Source: by construction, a bound of time
+# Of look-alikes, and of poses around: of the best, and of the one that is best then.
+_ROUNDS = 2  # Source: by construction
+# Poses that pictures speak for, or that are better than the one whose surroundings led to them.
+_MOST_ASKED = 4  # Source: by construction, a bound of time
 # rad; a local optimum lies about that far from the right pose. Source: spacing of the nodes' views,
 # 8.6°
 _ASIDE_RAD = np.deg2rad(9.0)
-# rad; error of a good prior. Source: by hand, seeds of docs/notes/refinement.md
-_CLOSE_RAD = np.deg2rad(3.0)
+# Of its range: edges that are taken for others hold a pose up to a sixth too near or too far.
+# Source: docs/notes/refinement.md, local optima
+_ASIDE_RANGES = np.array([1.0, 0.87, 1.15])
+_KEPT_ASIDE = 3  # of the poses around it that are refined. Source: the same
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,16 +108,13 @@ class PoseSearch:
 
     def _candidates(
         self, image: Picture, sky: Sky, size: Pose | float, outlines: Outlines | None,
-        prior: Bound | None = None,
+        near: Near | None = None,
     ) -> Candidates:  # fmt: skip
         """No poses yet, at the level of a pose or a range."""
         range_m = self.levels.range_m(size) if isinstance(size, Pose) else size
         level, image, sky = self.levels.at(image, sky, range_m)
-        bounds = self.bounds if prior is None else (*self.bounds, prior)
-        scores = self._forest_scores if prior is None else None
-        return Candidates(
-            level, self._retrieval, image, sky, outlines, scores, prior is not None, bounds
-        )
+        scores = self._forest_scores if near is None else None
+        return Candidates(level, self._retrieval, image, sky, outlines, scores, near, self.bounds)
 
     def anywhere(
         self, image: Picture, sky: Sky, outlines: Outlines, *, brief: bool = False,
@@ -158,10 +156,23 @@ class PoseSearch:
         best = candidates.most_inliers
         if best is not None:
             self._half_turned(candidates, best.pose, best.inlier_ratio)
-        found = candidates.choose()
+        found = self._settled(candidates)
         if found is None or found.confidence < give_up:
             return found
         return self._beside_look_alikes(candidates, found)
+
+    def _settled(self, candidates: Candidates) -> Found | None:
+        """The best pose, or the best of those around it as long as it is not sure."""
+        found = candidates.choose()
+        for _ in range(_MOST_ASKED):
+            if found is None or found.confidence >= _CONFIDENT:
+                break
+            before = found.best.pose
+            self._around(candidates, before)
+            found = candidates.choose()
+            if found is None or found.best.pose is before:
+                break
+        return found
 
     def _beside_look_alikes(
         self, candidates: Candidates, found: Found | None, sketched: Found | None = None
@@ -177,10 +188,12 @@ class PoseSearch:
             if best.pose in asked:
                 return False
             asked.append(best.pose)
-            others = rivals.look_alikes(best.pose)
+            least = best.inlier_ratio - _MOST_BEHIND
+            alike = rivals.look_alikes(best.pose, candidates.reach_rad)
+            candidates.refine(filter(candidates.may_be, alike), least=least)
             if not candidates.sky.dark:  # boxes of rooms look alike after quarter turns
-                others += rotated_by(best.pose, self._quarter_turns, self.model.centre_m)
-            candidates.refine(others, least=best.inlier_ratio - _MOST_BEHIND)
+                turned = rotated_by(best.pose, self._quarter_turns, self.model.centre_m)
+                candidates.refine(filter(candidates.may_be, turned), guess=True, least=least)
             return True
 
         for _ in range(_ROUNDS):
@@ -229,22 +242,19 @@ class PoseSearch:
         return found if leads else None
 
     def at(
-        self, image: Picture, sky: Sky, prior: Pose, error_rad: float,
-        sufficient_inlier_ratio: float = 1.0,
-    ) -> Found | None:  # fmt: skip
+        self, image: Picture, sky: Sky, near: Near, sufficient_inlier_ratio: float = 1.0
+    ) -> Found | None:
         """The pose next to a prior that is right to a few degrees; None unless it is confident.
 
         ``sufficient_inlier_ratio`` lowers what the options require: a search has confirmed it.
         """
         usual = self.options.inlier_ratio if sky.dark else self.options.inlier_ratio_bright
-        near = within(prior, error_rad, self.model.centre_m)
-        single = self._candidates(image, sky, prior, None, prior=near)
+        prior = near.prior
+        single = self._candidates(image, sky, prior, None, near)
         refined = single.level.refiner.refine(single.image, single.sky, prior)
         if refined is None or refined.inlier_ratio < min(sufficient_inlier_ratio, usual):
             return None
-        single.add([refined])
-        if refined.pose.angle_to(prior) > _CLOSE_RAD:  # coarse stages may find another optimum
-            single.refine([prior], closely=True)
+        single.refine([prior])
         reaches_usual = refined.inlier_ratio >= usual
         found = single.choose(shade=not reaches_usual)
         if reaches_usual and found is not None and found.confidence < _CONFIDENT:
@@ -252,11 +262,15 @@ class PoseSearch:
         least = _CONFIRMED if refined.inlier_ratio >= sufficient_inlier_ratio else _CONFIDENT
         if found is None or found.confidence < least:
             return None
+        found = self._beside_look_alikes(single, found)
+        if found is None:
+            return None
         return self.levels.finished(replace(found, single=True), image, sky)
 
     def proposed(
         self, image: Picture, sky: Sky, proposals: list[Pose], outlines: Outlines | None, *,
         half_turns: bool = True, sketched: Found | None = None, give_up: float = 0.0,
+        near: Near | None = None,
     ) -> Found | None:  # fmt: skip
         """The best of some poses that another estimator proposes, and of half turns of it.
 
@@ -265,59 +279,55 @@ class PoseSearch:
             half_turns: ``False`` where the second estimator has ruled them out.
             sketched: what a sketch shows; it is weighed, too.
             give_up: confidence that the proposals must reach, else their look-alikes are not tried.
+            near: where the answer is.
         """
-        candidates = self._candidates(image, sky, proposals[0], outlines)
+        candidates = self._candidates(image, sky, proposals[0], outlines, near)
         candidates.refine(proposals)
         if half_turns:
             best = candidates.most_inliers
             pose, inliers = (proposals[0], 0.0) if best is None else (best.pose, best.inlier_ratio)
             self._half_turned(candidates, pose, inliers)
-        found = candidates.choose()
+        found = self._settled(candidates)
         if found is not None and found.confidence >= give_up:
             found = self._beside_look_alikes(candidates, found, sketched)
         return self.levels.finished(found, image, sky)
 
     def near(
-        self, image: Picture, sky: Sky, prior: Pose, error_rad: float, outlines: Outlines | None,
-        also: list[Pose],
+        self, image: Picture, sky: Sky, near: Near, outlines: Outlines | None, also: list[Pose], *,
+        give_up: float = 0.0,
     ) -> Found | None:  # fmt: skip
         """The pose within some angle of a prior, from rotations of it and retrieved views."""
-        rotations, centres = self._starts_near(prior, error_rad, outlines, also)
-        near = within(prior, error_rad, self.model.centre_m)
-        candidates = self._candidates(image, sky, prior, outlines, prior=near)
-        self._close_to(candidates, prior)
+        rotations, centres = self._starts_near(near, outlines, also)
+        candidates = self._candidates(image, sky, near.prior, outlines, near)
+        candidates.refine([near.prior])
         candidates.refine_best(rotations, centres, self.options.refined_near)
-        found = candidates.choose()
-        if found is not None and found.confidence < _CONFIDENT:
-            self._around(candidates, found.best.pose)
-            found = candidates.choose()
+        found = self._settled(candidates)
+        if found is not None and found.confidence >= give_up:
+            found = self._beside_look_alikes(candidates, found)
         return self.levels.finished(found, image, sky)
 
     def _starts_near(
-        self, prior: Pose, error_rad: float, outlines: Outlines | None, also: list[Pose]
+        self, near: Near, outlines: Outlines | None, also: list[Pose]
     ) -> tuple[Array, Array]:
         """Rotations (K, 3, 3) and view centres (K, 3) to start from near a prior."""
-        rotations, centres = rotated_about(prior, self.model.centre_m, error_rad)
+        rotations, centres = rotated_about(near.prior, self.model.centre_m, near.error_rad)
         rotations = np.concatenate([rotations, *(p.rotation[None] for p in also)])
         centres = np.concatenate([centres, *(p.apply(self.model.centre_m)[None] for p in also)])
         if outlines is not None:
             more, places = self._retrieval.of(outlines.signature, 3 * self.options.retrieved)
-            cosines = 0.5 * (np.einsum("kij,ij->k", more, prior.rotation) - 1.0)
-            close = np.flatnonzero(cosines > np.cos(error_rad))[: self.options.retrieved]
+            cosines = 0.5 * (np.einsum("kij,ij->k", more, near.prior.rotation) - 1.0)
+            close = np.flatnonzero(cosines > np.cos(near.error_rad))[: self.options.retrieved]
             rotations = np.concatenate([rotations, more[close]])
             centres = np.concatenate([centres, places[close]])
         return rotations, centres
 
     def _around(self, candidates: Candidates, best: Pose) -> None:
-        """Add poses from 9° around: the best one may be a local optimum."""
+        """Add poses from 9° around, nearer and farther, too: the best may be a local optimum."""
         rotations, centres = rotated_about(best, self.model.centre_m, _ASIDE_RAD)
-        candidates.refine_best(rotations[1:], centres[1:], 2)
-
-    def _close_to(self, candidates: Candidates, prior: Pose) -> None:
-        """Add poses from 3° around, refined without coarse stages: those may find another pose."""
-        starts = rotated_about_axes(prior, self.model.centre_m, _CLOSE_RAD)
-        candidates.refine(starts, closely=True)
-        candidates.refine([prior])
+        there = np.concatenate([times * centres for times in _ASIDE_RANGES])
+        turned = np.tile(rotations, (len(_ASIDE_RANGES), 1, 1))
+        candidates.refine_best(turned, there, _KEPT_ASIDE)
+        candidates.refine_closely(best)
 
     def _half_turned(self, candidates: Candidates, pose: Pose, inliers: float) -> None:
         """Add poses from half turns of one: many craft look nearly alike from behind or below.
@@ -325,4 +335,4 @@ class PoseSearch:
         ``inliers``: inlier ratio of the pose.
         """
         turned = rotated_by(pose, self._half_turns, self.model.centre_m)
-        candidates.refine(turned, least=inliers - _MOST_BEHIND)
+        candidates.refine(turned, guess=True, least=inliers - _MOST_BEHIND)

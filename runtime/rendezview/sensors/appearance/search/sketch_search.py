@@ -37,6 +37,7 @@ from rendezview.sensors.appearance.edges.sketch import (
 from rendezview.sensors.appearance.hypothesis import Bound, Hypothesis
 from rendezview.sensors.appearance.judge.explained import explained_share
 from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.judge.shading import SurfaceTables, shading
 from rendezview.sensors.appearance.judge.sketch_choice import DOUBT, Passes, distinct, packaged
 from rendezview.sensors.appearance.model.sketches import COVER, CREASE, EDGE, Float32s
@@ -44,7 +45,7 @@ from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
 from rendezview.sensors.appearance.search.by_sketch import SketchRetrieval
 from rendezview.sensors.appearance.search.partial_views import NOTHING
-from rendezview.sensors.appearance.search.starts import rotated_about, within
+from rendezview.sensors.appearance.search.starts import rotated_about
 from rendezview.sensors.appearance.search.windows import Body, bodies_in_windows
 from rendezview.sensors.appearance.sky import Sky
 
@@ -146,21 +147,21 @@ class SketchSearch:
         poses = self._bounded(self.aligned(reading, rotations, centres))
         return self._closer(frame, sky, reading, poses, None, turned=turned)
 
-    def near(self, frame: Picture, sky: Sky, prior: Pose, error_rad: float) -> Found | None:
+    def near(self, frame: Picture, sky: Sky, near: Near) -> Found | None:
         """The best pose within some angle of a prior; None where there is none."""
-        sketch = self.sketcher.near(frame, target_box(self.model, self.camera, prior))
+        sketch = self.sketcher.near(frame, target_box(self.model, self.camera, near.prior))
         if sketch is None:
             return None
-        around, stay = rotated_about(prior, self.model.centre_m, error_rad)
+        around, stay = rotated_about(near.prior, self.model.centre_m, near.error_rad)
         alike, places = self.retrieval.starts(
-            sketch, _RETRIEVED_NEAR, prior.rotation, error_rad + _VIEW_RAD
+            sketch, _RETRIEVED_NEAR, near.prior.rotation, near.error_rad + _VIEW_RAD
         )
         rotations = np.concatenate([around, around, alike])
         centres = np.concatenate([stay, self.retrieval.placed(sketch, around), places])
         reading = self.read(sketch, sky)
-        first = within(prior, error_rad + _VIEW_RAD, self.model.centre_m)
+        first = near.wider(_VIEW_RAD)
         poses = self._bounded(self.aligned(reading, rotations, centres), first)
-        return self._closer(frame, sky, reading, poses, (prior, error_rad), turned=False)
+        return self._closer(frame, sky, reading, poses, near, turned=False)
 
     def bodies(
         self, frame: Picture, most: int, may_be: Callable[[Array], bool] | None = None
@@ -248,7 +249,7 @@ class SketchSearch:
 
     def _closer(
         self, frame: Picture, sky: Sky, first: Reading, poses: list[Hypothesis],
-        prior: tuple[Pose, float] | None, *, turned: bool,
+        near: Near | None, *, turned: bool,
     ) -> Found | None:  # fmt: skip
         """The best of some poses of a first sketch after a closer pass at the target."""
         best = distinct(poses, _LOOKED_AT, _ASIDE_RAD)
@@ -264,10 +265,9 @@ class SketchSearch:
         starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
         places = np.array([b.pose.apply(centre_m) for b in best[1:]]).reshape(-1, 3)
         others = self._aligned(reading, starts, places, _FINE)
-        bounds = () if prior is None else (within(*prior, centre_m),)
-        around, others = (self._bounded(found, *bounds) for found in (around, others))
+        around, others = (self._bounded(found, near) for found in (around, others))
         passes = Passes(
-            poses, around, others, self.model.symmetries, prior is not None, sketch.is_cut
+            poses, around, others, self.model.symmetries, near is not None, sketch.is_cut
         )
         chosen = passes.chosen()
         if chosen is None:
@@ -292,10 +292,10 @@ class SketchSearch:
             passes=passes,
         )  # fmt: skip
 
-    def _bounded(self, poses: list[Hypothesis], *bounds: Bound) -> list[Hypothesis]:
+    def _bounded(self, poses: list[Hypothesis], near: Near | None = None) -> list[Hypothesis]:
         """The poses that may be the answer."""
-        every = (*self.bounds, *bounds)
-        return [found for found in poses if all(bound(found.pose) for bound in every)]
+        bounds = self.bounds if near is None else (*self.bounds, near.holds)
+        return [found for found in poses if all(bound(found.pose) for bound in bounds)]
 
     def _finest(self, best: Pose, readings: list[Reading]) -> tuple[Pose, float, Array]:
         """The pose that one leads to in the last and finest of some sketches.

@@ -8,7 +8,6 @@ from numba import njit
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.hypothesis import Bound
 from rendezview.sensors.appearance.model.contours import NO_POINT
 from rendezview.sensors.appearance.model.view_model import ViewModel
 
@@ -16,9 +15,6 @@ from rendezview.sensors.appearance.model.view_model import ViewModel
 _LARGEST_STEP_RAD = np.deg2rad(20.0)
 # Of ``rotated_about``: the pose itself and its turns about the axes.
 _AXES = 7  # Source: by construction
-# Of a range that is told, by a prior or with a place. Source: by construction, as a box that is a
-# fifth wrong
-RANGE_ERROR = 0.25
 _STEP, _DIAGONAL_STEP = 0.8, 0.7  # of the error, and of the step for each part of a diagonal
 
 
@@ -84,25 +80,3 @@ def second_moments(points: npt.NDArray[np.int16], kinds: npt.NDArray[np.uint8]) 
                 for j in range(3):
                     moments[i, j] += float(points[k, i]) * float(points[k, j])
     return moments
-
-
-def within(prior: Pose, error_rad: float, centre_m: Array) -> Bound:
-    """Whether a pose is near enough to a prior.
-
-    An error of the range displaces the outline by as many pixels as an attitude error of as many
-    radians, so its share has the same bound, a quarter at most.
-    """
-    range_m = float(np.linalg.norm(prior.apply(centre_m)))
-    most_rad = furthest_rad(error_rad)
-    most = min(RANGE_ERROR, most_rad)
-
-    def near(pose: Pose) -> bool:
-        off = float(np.linalg.norm(pose.apply(centre_m))) / max(range_m, 1e-9)
-        return abs(off - 1.0) <= most and pose.angle_to(prior) < most_rad
-
-    return near
-
-
-def furthest_rad(error_rad: float) -> float:
-    """How far from a prior a pose may be: the error of the prior and a tenth, and a degree."""
-    return float(1.1 * error_rad + np.deg2rad(1.0))
