@@ -32,7 +32,7 @@ _IN_DOUBT = 0.35
 # Log odds by edges behind the best; poses closer than this are drawn. Source: docs/notes/rivals.md
 _MOST_BEHIND = 8.0
 # rad; error of a good proposal. Source: by hand, seeds of docs/notes/refinement.md
-_CLOSE_RAD = np.deg2rad(3.0)
+CLOSE_RAD = np.deg2rad(3.0)
 _MOST_RIVALS = 32  # that are drawn, of most merit. Source: by construction, a bound of time
 
 
@@ -75,7 +75,7 @@ class Candidates:
         for start in poses:
             refined = refine(self.image, self.sky, start, least=least)
             self.add([refined])
-            if not guess and (refined is None or refined.pose.angle_to(start) > _CLOSE_RAD):
+            if not guess and (refined is None or refined.pose.angle_to(start) > CLOSE_RAD):
                 self.add([refine(self.image, self.sky, start, closely=True, least=least)])
 
     def refine_closely(self, pose: Pose) -> None:

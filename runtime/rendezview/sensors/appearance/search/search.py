@@ -19,7 +19,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.hypothesis import Bound, Hypothesis
-from rendezview.sensors.appearance.judge.candidates import Candidates
+from rendezview.sensors.appearance.judge.candidates import CLOSE_RAD, Candidates
 from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.model.signature import Outlines
@@ -262,9 +262,8 @@ class PoseSearch:
         least = _CONFIRMED if refined.inlier_ratio >= sufficient_inlier_ratio else _CONFIDENT
         if found is None or found.confidence < least:
             return None
-        found = self._beside_look_alikes(single, found)
-        if found is None:
-            return None
+        if found.best.pose.angle_to(prior) > CLOSE_RAD:  # else the prior speaks for it
+            found = self._beside_look_alikes(single, found) or found
         return self.levels.finished(replace(found, single=True), image, sky)
 
     def proposed(
