@@ -180,7 +180,7 @@ def test_every_pose_that_pictures_speak_for_has_its_look_alikes_aligned(refining
         sky=Sky(0.0, 1.0, dark=True),
         reach_rad=np.pi,
         may_be=lambda pose: True,
-        refine=lambda others, least: aligned.extend(others),
+        refine_closely=lambda others, least: aligned.extend(others),
         choose=lambda: found(poses[0]),
         weighed=lambda on_sketch: found(next(by_pictures)),
     )
@@ -229,7 +229,7 @@ def test_a_pose_is_found_from_nine_degrees_aside_and_a_sixth_too_near_or_too_far
 def test_look_alikes_near_a_prior_are_tried_too(
     refining_model, bumpy_mesh, camera, draw, truth, monkeypatch
 ):
-    """They are those within the error of the prior."""
+    """They are those within the error of the prior; next to it, the prior itself speaks."""
     search, frame = PoseSearch(refining_model, camera), draw(bumpy_mesh, truth, camera)
     centre_m, aligned = refining_model.centre_m, []
     turns = [Rotation.from_euler("z", deg, degrees=True).as_matrix() for deg in (12.0, 40.0)]
@@ -243,18 +243,19 @@ def test_look_alikes_near_a_prior_are_tried_too(
         def weigh(self, *_args: object) -> list[Hypothesis]:
             return []
 
-    refine = Candidates.refine
+    refine = Candidates.refine_closely
 
     def seen(self, poses, **how):
         poses = list(poses)
         aligned.extend(poses)
         refine(self, poses, **how)
 
-    monkeypatch.setattr(Candidates, "refine", seen)
+    monkeypatch.setattr(Candidates, "refine_closely", seen)
     level = search.levels.whole
     monkeypatch.setitem(search.levels._levels, 1, replace(level, rivals=FewRivals()))
     monkeypatch.setattr(search.levels, "whole", replace(level, rivals=FewRivals()))
-    near = Near(truth, np.deg2rad(20.0), centre_m)
+    aside = turned(truth, Rotation.from_euler("x", 6.0, degrees=True).as_matrix(), centre_m)
+    near = Near(aside, np.deg2rad(20.0), centre_m)
     for search_near in (search.at, search.near):
         more = () if search_near == search.at else (None, [])
         found = search_near(frame, Sky.of(frame), near, *more)
@@ -263,3 +264,5 @@ def test_look_alikes_near_a_prior_are_tried_too(
         assert any(one is alike[0] for one in aligned)
         assert not any(one is alike[1] for one in aligned)
         aligned.clear()
+    assert search.at(frame, Sky.of(frame), Near(truth, np.deg2rad(20.0), centre_m)) is not None
+    assert aligned == []

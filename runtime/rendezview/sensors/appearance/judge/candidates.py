@@ -78,10 +78,10 @@ class Candidates:
             if not guess and (refined is None or refined.pose.angle_to(start) > CLOSE_RAD):
                 self.add([refine(self.image, self.sky, start, closely=True, least=least)])
 
-    def refine_closely(self, pose: Pose) -> None:
-        """Add the pose next to one that fits the edges, without the coarse stages."""
-        refine = self.level.refiner.refine
-        self.add([refine(self.image, self.sky, pose, closely=True)])
+    def refine_closely(self, poses: Iterable[Pose], *, least: float = 0.0) -> None:
+        """Add the poses next to some that fit the edges, without the coarse stages."""
+        image, sky, refine = self.image, self.sky, self.level.refiner.refine
+        self.add(refine(image, sky, one, closely=True, least=least) for one in poses)
 
     def refine_best(
         self, rotations: Array, centres: Array, keep: int, *, least: float = 0.0

@@ -190,7 +190,7 @@ class PoseSearch:
             asked.append(best.pose)
             least = best.inlier_ratio - _MOST_BEHIND
             alike = rivals.look_alikes(best.pose, candidates.reach_rad)
-            candidates.refine(filter(candidates.may_be, alike), least=least)
+            candidates.refine_closely(filter(candidates.may_be, alike), least=least)
             if not candidates.sky.dark:  # boxes of rooms look alike after quarter turns
                 turned = rotated_by(best.pose, self._quarter_turns, self.model.centre_m)
                 candidates.refine(filter(candidates.may_be, turned), guess=True, least=least)
@@ -326,7 +326,7 @@ class PoseSearch:
         there = np.concatenate([times * centres for times in _ASIDE_RANGES])
         turned = np.tile(rotations, (len(_ASIDE_RANGES), 1, 1))
         candidates.refine_best(turned, there, _KEPT_ASIDE)
-        candidates.refine_closely(best)
+        candidates.refine_closely([best])
 
     def _half_turned(self, candidates: Candidates, pose: Pose, inliers: float) -> None:
         """Add poses from half turns of one: many craft look nearly alike from behind or below.
