@@ -254,7 +254,9 @@ class PoseSearch:
         refined = single.level.refiner.refine(single.image, single.sky, prior)
         if refined is None or refined.inlier_ratio < min(sufficient_inlier_ratio, usual):
             return None
-        single.refine([prior])
+        single.add([refined])
+        if refined.pose.angle_to(prior) > CLOSE_RAD:  # coarse stages may find another optimum
+            single.refine_closely([prior])
         reaches_usual = refined.inlier_ratio >= usual
         found = single.choose(shade=not reaches_usual)
         if reaches_usual and found is not None and found.confidence < _CONFIDENT:
