@@ -65,18 +65,24 @@ class Candidates:
             if one is not None and self.may_be(one.pose):
                 self._all.append(replace(one, overshoot=self._overshoot(one)))
 
-    def refine(self, poses: Iterable[Pose], *, guess: bool = False, least: float = 0.0) -> None:
-        """Add the poses next to some that fit the edges; see ``Refiner.refine``.
+    def refine(self, poses: Iterable[Pose], *, least: float = 0.0) -> None:
+        """Add the poses next to some that fit the edges; see ``Refiner.refine``."""
+        image, sky, refine = self.image, self.sky, self.level.refiner.refine
+        self.add(refine(image, sky, one, least=least) for one in poses)
 
-        Those may be right to a few degrees, unless each is a ``guess``: where the coarse stages
-        lead elsewhere, what is next to them counts, too.
+    def add_next_to(self, start: Pose, refined: Hypothesis | None) -> None:
+        """Add a start that may be right to a few degrees, as ``refine`` has aligned it.
+
+        Where the coarse stages led elsewhere, what is next to the start counts, too.
         """
-        refine = self.level.refiner.refine
+        self.add([refined])
+        if refined is None or refined.pose.angle_to(start) > CLOSE_RAD:
+            self.refine_closely([start])
+
+    def refine_next_to(self, poses: Iterable[Pose]) -> None:
+        """Align starts that may be right to a few degrees."""
         for start in poses:
-            refined = refine(self.image, self.sky, start, least=least)
-            self.add([refined])
-            if not guess and (refined is None or refined.pose.angle_to(start) > CLOSE_RAD):
-                self.add([refine(self.image, self.sky, start, closely=True, least=least)])
+            self.add_next_to(start, self.level.refiner.refine(self.image, self.sky, start))
 
     def refine_closely(self, poses: Iterable[Pose], *, least: float = 0.0) -> None:
         """Add the poses next to some that fit the edges, without the coarse stages."""

@@ -46,7 +46,7 @@ _LEAST_LEAD = 0.5  # log odds above every half turn. Source: tree-ablation (0.1)
 # Inlier ratio after coarse alignment, before a sketch: of 252 right poses of Mitsuba none had less.
 # Source: docs/notes/photographs.md
 _WORTH_REFINING = 0.15
-# Inlier ratio of a look-alike after the coarse stages, behind the best pose's: of 300 that come
+# Inlier ratio of a look-alike after the first stages, behind the best pose's: of 300 that come
 # within 0.15 of its merit, 1 % are farther behind. Source: docs/notes/rivals.md
 _MOST_BEHIND = 0.3
 # Of look-alikes, and of poses around: of the best, and of the one that is best then.
@@ -193,7 +193,7 @@ class PoseSearch:
             candidates.refine_closely(filter(candidates.may_be, alike), least=least)
             if not candidates.sky.dark:  # boxes of rooms look alike after quarter turns
                 turned = rotated_by(best.pose, self._quarter_turns, self.model.centre_m)
-                candidates.refine(filter(candidates.may_be, turned), guess=True, least=least)
+                candidates.refine(filter(candidates.may_be, turned), least=least)
             return True
 
         for _ in range(_ROUNDS):
@@ -254,9 +254,7 @@ class PoseSearch:
         refined = single.level.refiner.refine(single.image, single.sky, prior)
         if refined is None or refined.inlier_ratio < min(sufficient_inlier_ratio, usual):
             return None
-        single.add([refined])
-        if refined.pose.angle_to(prior) > CLOSE_RAD:  # coarse stages may find another optimum
-            single.refine_closely([prior])
+        single.add_next_to(prior, refined)
         reaches_usual = refined.inlier_ratio >= usual
         found = single.choose(shade=not reaches_usual)
         if reaches_usual and found is not None and found.confidence < _CONFIDENT:
@@ -283,7 +281,7 @@ class PoseSearch:
             near: where the answer is.
         """
         candidates = self._candidates(image, sky, proposals[0], outlines, near)
-        candidates.refine(proposals)
+        candidates.refine_next_to(proposals)
         if half_turns:
             best = candidates.most_inliers
             pose, inliers = (proposals[0], 0.0) if best is None else (best.pose, best.inlier_ratio)
@@ -300,7 +298,7 @@ class PoseSearch:
         """The pose within some angle of a prior, from rotations of it and retrieved views."""
         rotations, centres = self._starts_near(near, outlines, also)
         candidates = self._candidates(image, sky, near.prior, outlines, near)
-        candidates.refine([near.prior])
+        candidates.refine_next_to([near.prior])
         candidates.refine_best(rotations, centres, self.options.refined_near)
         found = self._settled(candidates)
         if found is not None and found.confidence >= give_up:
@@ -336,4 +334,4 @@ class PoseSearch:
         ``inliers``: inlier ratio of the pose.
         """
         turned = rotated_by(pose, self._half_turns, self.model.centre_m)
-        candidates.refine(turned, guess=True, least=inliers - _MOST_BEHIND)
+        candidates.refine(turned, least=inliers - _MOST_BEHIND)
