@@ -45,13 +45,6 @@ def test_a_singular_or_negative_matrix_is_refused(matrix):
     assert not linear_algebra.invert(matrix, lower, np.empty((3, 3)))
 
 
-def test_square_root_of_a_semidefinite_covariance():
-    a = np.random.default_rng(9).normal(size=(4, 2))
-    covariance = a @ a.T
-    root = linear_algebra.square_root(covariance)
-    np.testing.assert_allclose(root @ root.T, covariance, atol=1e-12)
-
-
 @pytest.mark.parametrize("share", [0.0, 0.31, 0.8, 1.0])
 @pytest.mark.parametrize("count", [1, 2, 7, 300])
 def test_a_quantile_is_numpys(share, count):

@@ -43,7 +43,7 @@ COMMANDS = {
     "track": ("track", "hard"),
     "train": ("train",),
     "demo": ("train", "track", "hard", "demo"),
-    "serve": ("track", "hard", "filter", "sensors"),
+    "serve": ("track", "hard", "sensors"),
     "reflectors": ("reflectors",),
     "stereo": ("stereo",),
 }

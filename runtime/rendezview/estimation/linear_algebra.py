@@ -120,29 +120,6 @@ def invert(matrix: Array, lower: Array, out: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def square_root(covariance: Array) -> Array:
-    """(n, n) lower Cholesky factor of a covariance that may be semi-definite.
-
-    A column is zero where its pivot is rounding only.
-    """
-    n = covariance.shape[0]
-    lower = np.zeros((n, n))
-    for j in range(n):
-        s = covariance[j, j]
-        for k in range(j):
-            s -= lower[j, k] * lower[j, k]
-        if s <= _PIVOT * covariance[j, j]:
-            continue
-        lower[j, j] = math.sqrt(s)
-        for i in range(j + 1, n):
-            s = covariance[i, j]
-            for k in range(j):
-                s -= lower[i, k] * lower[j, k]
-            lower[i, j] = s / lower[j, j]
-    return lower
-
-
 @njit(cache=True, nogil=True)
 def quantile(values: Array, share: float) -> float:
     """The value (of N > 0) below which a share of the others lies, between two linearly.

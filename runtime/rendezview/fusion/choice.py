@@ -125,8 +125,8 @@ def step(
         return after, Verdict(name, time_s, False, found, None, size)
     views = [look(rival.hypothesis.state, measurement, options) for rival in rivals]
     outliers = sensor_options(measurement, options).outliers
-    peaks = [seen.peak for seen in views if not isinstance(seen, str)]
-    chance = outlier_log(min([found.peak, *peaks]), size)
+    peaks = [seen.comparison.peak for seen in views if not isinstance(seen, str)]
+    chance = outlier_log(min([found.comparison.peak, *peaks]), size)
     own = mixture(outliers, found.log_likelihood, chance)
     forecast = main
     main, believed = judged(main, measurement, found, options)
@@ -146,20 +146,20 @@ def step(
     reason: str | None = None
     doubt = main.trusts[name].doubt
     if believed and doubt >= outliers:  # likelier wrong than readings are
-        fresh = doubted(forecast, main.trusts[name], measurement, found.innovation)
+        fresh = doubted(forecast, main.trusts[name], measurement, found.comparison.innovation)
         kept = with_doubt(kept, fresh)
     if not believed:
-        reason = f"{math.sqrt(max(found.nis, 0.0)):.1f} σ away"
+        reason = f"{math.sqrt(max(found.comparison.nis, 0.0)):.1f} σ away"
         if main.trusts[name].rejected >= CONTRADICTS:
             before = before._replace(contested_s=time_s)
         if main.trusts[name].locked:
             reason += f", {main.trusts[name].rejected} times in a row: locked out"
         kept += new_rivals(forecast, kept, measurement, options)
-    alone = mixture(outliers, found.log_likelihood, outlier_log(found.peak, size))
+    alone = mixture(outliers, found.log_likelihood, outlier_log(found.comparison.peak, size))
     after = before._replace(main=main, rivals=tuple(kept), log_likelihood=alone)
     if believed and found.forecast.other_edge:
         reason = "another edge than the ring's: for its bearing only"
-    return after, Verdict(name, time_s, believed, reason, found.nis, size)
+    return after, Verdict(name, time_s, believed, reason, found.comparison.nis, size)
 
 
 def _told(
@@ -245,7 +245,9 @@ def _scored(
 def _own_share(rival: Rival, seen: Found) -> float:
     """Share of an innovation's variance that is the reading's own; the state's is the same next."""
     own = np.diag(seen.forecast.root @ seen.forecast.root.T)
-    whole = np.einsum("m,mij,mij->i", rival.hypothesis.state.weights, *2 * (seen.comparison[2],))
+    whole = np.einsum(
+        "m,mij,mij->i", rival.hypothesis.state.weights, *2 * (seen.comparison.lowers,)
+    )
     return float(np.minimum(own / whole, 1.0).mean())
 
 
@@ -302,6 +304,12 @@ def _won(
         log_likelihood=0.0, note=reason if restarted else before.note,
     )  # fmt: skip
     verdict = Verdict(
-        measurement.sensor, measurement.time_s, fits, reason, seen.nis, seen.size, restarted
+        measurement.sensor,
+        measurement.time_s,
+        fits,
+        reason,
+        seen.comparison.nis,
+        seen.size,
+        restarted,
     )
     return after, verdict

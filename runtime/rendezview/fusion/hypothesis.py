@@ -16,7 +16,14 @@ from rendezview.fusion.models import Forecast, forecasts
 from rendezview.fusion.options import FusionOptions, MotionOptions
 from rendezview.fusion.state import FilterState, predict, sensor_options, with_slot
 from rendezview.fusion.trust import Trust, after_reading, judge, lasting
-from rendezview.fusion.update_kernels import compared, corrected, jitter_step, renewed, white_share
+from rendezview.fusion.update import (
+    Comparison,
+    compared,
+    corrected,
+    jitter_step,
+    renewed,
+    white_share,
+)
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
@@ -47,15 +54,12 @@ class Found(NamedTuple):
 
     state: FilterState
     forecast: Forecast
+    comparison: Comparison
     log_likelihood: float
-    peak: float
-    nis: float
-    innovation: Array
-    comparison: tuple[Array, Array, Array, Array]  # logs, across, lowers, whites
 
     @property
     def size(self) -> int:
-        return len(self.innovation)
+        return len(self.comparison.innovation)
 
 
 def moved(hypothesis: Hypothesis, time_s: float, options: FusionOptions) -> Hypothesis:
@@ -73,16 +77,15 @@ def look(state: FilterState, measurement: Measurement, options: FusionOptions) -
     given = state
     for forecast in meanings:
         state = _with_new_bias(given, measurement.sensor, forecast)
-        fits, total, peak, nis, innovation, logs, across, lowers, whites = compared(
+        comparison = compared(
             state.deviations, state.covariances, state.weights, forecast.design, forecast.noise,
             forecast.residual,
         )  # fmt: skip
-        total += forecast.log_prior
-        if not fits or not math.isfinite(total):
+        if comparison is None or not math.isfinite(comparison.total):
             continue
+        total = comparison.total + forecast.log_prior
         if best is None or total > best.log_likelihood:
-            comparison = logs, across, lowers, whites
-            best = Found(state, forecast, total, peak, nis, innovation, comparison)
+            best = Found(state, forecast, comparison, total)
     return best or "its covariance cannot be used"
 
 
@@ -115,14 +118,13 @@ def judged(
     """The hypothesis after a reading that it may believe."""
     name, time_s = measurement.sensor, measurement.time_s
     trust = before.trusts.get(name) or Trust(name)
-    root = found.forecast.root
+    root, seen = found.forecast.root, found.comparison
     outliers = sensor_options(measurement, options).outliers
-    lowers = found.comparison[2]
-    spread = np.einsum("m,mij,mkj->ik", before.state.weights, lowers, lowers)
+    spread = np.einsum("m,mij,mkj->ik", before.state.weights, seen.lowers, seen.lowers)
     believed, wrong, hidden, offset = judge(
-        trust, outliers, found.log_likelihood, found.peak, found.nis, found.innovation, root, spread
+        trust, outliers, found.log_likelihood, seen.peak, seen.nis, seen.innovation, root, spread
     )
-    level, fault = found.nis / found.size, lasting(wrong, outliers, trust.rejected)
+    level, fault = seen.nis / found.size, lasting(wrong, outliers, trust.rejected)
     trust = after_reading(trust, time_s, believed, level, found.size)._replace(
         fault=fault, doubt=hidden, offset=offset
     )
@@ -141,10 +143,9 @@ def judged(
 def _taken(found: Found, measurement: Measurement, motion: MotionOptions) -> FilterState:
     """The state after a reading, and what it teaches about noise and jitter."""
     state, forecast, name = found.state, found.forecast, measurement.sensor
-    logs, across, lowers, whites = found.comparison
     rotation, place, rate, velocity, deviations, covariances, weights = corrected(
         state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
-        state.covariances, state.weights, logs, across, lowers, whites,
+        state.covariances, state.weights, found.comparison,
     )  # fmt: skip
     white, count = state.white, state.readings.get(name, 0)
     span = min(_LAST, _JITTER_FIRST + count)
@@ -152,7 +153,7 @@ def _taken(found: Found, measurement: Measurement, motion: MotionOptions) -> Fil
     if not forecast.other_edge:
         sigmas = {**sigmas, name: forecast.sigmas}
     if forecast.teaches:
-        gained = white_share(forecast.shares, forecast.root, weights, lowers, whites)
+        gained = white_share(forecast.shares, forecast.root, weights, found.comparison)
         share = np.clip(
             forecast.shares + gained / min(_LAST, _SHARE_FIRST + count), _LEAST_SHARE, _MOST_SHARE
         )
@@ -162,7 +163,7 @@ def _taken(found: Found, measurement: Measurement, motion: MotionOptions) -> Fil
         since_s = measurement.time_s - pose_s
         known = state.turning is not None and state.turning_s >= pose_s  # nothing to learn from
         if since_s > 1e-3 and not known:
-            jitter = _learnt_jitter(state, forecast, weights, lowers, whites, since_s, span, motion)
+            jitter = _learnt_jitter(state, found, weights, since_s, span, motion)
         pose_s = measurement.time_s
     return state._replace(
         rotation=rotation, place_m=place, rate=rate, velocity=velocity,
@@ -172,11 +173,11 @@ def _taken(found: Found, measurement: Measurement, motion: MotionOptions) -> Fil
 
 
 def _learnt_jitter(
-    state: FilterState, forecast: Forecast, weights: Array, lowers: Array, whites: Array,
-    since_s: float, span: float, motion: MotionOptions,
+    state: FilterState, found: Found, weights: Array, since_s: float, span: float,
+    motion: MotionOptions,
 ) -> float:  # fmt: skip
     gained = 1.0 - math.exp(-2.0 * min(since_s, 10.0) / motion.jitters_s[0])
     step_rad2 = jitter_step(
-        forecast.design, weights, lowers, whites, gained, len(motion.jitters)
-    )  # fmt: skip
+        found.forecast.design, weights, found.comparison, gained, len(motion.jitters)
+    )
     return math.sqrt(max(state.jitter**2 + step_rad2 / span, _LEAST_JITTER**2))

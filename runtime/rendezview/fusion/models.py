@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendezview.fusion.model_kernels import circle_parts, of_other_edge, pose_parts, ring_parts
 from rendezview.fusion.options import FusionOptions, SensorOptions
 from rendezview.fusion.state import (
     RING_GEOMETRY,
@@ -21,7 +20,7 @@ from rendezview.fusion.state import (
     pose_covariance,
     sensor_options,
 )
-from rendezview.fusion.update_kernels import with_bias
+from rendezview.fusion.update import root_of
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.sensors.beam import BeamMesh, Met
@@ -30,6 +29,7 @@ from rendezview.sensors.measurement import (
     PoseMeasurement,
     RangeMeasurement,
     RingMeasurement,
+    tangents,
 )
 
 # Of another edge than the ring's, beside the ring's own errors: σ of its bearing (rad), range
@@ -74,11 +74,15 @@ def _forecast(
 ) -> Forecast | None:  # fmt: skip
     """With the bias's columns; None where the covariance cannot be used."""
     slot = state.slots[measurement.sensor]
-    fits, design, noise, root, sigmas = with_bias(
-        motion, whole, shares, slot.start + bias, state.deviations.shape[1]
-    )  # fmt: skip
-    if not fits:
+    root = root_of(whole)
+    if root is None:
         return None
+    start, size = slot.start + bias, len(whole)
+    design = np.zeros((size, state.deviations.shape[1]))
+    design[:, : motion.shape[1]] = motion
+    design[:, start : start + size] = root * np.sqrt(np.maximum(1.0 - shares, 0.0))
+    noise: Array = (root * shares) @ root.T
+    sigmas: Array = np.sqrt(whole.diagonal())
     if slot.lateness >= 0:  # what it shows is of a moment before
         moving = state.velocity - np.cross(state.rate, state.place_m)
         speed = motion[:, :3] @ (state.rotation @ state.rate) + motion[:, 3:6] @ moving
@@ -87,11 +91,12 @@ def _forecast(
 
 
 def _pose(state: FilterState, measurement: PoseMeasurement, sensor: SensorOptions) -> Forecast:
-    pose = measurement.pose
-    # Copies: for read-only arrays numba would compile the loop a second time.
-    residual, motion = pose_parts(
-        np.array(pose.rotation), np.array(pose.translation_m), state.rotation, state.place_m
-    )
+    away = -state.rotation @ state.place_m
+    turn = so3.between(np.array(measurement.pose.rotation), state.rotation)
+    residual = np.concatenate([turn, measurement.pose.translation_m - away])
+    motion = np.zeros((6, 6))
+    motion[:3, :3] = np.eye(3)
+    motion[3:, :3], motion[3:, 3:] = -so3.hat(away), -state.rotation  # θ × away
     whole = pose_covariance(measurement, sensor)
     shares = state.white[measurement.sensor]
     forecast = _forecast(state, measurement, residual, motion, whole, shares, sensor.late_s)
@@ -110,7 +115,7 @@ def _ring(
     if radius <= 0.1:
         return "the ring's radius is lost"
     centre, axis, basis, motion = ring_parts(
-        np.array(ring.centre_m), np.array(ring.axis), state.rotation, state.place_m, radius, depth_m
+        ring.centre_m, ring.axis, state.rotation, state.place_m, radius, depth_m
     )
     if centre[2] <= 0.0:
         return "the ring would be behind the camera"
@@ -132,7 +137,7 @@ def _ring(
         if edge is not None:
             found.append(edge)
         if other > 0.0:
-            wide = of_other_edge(whole, place, _OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD)
+            wide = of_other_edge(whole, place)
             beside = _forecast(
                 state, measurement, residual, motion, wide, np.full(5, 1.0 - sensor.bias_share),
                 sensor.late_s, bias=5, teaches=False, log_prior=math.log(other),
@@ -140,6 +145,59 @@ def _ring(
             if beside is not None:
                 found.append(beside)
     return found or "its covariance cannot be used"
+
+
+def ring_parts(
+    ring_centre: Array, ring_axis: Array, rotation: Array, place: Array, radius: float,
+    depth_m: float,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """Expected centre (3,) and axis (3,) of a ring; tangents (3, 2); slope (5, 8).
+
+    Args:
+        radius: true one over the given one. The radius that the sensor takes is too small by this
+            factor: so is its centre's distance.
+        depth_m: offset along the axis.
+
+    Returns:
+        The slope is by attitude, place, radius and depth.
+    """
+    axis = rotation @ ring_axis
+    centre = rotation @ (ring_centre + depth_m * ring_axis - place) / radius
+    basis = tangents(axis)
+    motion = np.zeros((5, 8))
+    motion[:3, :3], motion[:3, 3:6] = -so3.hat(centre), -rotation / radius  # θ × centre
+    motion[:3, 6], motion[:3, 7] = -centre / radius, axis / radius
+    motion[3:, :3] = -basis.T @ so3.hat(axis)
+    return centre, axis, basis, motion
+
+
+def circle_parts(
+    measured_centre: Array, measured_axis: Array, covariance: Array, centre: Array, axis: Array,
+    basis: Array, inflation: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """(5,) residual and (5, 5) covariance of a circle beside the expected one.
+
+    Args:
+        covariance: (6, 6) of centre and axis.
+        inflation: of the covariance.
+    """
+    sign = 1.0 if measured_axis @ axis >= 0.0 else -1.0  # a circle has no front
+    flat = np.zeros((5, 6))
+    flat[:3, :3], flat[3:, 3:] = np.eye(3), sign * basis.T
+    residual = np.concatenate([measured_centre - centre, flat[3:, 3:] @ measured_axis])
+    return residual, inflation * flat @ covariance @ flat.T
+
+
+def of_other_edge(whole: Array, place: Array) -> Array:
+    """(5, 5) covariance of a circle that is another edge than the ring's, seen at (3,) place.
+
+    A concentric edge, or one of a shadow: the line of sight is nearly right, the size not.
+    """
+    wide = whole.copy()
+    wide[:3, :3] += _OTHER_BEARING**2 * (place @ place) * np.eye(3)
+    wide[:3, :3] += _OTHER_RANGE**2 * np.outer(place, place)
+    wide[3:, 3:] += _OTHER_RAD**2 * np.eye(2)
+    return wide
 
 
 def _spread_out(motion: Array, geometry: Slot | None) -> Array:

@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rendezview.fusion.kernels import MOTION, moments, predicted
 from rendezview.fusion.options import FusionOptions, MotionOptions, SensorOptions
+from rendezview.fusion.prediction import MOTION, moments, predicted
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.measurement import (
@@ -200,7 +200,7 @@ _HOLD_S = 1.0  # s for which a rate of the camera is taken to go on. Source: cho
 
 
 def models_of(motion: MotionOptions, jitter: float) -> tuple[Array, Array]:
-    """(A, 4) accelerations and (J, 2) jitters, as `kernels.predicted` takes them."""
+    """(A, 4) accelerations and (J, 2) jitters, as `prediction.predicted` takes them."""
     accelerations, jitters = _models(motion)
     jitters = jitters.copy()
     jitters[0, 0] = jitter

@@ -152,7 +152,7 @@ def serve(
         _be_gateway(loaded, bool(model or source), tell)
         return
     service = Service(loaded, model, source, speed)
-    compile_ahead("track", "hard", "filter")
+    compile_ahead("track", "hard")
     set_up_logging(loaded.log_level)
     with contextlib.ExitStack() as flights, compile_beside("sensors") as beside:
         service.workers.without_sensors = lambda: beside.is_busy

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -145,11 +144,20 @@ def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
     return recorded(work)
 
 
+def sensors(model: Path, scene: Path) -> list[dict[str, Any]]:
+    """The loops of a session of the service beside those of `track`; the scene is not used."""
+
+    def work() -> None:
+        warm_up(rv.ViewModel.load(model))
+        warm_up_sensors()
+
+    return recorded(work)
+
+
 GROUPS: dict[str, Callable[[Path, Path], list[dict[str, Any]]]] = {
     "train": train, "track": track, "hard": hard, "demo": demo, "reflectors": reflectors,
     "stereo": stereo,
-    "filter": lambda model, _: recorded(partial(warm_up, rv.ViewModel.load(model))),
-    "sensors": lambda *_: recorded(warm_up_sensors),
+    "sensors": sensors,
 }  # fmt: skip
 
 

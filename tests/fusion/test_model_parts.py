@@ -1,11 +1,10 @@
-"""The compiled parts of the measurement models beside plain numpy."""
+"""The parts of the measurement models beside their definitions and numerical derivatives."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.fusion.model_kernels import circle_parts, of_other_edge, pose_parts, ring_parts
-from rendezview.fusion.update_kernels import with_bias
+from rendezview.fusion.models import circle_parts, of_other_edge, ring_parts
 from rendezview.sensors.measurement import tangents
 
 
@@ -24,18 +23,6 @@ def a_ring(rng):
     axis = rng.standard_normal(3)
     place = -rotation.T @ np.array([0.3, -0.2, 8.0])
     return rng.standard_normal(3), axis / np.linalg.norm(axis), rotation, place
-
-
-def test_a_pose_beside_the_expected_one_is_that_of_numpy():
-    rng = np.random.default_rng(1)
-    rotation, place = Rotation.random(random_state=rng).as_matrix(), rng.standard_normal(3)
-    vector, measured = np.array([0.1, -0.2, 0.05]), rng.standard_normal(3)
-    turned = Rotation.from_rotvec(vector).as_matrix() @ rotation
-    residual, motion = pose_parts(turned, measured, rotation, place)
-    away = -rotation @ place
-    assert residual == pytest.approx(np.concatenate([vector, measured - away]), abs=1e-12)
-    expected = np.block([[np.eye(3), np.zeros((3, 3))], [-hat(away), -rotation]])
-    assert motion == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -84,26 +71,9 @@ def test_a_circle_beside_the_expected_one_is_that_of_numpy(sign):
 def test_another_edge_is_uncertain_along_its_line_of_sight():
     whole, place = covariance_of(np.random.default_rng(6), 5), np.array([0.3, -0.2, 5.0])
     before = whole.copy()
-    added = of_other_edge(whole, place, 0.01, 0.3, 0.03) - whole
+    added = of_other_edge(whole, place) - whole
     assert np.array_equal(whole, before)
     expected = 0.3**2 * np.outer(place, place) + 0.01**2 * (place @ place) * np.eye(3)
     assert added[:3, :3] == pytest.approx(expected, abs=1e-14)
     assert added[3:, 3:] == pytest.approx(0.03**2 * np.eye(2), abs=1e-14)
     assert not added[:3, 3:].any()
-
-
-def test_noise_and_bias_are_split_by_the_shares():
-    rng = np.random.default_rng(7)
-    motion, whole = rng.standard_normal((5, 6)), covariance_of(rng, 5)
-    shares = np.array([0.0, 0.2, 0.5, 1.0, 3.0])
-    fits, design, noise, root, sigmas = with_bias(motion, whole, shares, 18, 25)
-    assert fits
-    lower = np.linalg.cholesky(whole)
-    assert root == pytest.approx(lower, abs=1e-12)
-    assert sigmas == pytest.approx(np.sqrt(np.diag(whole)))
-    assert design[:, :6] == pytest.approx(motion)
-    assert design[:, 18:23] == pytest.approx(lower * np.sqrt(np.maximum(1.0 - shares, 0.0)))
-    assert not np.delete(design, [*range(6), *range(18, 23)], axis=1).any()
-    assert noise == pytest.approx((lower * shares) @ lower.T, abs=1e-12)
-    assert not with_bias(motion, -whole, shares, 18, 25)[0]
-    assert not with_bias(motion, np.zeros((5, 5)), shares, 18, 25)[0]

@@ -1,4 +1,4 @@
-"""The compiled loops beside plain numpy and numerical derivatives."""
+"""Prediction beside dense matrices and numerical derivatives."""
 
 import math
 
@@ -7,15 +7,14 @@ import pytest
 from scipy.linalg import block_diag, expm
 from scipy.spatial.transform import Rotation
 
-from rendezview.fusion.kernels import (
+from rendezview.fusion.prediction import (
     MOTION,
-    add_noise,
     changes,
     mixed,
     moments,
+    noise_of,
     predicted,
-    switches,
-    transit,
+    transition,
 )
 from rendezview.geometry import so3
 
@@ -99,16 +98,12 @@ def after_step(before, dt):
 
 
 def test_an_error_goes_on_as_by_the_dense_matrix():
-    rng = np.random.default_rng(1)
-    after, dt, n = nominal(rng), 0.7, 25
-    fade = rng.uniform(0.2, 1.0, n - MOTION)
-    step = design_of_step(dt, 0.3, 0.9, after, fade)
-    for _ in range(5):
-        row = rng.standard_normal(n)
-        found = row.copy()
-        rotation, place, rate, velocity = after
-        transit(found, dt, 0.3, 0.9, exp(-dt * rate), rotation, place, velocity, fade)
-        assert found == pytest.approx(step @ row, abs=1e-12)
+    after, dt = nominal(np.random.default_rng(1)), 0.7
+    rotation, place, rate, velocity = after
+    jitter, lasting = np.array([0.3, 0.8]), np.array([0.9, 0.5])
+    found = transition(dt, jitter, lasting, exp(-dt * rate), rotation, place, velocity)
+    for step, *left in zip(found, jitter, lasting, strict=True):
+        assert step == pytest.approx(design_of_step(dt, *left, after, []), abs=1e-12)
 
 
 def test_an_error_goes_on_as_the_nominal_motion_does():
@@ -118,6 +113,8 @@ def test_an_error_goes_on_as_the_nominal_motion_does():
     dt, rate, nothing = 0.5, 0.02 * rng.standard_normal(3), np.zeros(3)
     start = (rotation, place, rate, velocity, nothing, nothing)
     after = after_step(start[:4], dt)
+    left = np.exp([[-dt / 0.4], [-dt / 30.0]])
+    step = transition(dt, *left, exp(-dt * rate), after[0], after[1], after[3])[0]
     assert difference(moved(start, dt)[:4], after) == pytest.approx(np.zeros(12), abs=1e-12)
     for entry in range(MOTION):
         tip = np.zeros(MOTION)
@@ -131,14 +128,8 @@ def test_an_error_goes_on_as_the_nominal_motion_does():
             for s in (1.0, -1.0)
         )  # fmt: skip
         slope = difference(ahead, behind) / 2e-5
-        row = np.zeros(MOTION)
-        row[entry] = 1.0
-        transit(
-            row, dt, math.exp(-dt / 0.4), math.exp(-dt / 30.0), exp(-dt * rate), after[0],
-            after[1], after[3], np.zeros(0),
-        )  # fmt: skip
         # Rows and columns of the rate are linear in rate times dt.
-        assert row == pytest.approx(slope, abs=0.03 if 6 <= entry < 9 else 1e-6), entry
+        assert step[:, entry] == pytest.approx(slope, abs=0.03 if 6 <= entry < 9 else 1e-6), entry
 
 
 def test_mixed_models_are_those_of_the_textbook():
@@ -170,11 +161,8 @@ def test_models_change_by_their_mean_stay():
 
 def noise(dt, angular=0.0, acceleration=0.0, lasting=0.0, jitter=0.0, slew=0.0):
     rotation, place, _, velocity = nominal(np.random.default_rng(4))
-    out = np.zeros((20, 20))
-    add_noise(
-        out, dt, rotation, place, velocity, angular, acceleration, lasting, jitter, slew
-    )  # fmt: skip
-    return out
+    one = np.array([[acceleration], [lasting], [jitter]])
+    return noise_of(dt, rotation, place, velocity, angular, *one, slew)[0]
 
 
 @pytest.mark.parametrize("only", ["angular", "acceleration", "lasting", "jitter", "slew"])
@@ -184,8 +172,6 @@ def test_noise_is_positive_semi_definite(only, dt):
     assert np.array_equal(out, out.T)
     assert out.any()
     assert np.linalg.eigvalsh(out)[0] >= -1e-12 * np.linalg.eigvalsh(out)[-1]
-    # It adds, and leaves the biases alone.
-    assert not out[MOTION:].any()
 
 
 @pytest.mark.parametrize("lasting", [False, True])
@@ -235,7 +221,7 @@ def test_a_prediction_is_that_of_dense_matrices(dt):
     squares = after[1] @ after[1] + 1e-6, state[1] @ state[1] + 1e-6  # m²: a place may be zero
     neared = 0.5 * abs(math.log(squares[0] / squares[1]))
     fade = np.exp(-dt * fading[:, 0] - neared * fading[:, 1])
-    moves = np.kron(changes(ACCELERATIONS[:, 3].copy(), dt), changes(np.full(2, 300.0), dt))
+    moves = np.kron(changes(ACCELERATIONS[:, 3], dt), changes(np.full(2, 300.0), dt))
     mixed_x, mixed_p, later = mixed(x, p, weights, moves)
     assert found[6] == pytest.approx(later)
     assert later.sum() == pytest.approx(1.0)
@@ -245,10 +231,10 @@ def test_a_prediction_is_that_of_dense_matrices(dt):
         jitter, lasting = math.exp(-dt / swing_s), math.exp(-dt / tau)
         step = design_of_step(dt, jitter, lasting, after, fade)
         expected = step @ mixed_p[m] @ step.T
-        add_noise(
-            expected, dt, after[0], after[1], after[3], angular**2, white**2,
-            sigma**2 * (1.0 - lasting**2), swing**2 * (1.0 - jitter**2), slew**2,
-        )  # fmt: skip
+        gained = white**2, sigma**2 * (1.0 - lasting**2), swing**2 * (1.0 - jitter**2)
+        expected[:MOTION, :MOTION] += noise_of(
+            dt, after[0], after[1], after[3], angular**2, *np.array([gained]).T, slew**2
+        )[0]
         expected[range(MOTION, n), range(MOTION, n)] += 1.0 - fade**2
         assert found[4][m] == pytest.approx(step @ mixed_x[m], abs=1e-12)
         assert found[5][m] == pytest.approx(expected, abs=1e-11)
@@ -319,11 +305,3 @@ def test_a_rotation_stays_one_over_thousands_of_steps():
     assert so3.between(now[0], rotation @ exp([30.0, -60.0, 90.0])) == pytest.approx(
         np.zeros(3), abs=1e-9
     )
-
-
-def test_accelerations_and_jitters_change_on_their_own():
-    moves = switches(ACCELERATIONS, 2, 300.0, 3.0)
-    by_acceleration = changes(ACCELERATIONS[:, 3].copy(), 3.0)
-    expected = np.kron(by_acceleration, changes(np.full(2, 300.0), 3.0))
-    assert moves == pytest.approx(expected, abs=1e-15)
-    assert moves.sum(axis=1) == pytest.approx(np.ones(6))

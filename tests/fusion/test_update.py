@@ -1,13 +1,13 @@
-"""The compiled loops of the update beside plain numpy."""
+"""The update beside the textbook, model by model."""
 
 import math
 
 import numpy as np
 import pytest
-from tests.fusion.test_kernels import covariance_of, exp, models, nominal
+from tests.fusion.test_prediction import covariance_of, exp, models, nominal
 
-from rendezview.estimation.linear_algebra import square_root
-from rendezview.fusion.update_kernels import (
+from rendezview.fusion.update import (
+    Comparison,
     compared,
     corrected,
     jitter_step,
@@ -27,23 +27,21 @@ def a_measurement(seed, k=5, n=24, count=4):
 
 def test_a_measurement_beside_each_model_is_that_of_numpy():
     (x, p, weights), design, noise, residual = a_measurement(7)
-    fits, total, peak, nis, innovation, logs, across, lowers, whites = compared(
-        x, p, weights, design, noise, residual
-    )
-    assert fits
+    found = compared(x, p, weights, design, noise, residual)
+    assert found is not None
     offs = residual - x @ design.T
     spreads = design @ p @ design.T + noise
     heights = -0.5 * (np.linalg.slogdet(spreads)[1] + 5.0 * math.log(2.0 * math.pi))
     squared = np.array(
         [off @ np.linalg.solve(s, off) for off, s in zip(offs, spreads, strict=True)]
     )
-    assert logs == pytest.approx(heights - 0.5 * squared)
-    assert total == pytest.approx(math.log(weights @ np.exp(heights - 0.5 * squared)))
-    assert peak == pytest.approx(weights @ heights)
-    assert nis == pytest.approx(weights @ squared)
-    assert innovation == pytest.approx(weights @ offs)
-    assert across == pytest.approx(p @ design.T)
-    for lower, white, spread, off in zip(lowers, whites, spreads, offs, strict=True):
+    assert found.logs == pytest.approx(heights - 0.5 * squared)
+    assert found.total == pytest.approx(math.log(weights @ np.exp(heights - 0.5 * squared)))
+    assert found.peak == pytest.approx(weights @ heights)
+    assert found.nis == pytest.approx(weights @ squared)
+    assert found.innovation == pytest.approx(weights @ offs)
+    assert found.across == pytest.approx(p @ design.T)
+    for lower, white, spread, off in zip(found.lowers, found.whites, spreads, offs, strict=True):
         assert lower == pytest.approx(np.linalg.cholesky(spread))
         assert white == pytest.approx(np.linalg.solve(np.linalg.cholesky(spread), off))
 
@@ -59,25 +57,16 @@ def test_biases_that_lose_memory_are_those_of_numpy():
 
 def test_a_covariance_that_is_not_one_fits_nothing():
     (x, p, weights), design, noise, residual = a_measurement(8)
-    assert not compared(x, p, weights, design, noise - 1e3 * np.eye(5), residual)[0]
-
-
-def test_a_semi_definite_matrix_has_a_root():
-    thin = np.random.default_rng(5).standard_normal((5, 3))
-    root = square_root(thin @ thin.T)
-    assert np.allclose(root @ root.T, thin @ thin.T, atol=1e-7)
-    assert not square_root(np.zeros((4, 4))).any()
+    assert compared(x, p, weights, design, noise - 1e3 * np.eye(5), residual) is None
 
 
 def test_a_correction_is_that_of_the_textbook_in_each_model():
     (x, p, weights), design, noise, residual = a_measurement(9)
     x *= 0.01  # so that a rotation vector is nearly a vector
     state = nominal(np.random.default_rng(9))
-    _, _, _, _, _, logs, across, lowers, whites = compared(
-        x, p, weights, design, noise, 0.01 * residual
-    )
-    found = corrected(*state, x, p, weights, logs, across, lowers, whites)
-    likely = weights * np.exp(logs)
+    seen = compared(x, p, weights, design, noise, 0.01 * residual)
+    found = corrected(*state, x, p, weights, seen)
+    likely = weights * np.exp(seen.logs)
     likely /= likely.sum()
     assert found[6] == pytest.approx(likely)
     after = np.empty_like(x)
@@ -100,12 +89,15 @@ def test_a_correction_is_that_of_the_textbook_in_each_model():
 def test_a_model_never_dies_out():
     (x, p, weights), design, noise, residual = a_measurement(10)
     logs = np.array([0.0, -1e4, -1e4, -1.0])
-    _, _, _, _, _, _, across, lowers, whites = compared(x, p, weights, design, noise, residual)
-    after = corrected(
-        *nominal(np.random.default_rng(0)), x, p, weights, logs, across, lowers, whites
-    )
+    seen = compared(x, p, weights, design, noise, residual)._replace(logs=logs)
+    after = corrected(*nominal(np.random.default_rng(0)), x, p, weights, seen)
     assert after[6].min() > 5e-6
     assert after[6].sum() == pytest.approx(1.0)
+
+
+def of_one_model(lower, white):
+    """A comparison with one model, of which L and the innovation in its units count."""
+    return Comparison(0.0, 0.0, 0.0, white, np.zeros(1), white, lower[None], white[None])
 
 
 def share_by_numpy(shares, root, weights, spreads, offs):
@@ -123,9 +115,9 @@ def test_a_step_of_the_white_share_is_that_of_numpy(k, far):
     (x, p, weights), design, noise, residual = a_measurement(11, k)
     root, shares = np.linalg.cholesky(noise), np.linspace(0.2, 0.9, k)
     residual = far * residual
-    *_, lowers, whites = compared(x, p, weights, design, noise, residual)
+    seen = compared(x, p, weights, design, noise, residual)
     spreads, offs = design @ p @ design.T + noise, residual - x @ design.T
-    found = white_share(shares, root, weights, lowers, whites)
+    found = white_share(shares, root, weights, seen)
     assert found == pytest.approx(share_by_numpy(shares, root, weights, spreads, offs))
 
 
@@ -136,7 +128,9 @@ def test_the_white_share_rests_at_the_truth():
     lower = np.linalg.cholesky(covariance_of(rng, 6) + root @ root.T)
     for scale, least, most in ((1.0, -0.01, 0.01), (1.5, 0.02, 1.0), (0.5, -1.0, -0.02)):
         steps = [
-            white_share(shares, root, np.ones(1), lower[None], scale * rng.standard_normal((1, 6)))
+            white_share(
+                shares, root, np.ones(1), of_one_model(lower, scale * rng.standard_normal(6))
+            )
             for _ in range(4000)
         ]
         mean = np.mean(steps, axis=0)
@@ -151,9 +145,9 @@ def test_a_step_of_the_jitter_is_that_of_numpy(kinds, own):
     """By the models of the first jitter, or by all where those are unlikely."""
     (x, p, _), design, noise, residual = a_measurement(13, 6)
     weights = np.array(own)
-    *_, lowers, whites = compared(x, p, weights, design, noise, residual)
+    seen = compared(x, p, weights, design, noise, residual)
     gained = 0.7
-    found = jitter_step(design, weights, lowers, whites, gained, kinds)
+    found = jitter_step(design, weights, seen, gained, kinds)
     first = np.where(np.arange(4) % kinds == 0, weights, 0.0)
     if first.sum() < 0.2:
         first = weights
@@ -167,7 +161,7 @@ def test_a_step_of_the_jitter_is_that_of_numpy(kinds, own):
         slope += weight * (z @ whole @ z - np.trace(inverse @ whole))
         curvature += weight * np.trace(inverse @ whole @ inverse @ whole)
     assert found == pytest.approx(slope / curvature)
-    assert jitter_step(0.0 * design, weights, lowers, whites, gained, kinds) == 0.0
+    assert jitter_step(0.0 * design, weights, seen, gained, kinds) == 0.0
 
 
 def test_the_step_of_the_jitter_leads_to_the_truth():
@@ -179,8 +173,8 @@ def test_the_step_of_the_jitter_leads_to_the_truth():
     lower = np.linalg.cholesky(rest + taken * seen)
     steps = [
         jitter_step(
-            design, np.ones(1), lower[None],
-            np.linalg.solve(lower, real @ rng.standard_normal(6))[None], gained, 1,
+            design, np.ones(1),
+            of_one_model(lower, np.linalg.solve(lower, real @ rng.standard_normal(6))), gained, 1,
         )
         for _ in range(6000)
     ]  # fmt: skip
