@@ -149,8 +149,7 @@ def test_a_box_leaves_room_for_its_own_error():
     )
     corner = Region.of([-10.0, -10.0, 60.0, 40.0], CAMERA)
     assert corner.part[:2] == (0, 0)
-    assert region.told_box == pytest.approx([17.5, 17.5, 77.5, 57.5])
-    assert Region.around(region.box_px, CAMERA, sketched=True).told_box is None
+    assert region.box_in_part == pytest.approx([17.5, 17.5, 77.5, 57.5])
 
 
 def test_a_tracker_that_lost_its_target_looks_where_it_was_in_any_attitude(recognizer, bumpy_mesh):

@@ -126,7 +126,7 @@ class OutlineRecognition:
         if prior is not None:
             sketch = finer = self.sketcher.near(frame, target_box(self.model, self.camera, prior))
         else:
-            box = None if region is None else region.told_box
+            box = None if region is None else region.box_in_part
             look = self.sketcher.look
             sketch = self.sketcher.find(frame) if box is None else look(frame, around(box))
             finer = None if sketch is None else self.sketcher.closer(frame, sketch)

@@ -57,9 +57,9 @@ _HELD_FOR_WRONG = 0.5
 # merit; chance decides between two poses nearer to each other, where no look-alike was drawn.
 # Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
-# Bodies of a frame that are looked at closely: the target is the likeliest in 11 of 16 frames, and
-# the second in 2. Source: photographs of everyday objects
-_BODIES = 2
+# Bodies of a frame that are looked at closely. Source: Mitsuba frames before the Earth: of 120 with
+# two bodies 97 are right, with four 102 (docs/notes/refinement.md)
+_BODIES = 4
 
 
 class Request(NamedTuple):
@@ -123,7 +123,7 @@ class PoseFinder:
             views = other.search.refiner.views
             other.sketch = self.sketch.with_tables(self.model, views, camera)
             other.sketch.bounds = (*self.sketch.bounds, may_be)
-            other.sketch.box = region.told_box
+            other.sketch.box = region.box_in_part
         return other
 
     def judged(self, seen: AppearanceObservation) -> AppearanceObservation:
@@ -234,7 +234,7 @@ class PoseFinder:
         looks = []
         may_be = None if self.region is None else self.region.holds
         for body in self.sketch.bodies(request.frame, _BODIES, may_be):
-            region = Region.around(body.box_px, self.camera, sketched=True)
+            region = Region.around(body.box_px, self.camera)
             part = request._replace(frame=region.cut(request.frame), thorough=False)
             looks.append(region.in_frame(self.looking_at(region).find(part)))
         clock.lap("windows")  # with all looks

@@ -39,7 +39,6 @@ class Region:
     mask: Picture | None = None  # (H, W) of the part, 255: target
     place_px: Array | None = None  # (2,) somewhere on the target
     range_m: float | None = None
-    sketched: bool = False  # the box is that of a sketch's cover
 
     @classmethod
     def of(cls, roi: npt.ArrayLike, camera: Camera) -> Region:
@@ -89,13 +88,13 @@ class Region:
         return replace(region, mask=region.cut(np.where(inside, 255, 0).astype(np.uint8)))
 
     @classmethod
-    def around(cls, box: Array, camera: Camera, *, sketched: bool = False) -> Region:
-        """Around a box (4,) left, top, right, bottom, px; ``sketched``: of a sketch's cover."""
+    def around(cls, box: Array, camera: Camera) -> Region:
+        """Around a box (4,) left, top, right, bottom, px."""
         more = _AROUND * max(box[2] - box[0], box[3] - box[1])
         left, top = np.maximum(np.floor(box[:2] - more + 0.5), 0).astype(int).tolist()
         right, bottom = np.ceil(box[2:] + more + 0.5).astype(int).tolist()
         part = left, top, min(right, camera.width), min(bottom, camera.height)
-        return cls(part, box, sketched=sketched)
+        return cls(part, box)
 
     @classmethod
     def at_place(cls, model: ViewModel, camera: Camera, pose: Pose) -> Region | None:
@@ -122,9 +121,9 @@ class Region:
         return camera.cropped(left, top, right - left, bottom - top)
 
     @property
-    def told_box(self) -> Box | None:
-        """The box in the part's pixels that a user or a detector told, or a mask has."""
-        if self.box_px is None or self.sketched:
+    def box_in_part(self) -> Box | None:
+        """The box in the part's pixels, if there is one."""
+        if self.box_px is None:
             return None
         left, top, right, bottom = (self.box_px - np.tile(self.part[:2], 2)).tolist()
         return left, top, right, bottom

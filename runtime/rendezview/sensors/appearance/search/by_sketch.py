@@ -40,12 +40,12 @@ _ROLLS = 40  # 9° apart; alignment converges from half of that. Source: spacing
 # beyond the border, of the growth. Source: experiment photo-accuracy
 _CUT_SIZES = (1.0, 1.2, 1.45, 1.75, 2.1)
 _CUT_SHIFTS = (0.3, 0.7, 1.1)  # Source: experiment photo-accuracy
-# A box that is known to a fifth: sizes of covers, of the root of its area.
-_BOX_SIZES = (0.5, 0.6, 0.72, 0.86, 1.04)  # Source: by construction, what views fill of boxes
-# Places of their centres, of its sides, off its middle.
-# Source: drawn rooms; five of them lose a tenth of the right poses
-_BOX_SHIFTS = [(x, y) for x in (-0.15, 0.0, 0.15) for y in (-0.15, 0.0, 0.15)]
-_LEAST_OVERLAP = 0.5  # of a view's box and the given one. Source: by construction
+# A box that is known roughly: sizes of covers, of the root of its area; places of their centres, of
+# its sides, off its middle; and how much of a view's box and the given one is common. Source:
+# Mitsuba frames before the Earth (docs/notes/refinement.md), drawn rooms
+_BOX_SIZES = (0.5, 0.6, 0.72, 0.86, 1.04, 1.25)
+_BOX_SHIFTS = [(x, y) for x in (-0.3, -0.15, 0.0, 0.15, 0.3) for y in (-0.3, -0.15, 0.0, 0.15, 0.3)]
+_LEAST_OVERLAP = 0.35  # Source: the same
 _SORTED = 16384  # likeliest views and rolls that are looked through. Source: by construction
 _BLOCK = 512  # of them are compared with each other at once. Source: its cost
 
@@ -108,7 +108,7 @@ class SketchRetrieval:
         return self._likeliest(sketch, placements, alike, most, apart_rad)
 
     def starts_in(self, sketch: Sketch, box: Box, most: int) -> tuple[Array, Array]:
-        """As ``starts``, of views that fill a box of the frame, right to a fifth.
+        """As ``starts``, of views that fill a box of the frame, right to a third.
 
         What else stands in the box does not count.
         """
@@ -125,6 +125,8 @@ class SketchRetrieval:
             fits = overlaps(boxes, place) >= _LEAST_OVERLAP
             some = np.flatnonzero(fits.any((0, 1)))
             grids = coarse_grids(sketch.maps, there, turns)
+            if not sketch.is_cut:  # nothing of the target lies beyond
+                grids[:, -1] = 1.0
             found = np.full(fits.shape, -np.inf)
             seen = views.alike(grids[:, :-1], grids[:, -1], some)
             found[:, :, some] = seen.reshape(len(there), len(turns), -1)
