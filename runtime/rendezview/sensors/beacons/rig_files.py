@@ -31,11 +31,13 @@ _Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 _NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 
 
-class _Table(BaseModel):
+class Table(BaseModel):
+    """A part of a file, without unknown keys."""
+
     model_config = ConfigDict(extra="forbid")
 
 
-class PoseTable(_Table):
+class PoseTable(Table):
     """A pose in a file."""
 
     quat_wxyz: _Four
@@ -50,21 +52,21 @@ class PoseTable(_Table):
         return Pose.from_quat_wxyz(self.quat_wxyz, self.translation_m)
 
 
-class _LensTable(_Table):
+class _LensTable(Table):
     radial: _Three
     tangential: _Three
     centre: _Two
     corrects: bool
 
 
-class _PhotodiodeTable(_Table):
+class _PhotodiodeTable(Table):
     response: Annotated[list[_Curve], Field(min_length=2, max_length=2)]
     normalisation: Literal["pair", "total"]
     noise: _Positive
     half_width_m: _Positive
 
 
-class _CameraTable(_Table):
+class _CameraTable(Table):
     name: Annotated[str, Field(min_length=1)]
     fx: _Positive
     fy: _Positive
@@ -80,7 +82,7 @@ class _CameraTable(_Table):
     misfit: _NotNegative | None = None
 
 
-class _RigFile(_Table):
+class _RigFile(Table):
     format: Literal["rendezview rig 1"]
     cameras: Annotated[list[_CameraTable], Field(min_length=1)]
     covariance_names: list[str] = []
