@@ -26,50 +26,30 @@ def surprise(
     turn of the camera nor a move across is a surprise: the place is put on the bearing predicted,
     and the attitude counts as it is or turned along, whichever is nearer.
     """
-    aimed, aimed_at, step = rotation.copy(), place.copy(), np.empty(3)
-    state, covariance, own_at = np.empty(STATES), np.empty((STATES, STATES)), np.empty(3)
-    bests = largest_at(scores[0]), largest_at(scores[1])
-    copy_into(states[1, bests[1]], state)
-    copy_matrix_into(covariances[1, bests[1]], covariance)
-    predict(dt, moves[bests[1]], frequency_walk, state, covariance, step)
-    for i in range(3):
-        own_at[i] = places[bests[1], i] + step[i]
-    _aim(aimed, aimed_at, own_at)
-    total = 0.0
+    state, errors, steps = np.empty(STATES), np.empty((2, STATES, STATES)), np.empty((2, 3))
+    turn, own, own_at, off = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     for part in range(2):
-        kinds, best = moves if part else turns, bests[part]
-        total += _from_filter(
-            part, dt, kinds[best], frequency_walk, states[part, best], covariances[part, best],
-            rotations[best], places[best], (rotation, aimed), aimed_at, measured,
-        )  # fmt: skip
-    return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _from_filter(
-    part: int, dt: float, kind: Array, frequency_walk: float, state: Array, covariance: Array,
-    rotation: Array, place: Array, turned: tuple[Array, Array], moved: Array, measured: Array,
-) -> float:  # fmt: skip
-    """Least squared distance of two attitudes (part 0), or that of a place, from a prediction."""
-    state, covariance, step, off = state.copy(), covariance.copy(), np.empty(3), np.empty(3)
-    turn, error, own = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    predict(dt, kind, frequency_walk, state, covariance, step)
-    if not part:
-        so3.exp_into(step, turn)
-        carry_attitude(turn, covariance)
-    least = np.inf
-    for i in range(3):
-        for j in range(3):
-            error[i, j] = measured[3 * part + i, 3 * part + j]
-    for k in range(2 - part):
+        best = largest_at(scores[part])
+        copy_into(states[part, best], state)
+        copy_matrix_into(covariances[part, best], errors[part])
+        kind = moves[best] if part else turns[best]
+        predict(dt, kind, frequency_walk, state, errors[part], steps[part])
         if part:
             for i in range(3):
-                off[i] = moved[i] - place[i] - step[i]
+                own_at[i] = places[best, i] + steps[1, i]
         else:
-            so3.perturb_into(step, rotation, own)
-            copy_into(so3.between(turned[k], own), off)
-        least = min(least, _far(off, error, covariance))
-    return least
+            so3.exp_into(steps[0], turn)
+            carry_attitude(turn, errors[0])
+            so3.perturb_into(steps[0], rotations[best], own)
+    aimed, aimed_at = rotation.copy(), place.copy()
+    _aim(aimed, aimed_at, own_at)
+    copy_into(so3.between(rotation, own), off)
+    least = _far(off, measured[:3, :3], errors[0])
+    copy_into(so3.between(aimed, own), off)
+    least = min(least, _far(off, measured[:3, :3], errors[0]))
+    for i in range(3):
+        off[i] = aimed_at[i] - own_at[i]
+    return least + _far(off, measured[3:, 3:], errors[1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
