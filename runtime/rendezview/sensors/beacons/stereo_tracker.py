@@ -33,10 +33,6 @@ from rendezview.sensors.beacons.stereo_motion import Motion, MotionOptions
 from rendezview.sensors.beacons.stereo_observation import Names, StereoObservation
 from rendezview.sensors.observation import Status
 
-# sums of squares closer than this do not distinguish two minima. Source: by construction, odds of
-# e⁷
-_ALIKE = 15.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerOptions:
@@ -166,25 +162,19 @@ class StereoTracker:
 
         A forecast only chooses between poses that fit equally well.
         """
-        found = candidates(self.rig, self.leds, self.normals, sights)
-        if not found:
-            return Disagreement("no camera sees three lights, nor two cameras the same three")
-        fits: list[tuple[float, LightsFit]] = []
-        reason = Disagreement("the lights do not determine a pose")
-        for candidate in found:
-            if candidate.cost > found[0].cost + _ALIKE:
-                break
-            pose = candidate.rig_from_target
-            loose = self._calibration.loosened(sights, pose)
-            fit = agree(self.rig, self.leds, loose, pose.rotation, pose.translation_m)
+        fits: list[LightsFit] = []
+        reason = Disagreement("no camera sees three lights")
+        for rotation, translation in candidates(self.rig, self.leds, self.normals, sights):
+            loose = self._calibration.loosened(sights, Pose(rotation, translation))
+            fit = agree(self.rig, self.leds, loose, rotation, translation)
             if isinstance(fit, LightsFit):
-                fits.append((candidate.cost, fit))
+                fits.append(fit)
             elif not fits:
                 reason = fit
         if not fits:
             return reason
-        best = fits[0][1]
-        others = [fit for _, fit in fits[1:] if distance(best, fit) > 1.0]
+        best, *others = fits
+        others = [fit for fit in others if distance(best, fit) > 1.0]
         if not others:
             return best
         if forecast is not None:
