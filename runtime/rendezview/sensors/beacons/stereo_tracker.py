@@ -23,7 +23,6 @@ from rendezview.sensors.beacons.match.agreement import (
     LightsFit,
     agree,
     distance,
-    iterate,
 )
 from rendezview.sensors.beacons.match.identity import identify, nearest_lights
 from rendezview.sensors.beacons.match.start import candidates
@@ -145,9 +144,7 @@ class StereoTracker:
             sights = self._calibration.loosened(
                 sights, Pose(forecast.rotation, forecast.translation)
             )
-            fit = iterate(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
-            if fit is None or not fit.agrees:
-                fit = agree(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
+            fit = agree(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
         known = all(found.identified for found in named)  # else there is nothing to locate
         if fit is None or (isinstance(fit, Disagreement) and not fit.ambiguous and known):
             restarted = True

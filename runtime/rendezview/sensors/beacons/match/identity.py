@@ -34,6 +34,9 @@ _FEWEST_SPOTS = 5
 _TRIPLES = 12  # of spots that are tried, the widest first. Source: by construction, a bound of time
 _KEPT = 8  # Source: by construction, a bound of time
 
+# Spots that a pose explains, its sum of squares, the numbered spots and the fit.
+Answer = tuple[int, float, tuple[Spots, ...], LightsFit]
+
 
 def nearest_lights(
     rig: Rig, leds: Array, normals: Array, spots: Sequence[Spots], pose: Pose, gate: float
@@ -43,31 +46,23 @@ def nearest_lights(
     One spot for each light and the other way round, at least total distance (Hungarian);
     ``gate``: distance, normalised, beyond which a spot is no light.
     """
-    return tuple(
-        _numbered(rig, k, leds, normals, found, pose, gate) for k, found in enumerate(spots)
-    )
-
-
-def _numbered(
-    rig: Rig, k: int, leds: Array, normals: Array, found: Spots, pose: Pose, gate: float
-) -> Spots:
     from scipy.optimize import linear_sum_assignment  # slow to import
 
-    led = np.full(len(found), UNKNOWN)
-    camera = rig.cameras[k]
-    in_camera = camera.camera_from_rig @ pose
-    points = in_camera.apply(leds)
-    away = np.einsum("li,li->l", normals @ in_camera.rotation.T, points) > 0.0
-    ideal, _ = camera.ideal(found)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        predicted = points[:, :2] / points[:, 2:]
-    apart = np.linalg.norm(ideal[:, None] - predicted[None], axis=2)
-    apart[:, away | ~(points[:, 2] > 0.0)] = np.inf
-    allowed = np.where(apart < gate, apart, 2.0 * gate)
-    for i, j in zip(*linear_sum_assignment(allowed), strict=True):
-        if apart[i, j] < gate:
-            led[i] = j
-    return Spots(found.positions, found.sigma, led, found.brightness)
+    named = []
+    for camera, found in zip(rig.cameras, spots, strict=True):
+        led = np.full(len(found), UNKNOWN)
+        in_camera = camera.camera_from_rig @ pose
+        points = in_camera.apply(leds)
+        away = np.einsum("li,li->l", normals @ in_camera.rotation.T, points) > 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            predicted = points[:, :2] / points[:, 2:]
+        apart = np.linalg.norm(camera.ideal(found)[0][:, None] - predicted[None], axis=2)
+        apart[:, away | ~(points[:, 2] > 0.0)] = np.inf
+        i, j = linear_sum_assignment(np.where(apart < gate, apart, 2.0 * gate))
+        near = apart[i, j] < gate
+        led[i[near]] = j[near]
+        named.append(Spots(found.positions, found.sigma, led, found.brightness))
+    return tuple(named)
 
 
 def identify(
@@ -111,14 +106,19 @@ def _mirrored(
     return max((answer[0] for answer in theirs), default=0) > max(explained, _FEWEST_SPOTS - 1)
 
 
-def _answers(
-    rig: Rig, leds: Array, normals: Array, spots: Sequence[Spots]
-) -> list[tuple[int, float, tuple[Spots, ...], LightsFit]]:
+def _answers(rig: Rig, leds: Array, normals: Array, spots: Sequence[Spots]) -> list[Answer]:
     """Poses that explain spots, with how many; not sorted."""
     counts = [len(found) for found in spots]
-    xy, weight = _padded(rig, spots)
+    # (C, S, 2) ideal places, NaN where none, and 1/σ
+    xy, weight = (
+        np.full((len(spots), max(counts), 2), np.nan),
+        np.zeros((len(spots), max(counts), 2)),
+    )
+    for k, found in enumerate(spots):
+        ideal, sigma = rig.cameras[k].ideal(found)
+        xy[k, : len(found)], weight[k, : len(found)] = ideal, 1.0 / sigma
     # Spread-out triples of the camera that sees the most; then the others.
-    answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]] = []
+    answers: list[Answer] = []
     tried = 0
     for k in np.argsort([-count for count in counts], kind="stable"):
         if counts[k] < 3:
@@ -142,16 +142,6 @@ def _answers(
     return answers
 
 
-def _padded(rig: Rig, spots: Sequence[Spots]) -> tuple[Array, Array]:
-    """(C, S, 2) ideal places (NaN where none) and 1/σ."""
-    size = max(len(found) for found in spots)
-    xy, weight = np.full((len(spots), size, 2), np.nan), np.zeros((len(spots), size, 2))
-    for k, found in enumerate(spots):
-        ideal, sigma = rig.cameras[k].ideal(found)
-        xy[k, : len(found)], weight[k, : len(found)] = ideal, 1.0 / sigma
-    return xy, weight
-
-
 def _explain(
     rig: Rig,
     leds: Array,
@@ -160,7 +150,7 @@ def _explain(
     xy: Array,
     weight: Array,
     poses: Retrieval,
-    answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]],
+    answers: list[Answer],
 ) -> None:
     """Judge poses by the spots they explain; the best are refined and added to the answers."""
     rotations, translations = poses
@@ -195,7 +185,7 @@ def _shines_away(rig: Rig, leds: Array, normals: Array, sights: Sights, fit: Lig
 
 
 def _verdict(
-    answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]],
+    answers: list[Answer],
 ) -> tuple[tuple[Spots, ...], LightsFit] | Disagreement:
     if not answers:
         return Disagreement("no assignment of spots to lights fits the target")
