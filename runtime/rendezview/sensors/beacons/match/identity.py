@@ -24,8 +24,7 @@ from rendezview.sensors.beacons.match.start import (
     p3p,
     widest,
 )
-from rendezview.sensors.beacons.pose.collinearity import squares
-from rendezview.sensors.beacons.rig import Rig, Sights
+from rendezview.sensors.beacons.rig import Rig
 
 _MOST_SPOTS = 40  # a camera that sees more sees no target. Source: by construction, a bound of time
 _MOST_ASSIGNMENTS = 12_000  # Source: by construction, a bound of time
@@ -170,18 +169,9 @@ def _explain(
             if isinstance(fit, Disagreement):
                 break
             pose, gate = Pose(fit.rotation, fit.translation), 0.25 * coarse
-        if isinstance(fit, LightsFit) and not _shines_away(rig, leds, normals, sights, fit):
+        if isinstance(fit, LightsFit):
             explained = int(sights.visible.sum()) - len(fit.left_out)
             answers.append((explained, fit.cost, numbered, fit))
-
-
-def _shines_away(rig: Rig, leds: Array, normals: Array, sights: Sights, fit: LightsFit) -> bool:
-    each = np.empty(sights.visible.shape)
-    squares(
-        fit.rotation, fit.translation, leds, normals, rig.rotations, rig.translations,
-        sights.xy, sights.weight, each,
-    )  # fmt: skip
-    return bool(np.isinf(each).any())
 
 
 def _verdict(
