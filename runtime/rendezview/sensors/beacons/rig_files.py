@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -99,14 +100,8 @@ def save_rig(rig: Rig, path: StrPath) -> None:
         diode = camera.photodiode
         cameras.append(
             {
-                "name": camera.name,
-                **{key: getattr(camera, key) for key in ("fx", "fy", "cx", "cy")},
-                "lens": {
-                    "radial": camera.lens.radial,
-                    "tangential": camera.lens.tangential,
-                    "centre": camera.lens.centre,
-                    "corrects": camera.lens.corrects,
-                },
+                **{key: getattr(camera, key) for key in ("name", "fx", "fy", "cx", "cy")},
+                "lens": asdict(camera.lens),
                 "size": camera.size,
                 "photodiode": diode
                 and {
@@ -116,10 +111,7 @@ def save_rig(rig: Rig, path: StrPath) -> None:
                     "half_width_m": diode.half_width_m,
                 },
                 "camera_from_rig": camera.camera_from_rig.as_dict(),
-                "floor": camera.floor,
-                "sigma": camera.sigma,
-                "rms": camera.rms,
-                "misfit": camera.misfit,
+                **{key: getattr(camera, key) for key in ("floor", "sigma", "rms", "misfit")},
             }
         )
     content = {
@@ -155,10 +147,9 @@ def load_rig(path: StrPath) -> Rig:
 
 def _camera(table: _CameraTable) -> RigCamera:
     diode = table.photodiode
-    lens = table.lens
     return RigCamera(
         table.name, table.fx, table.fy, table.cx, table.cy, table.camera_from_rig.pose(),
-        Lens(tuple(lens.radial), tuple(lens.tangential), tuple(lens.centre), lens.corrects),  # type: ignore[arg-type]
+        Lens(**table.lens.model_dump()),
         None if table.size is None else (table.size[0], table.size[1]),
         None
         if diode is None
