@@ -17,7 +17,7 @@ from rendezview.io.camera_files import load_camera, save_camera
 from rendezview.io.target import Reflector, Target
 from rendezview.sensors.beacons import SixNumbers, patterns_of, pose_of, predict_spots
 from rendezview.sensors.beacons.budget import budget_of, budget_rows, common_of, unknown_causes
-from rendezview.sensors.beacons.pose.refinement import refine
+from rendezview.sensors.beacons.pose.refinement import SpotFit
 from rendezview.sensors.beacons.tracker import ReflectorSensor
 from rendezview.sensors.measurement import PoseMeasurement
 from rendezview.sensors.observation import Status
@@ -34,7 +34,7 @@ def difference(one: Pose, other: Pose) -> np.ndarray:
 
 
 def fitted(camera, pattern, spots, pose):
-    return refine(camera, pattern, spots, np.arange(len(pattern)), pose, 0.02)
+    return SpotFit(camera, pattern).fit(spots, np.arange(len(pattern)), pose, 0.02)
 
 
 def test_the_camera_moves_a_pose_by_the_slope_of_the_fit(paper_camera, five):

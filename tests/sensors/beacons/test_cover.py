@@ -21,7 +21,7 @@ from rendezview.sensors.beacons.detect.spot_columns import (
     SIGMA,
     SIZE,
 )
-from rendezview.sensors.beacons.pose.refinement import refine
+from rendezview.sensors.beacons.pose.refinement import SpotFit
 
 EDGE = {0.1: 0.687, 0.2: 0.492, 0.35: 0.238, 0.5: 0.0}  # radii from the middle that hide this share
 
@@ -120,7 +120,7 @@ def test_the_second_order_of_a_spot_grows_with_the_fourth_power_of_its_error(thr
     def attitude(spots, pose, which, sigma_px):
         sigmas = np.full(3, 0.014)
         sigmas[which] = sigma_px
-        found = refine(CAMERA, three, spots, np.arange(3), pose, sigmas)
+        found = SpotFit(CAMERA, three).fit(spots, np.arange(3), pose, sigmas)
         return None if found is None else np.trace(found.covariance[:3, :3])
 
     counts = []

@@ -11,7 +11,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import SixNumbers, pose_of, predict_spots, six_numbers
 from rendezview.sensors.beacons.closed_form import ClosedFormCalibration, calibrate, closed_form
-from rendezview.sensors.beacons.pose.refinement import refine
+from rendezview.sensors.beacons.pose.refinement import SpotFit
 from rendezview.sensors.beacons.triangulation import (
     alternate_iteration,
     newton_raphson,
@@ -58,7 +58,7 @@ def test_least_squares_returns_to_the_pose_through_the_cameras_model(five, camer
     truth = pose_of(SIX, five)
     spots = predict_spots(camera, five, truth)[which]
     start = truth.perturbed([0.05, -0.04, 0.03, 0.05, 0.02, -0.1])
-    found = refine(camera, five, spots, which, start)
+    found = SpotFit(camera, five).fit(spots, np.array(which), start, 0.02)
     assert found is not None
     assert found.camera_from_target.angle_to(truth) < 1e-9
     np.testing.assert_allclose(
@@ -81,12 +81,12 @@ def test_covariance_is_the_scatter_of_the_poses(three, paper_camera):
     steps = []
     for _ in range(400):
         noisy = spots + rng.normal(0.0, 0.02, spots.shape)
-        found = refine(paper_camera, shifted, noisy, [0, 1, 2], truth, 0.02)
+        found = SpotFit(paper_camera, shifted).fit(noisy, np.arange(3), truth, 0.02)
         d = found.camera_from_target.rotation @ truth.rotation.T
         turn = 0.5 * np.array([d[2, 1] - d[1, 2], d[0, 2] - d[2, 0], d[1, 0] - d[0, 1]])
         steps.append([*turn, *(found.camera_from_target.translation_m - truth.translation_m)])
     scatter = np.cov(np.array(steps).T)
-    told = refine(paper_camera, shifted, spots, [0, 1, 2], truth, 0.02).covariance
+    told = SpotFit(paper_camera, shifted).fit(spots, np.arange(3), truth, 0.02).covariance
     whiten = np.linalg.inv(np.linalg.cholesky(told))
     np.testing.assert_allclose(np.linalg.eigvalsh(whiten @ scatter @ whiten.T), 1.0, atol=0.35)
 
@@ -99,12 +99,9 @@ def test_a_tilted_disc_is_not_seen_at_its_centre(three, paper_camera):
 
 def test_spots_behind_the_camera_give_no_pose(three, paper_camera):
     spots = predict_spots(paper_camera, three, pose_of(SIX, three))
-    assert (
-        refine(paper_camera, three, spots, [0, 1, 2], Pose(np.eye(3), np.array([0, 0, -3.0])))
-        is None
-    )
-    with pytest.raises(ValueError, match="three or more"):
-        refine(paper_camera, three, spots[:2], [0, 1], pose_of(SIX, three))
+    fit, behind = SpotFit(paper_camera, three).fit, Pose(np.eye(3), np.array([0, 0, -3.0]))
+    assert fit(spots, np.arange(3), behind, 0.02) is None
+    assert fit(spots[:2], np.arange(2), pose_of(SIX, three), 0.02) is None
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1, 0.5])

@@ -88,8 +88,9 @@ class SpotFit:
     """
 
     def __init__(
-        self, camera: Camera, pattern: ReflectorPattern, blur_px: float, floor_px: float = 0.0
-    ) -> None:
+        self, camera: Camera, pattern: ReflectorPattern, blur_px: float = BLUR_PX,
+        floor_px: float = 0.0,
+    ) -> None:  # fmt: skip
         centre = pattern.centre_m
         self._lens, self._floor_px = camera_numbers(camera, blur_px), floor_px
         self._given = (
@@ -116,45 +117,14 @@ class SpotFit:
         self, spots_px: Array, which: Ints, start: Pose, sigma_px: npt.ArrayLike, *,
         saturated: bool = False,
     ) -> Refined | None:  # fmt: skip
-        """The same of spots (K, 2) of the reflectors ``which`` (K,): see `refine`."""
+        """The same of spots (K, 2) of the reflectors ``which`` (K,).
+
+        ``sigma_px``: one or (K,). ``saturated``: all spots are: their places are those of rims.
+        """
         table = np.zeros((len(self._given[1]), COLUMNS))
         table[which[:, None], [X, Y]] = spots_px
         table[which, SIGMA], table[which, SATURATED] = sigma_px, 2.0 * saturated
         return self.solve(start, table, which)
-
-
-def refine(
-    camera: Camera,
-    pattern: ReflectorPattern,
-    spots_px: npt.ArrayLike,
-    reflectors: npt.ArrayLike,
-    start: Pose,
-    sigma_px: npt.ArrayLike = 0.02,
-    blur_px: float = BLUR_PX,
-    *,
-    saturated: bool = False,
-) -> Refined | None:
-    """The pose that fits spots (K, 2) of the reflectors numbered ``reflectors`` (K,), K ≥ 3.
-
-    None where the spots do not determine a pose near ``start``.
-
-    Args:
-        spots_px: centroids.
-        sigma_px: error of the centroids, one or (K,), one standard deviation.
-        blur_px: σ of the optics and a pixel's width together.
-        saturated: whether all spots are: their places are those of rims.
-
-    Raises:
-        ValueError: fewer than three spots, or wrong shapes.
-    """
-    spots = np.ascontiguousarray(spots_px, dtype=np.float64)
-    which = np.ascontiguousarray(reflectors, dtype=np.int64)
-    if spots.ndim != 2 or spots.shape[1] != 2 or which.shape != (len(spots),) or len(spots) < 3:
-        raise ValueError(
-            f"spots_px must be (K, 2) and reflectors (K,) with K of three or more, "
-            f"not {spots.shape} and {which.shape}"
-        )
-    return SpotFit(camera, pattern, blur_px).fit(spots, which, start, sigma_px, saturated=saturated)
 
 
 def loose_px(pattern: ReflectorPattern, refined: Refined, which: Ints, focal_px: float) -> Array:
