@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.plain_readings import difference, squared_error
 
 from rendezview.calibration.one_camera import camera_of_corners
 from rendezview.fusion import Fusion
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.geometry.so3 import between
 from rendezview.io.camera_files import load_camera, save_camera
 from rendezview.io.target import Reflector, Target
 from rendezview.sensors.beacons import SixNumbers, patterns_of, pose_of, predict_spots
@@ -26,11 +26,6 @@ SIX = SixNumbers(3.0, 0.05, -0.03, 0.2, 0.15, -0.25)
 SIGMA = np.array([0.8, 0.7, 1.5, 1.2])  # px, of fx fy cx cy
 MIX = np.eye(4) + 0.3 * np.eye(4, k=1)
 COVARIANCE = SIGMA[:, None] * (MIX @ MIX.T) * SIGMA
-
-
-def difference(one: Pose, other: Pose) -> np.ndarray:
-    turn = between(one.rotation.copy(), other.rotation.copy())
-    return np.append(turn, one.translation_m - other.translation_m)
 
 
 def fitted(camera, pattern, spots, pose):
@@ -246,5 +241,4 @@ def test_the_reflector_that_is_mounted_aside_is_named(paper_camera, five, pictur
     known = replace(five, sigmas_m=np.array([0.0, 0.0, 0.0, 3e-3, 0.0]), sigmas_known=True)
     sensor = ReflectorSensor(paper_camera, [known])
     found = [sensor.update(t, frames) for t in (0.0, 0.1)][-1]
-    off = difference(found.pose, pose_of(SIX, five))
-    assert off @ np.linalg.solve(found.covariance, off) < 25.0
+    assert squared_error(found, pose_of(SIX, five)) < 25.0

@@ -1,7 +1,7 @@
 """Closed form, Bales' iterations, least squares: each against the pose that made the spots."""
 
 import json
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -22,15 +22,9 @@ SIX = SixNumbers(4.0, 0.1, -0.08, 0.4, -0.2, 0.3)
 DISTORTED = Camera(512, 384, 652.0, 648.0, 250.0, 195.0, (-0.2, 0.05, 1e-3, -5e-4, 0.01))
 
 
-def as_tuple(six):
-    return np.array(
-        [six.range_m, six.azimuth_rad, six.elevation_rad, six.roll_rad, six.pitch_rad, six.yaw_rad]
-    )
-
-
 def test_six_numbers_and_the_pose_are_each_others_inverse(three):
     np.testing.assert_allclose(
-        as_tuple(six_numbers(pose_of(SIX, three), three)), as_tuple(SIX), atol=1e-12
+        astuple(six_numbers(pose_of(SIX, three), three)), astuple(SIX), atol=1e-12
     )
 
 
@@ -142,13 +136,13 @@ def test_the_closed_form_is_exact_far_away_and_head_on(three, paper_camera):
     far = SixNumbers(400.0, 0.0, 0.0, 0.5, 0.3, -0.4)
     spots = predict_spots(paper_camera, three, pose_of(far, three))
     found = closed_form(paper_camera, three, spots)
-    np.testing.assert_allclose(as_tuple(found)[3:], as_tuple(far)[3:], atol=1e-3)
+    np.testing.assert_allclose(astuple(found)[3:], astuple(far)[3:], atol=1e-3)
     assert found.range_m == pytest.approx(400.0, rel=1e-3)
     ahead = SixNumbers(3.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     found = closed_form(
         paper_camera, three, predict_spots(paper_camera, three, pose_of(ahead, three))
     )
-    np.testing.assert_allclose(as_tuple(found), as_tuple(ahead), atol=1e-4)
+    np.testing.assert_allclose(astuple(found), astuple(ahead), atol=1e-4)
 
 
 def test_calibration_brings_the_closed_form_within_a_percent_and_a_degree(
@@ -171,7 +165,11 @@ def test_calibration_brings_the_closed_form_within_a_percent_and_a_degree(
     def errors(constants):
         return np.array(
             [
-                np.abs(as_tuple(closed_form(paper_camera, three, spots, constants)) - as_tuple(six))
+                np.abs(
+                    np.subtract(
+                        astuple(closed_form(paper_camera, three, spots, constants)), astuple(six)
+                    )
+                )
                 / [six.range_m / 100, *([np.pi / 180] * 5)]
                 for spots, six in run(1, 300)
             ]
@@ -194,7 +192,11 @@ def test_a_calibration_on_a_straight_approach_is_no_worse_than_none(three, paper
 
     def worst(constants):
         errors = [
-            np.abs(as_tuple(closed_form(paper_camera, three, spots, constants)) - as_tuple(six))
+            np.abs(
+                np.subtract(
+                    astuple(closed_form(paper_camera, three, spots, constants)), astuple(six)
+                )
+            )
             for spots, six in run(1, tilted=True)
         ]
         return np.max(errors, axis=0)[4:].max()  # of pitch and yaw
