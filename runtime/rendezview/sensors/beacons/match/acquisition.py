@@ -319,10 +319,12 @@ def merged(patterns: list[ReflectorPattern]) -> ReflectorPattern:
     """The reflectors of several groups as one constellation, in the order given."""
     if len(patterns) == 1:
         return patterns[0]
-    arrays = ("positions_m", "normals", "diameters_m", "sigmas_m")
     return replace(
         patterns[0],
         name="+".join(pattern.name for pattern in patterns),
         names=tuple(name for pattern in patterns for name in pattern.names),
-        **{key: np.concatenate([getattr(p, key) for p in patterns]) for key in arrays},
+        positions_m=np.concatenate([pattern.positions_m for pattern in patterns]),
+        normals=np.concatenate([pattern.normals for pattern in patterns]),
+        diameters_m=np.concatenate([pattern.diameters_m for pattern in patterns]),
+        sigmas_m=np.concatenate([pattern.sigmas_m for pattern in patterns]),
     )

@@ -21,6 +21,7 @@ from rendezview.sensors.beacons.match.start import (
     DISTINCT_RAD,
     NOISY_TIMES,
     Retrieval,
+    misfits,
     p3p,
     widest,
 )
@@ -153,7 +154,7 @@ def _explain(
 ) -> None:
     """Judge poses by the spots they explain; the best are refined and added to the answers."""
     rotations, translations = poses
-    misfit = _misfits(poses, rig, leds, normals, xy, weight / NOISY_TIMES)
+    misfit = misfits(poses, rig, leds, normals, xy, weight / NOISY_TIMES)
     coarse = 2.0 * np.sqrt(CAP) * NOISY_TIMES / np.median(weight[weight > 0.0])
     for i in np.argsort(misfit, kind="stable")[:_KEPT]:
         pose, gate = Pose(rotations[i], translations[i]), coarse
@@ -192,20 +193,3 @@ def _verdict(
                 ambiguous=True,
             )
     return numbered, fit
-
-
-def _misfits(
-    poses: Retrieval, rig: Rig, leds: Array, normals: Array, xy: Array, weight: Array
-) -> Array:
-    """(H,) sums over lights and cameras of the squared distance to the nearest spot, up to CAP."""
-    rotations, translations = poses
-    places = leds @ rotations.transpose(0, 2, 1) + translations[:, None]
-    beams, total = normals @ rotations.transpose(0, 2, 1), np.zeros(len(rotations))
-    for k in range(len(rig)):
-        q, beam = places @ rig.rotations[k].T + rig.translations[k], beams @ rig.rotations[k].T
-        front = (q[:, :, 2] > 1e-9) & ((beam * q).sum(axis=2) <= 0.0)
-        at = q[:, :, :2] / np.where(front, q[:, :, 2], 1.0)[:, :, None]
-        square = ((weight[k] * (xy[k] - at[:, :, None])) ** 2).sum(axis=3)
-        nearest = np.fmin(np.fmin.reduce(square, axis=2), CAP)  # NaN: no spot
-        total += np.where(front, nearest, CAP).sum(axis=1)
-    return np.asarray(total)

@@ -53,18 +53,15 @@ def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[tu
     rotations, translations = (np.concatenate(part) for part in zip(*parts, strict=True))
     if not len(rotations):
         return []
-    arguments = (leds, normals, rig.rotations, rig.translations, sights.xy)
-    cost = np.empty(len(rotations))
-    _capped(rotations, translations, *arguments, sights.weight / NOISY_TIMES, CAP, cost)
+    own = sights.xy.swapaxes(0, 1)[:, :, None], sights.weight.swapaxes(0, 1)[:, :, None]
+    cost = misfits((rotations, translations), rig, leds, normals, own[0], own[1] / NOISY_TIMES)
     best = np.argsort(cost, kind="stable")[:_REFINED]
     rotations = np.ascontiguousarray(rotations[best])
     translations = np.ascontiguousarray(translations[best])
-    cost = np.empty(len(best))
+    arguments = (leds, normals, rig.rotations, rig.translations, sights.xy)
     _settle(rotations, translations, *arguments, sights.weight)
-    _capped(rotations, translations, *arguments, sights.weight, CAP, cost)
-    cost[~(np.isfinite(rotations).all(axis=(1, 2)) & np.isfinite(translations).all(axis=1))] = (
-        np.inf
-    )
+    cost = misfits((rotations, translations), rig, leds, normals, *own)
+    cost[~np.isfinite(rotations.sum(axis=(1, 2)) + translations.sum(axis=1))] = np.inf
 
     def same(one: int, other: int) -> bool:
         trace = np.vdot(rotations[one], rotations[other])
@@ -108,26 +105,24 @@ def p3p(rig: Rig, camera: int, problems: Iterable[tuple[Array, Array]]) -> Retri
     return rotation @ rotations[found], (translations[found] - translation) @ rotation.T
 
 
-@njit(cache=True, nogil=True)
-def _capped(
-    rotations: Array,
-    translations: Array,
-    leds: Array,
-    normals: Array,
-    cr: Array,
-    ct: Array,
-    xy: Array,
-    weight: Array,
-    cap: float,
-    out: Array,
-) -> None:
-    each = np.empty(weight.shape[:2])
-    for i in range(rotations.shape[0]):
-        squares(rotations[i], translations[i], leds, normals, cr, ct, xy, weight, each)
-        out[i] = 0.0
-        for k in range(weight.shape[0]):
-            for j in range(weight.shape[1]):
-                out[i] += min(each[k, j], cap)
+def misfits(
+    poses: Retrieval, rig: Rig, leds: Array, normals: Array, xy: Array, weight: Array
+) -> Array:
+    """(H,) sums over lights and cameras of the squared distance to the nearest spot, up to CAP.
+
+    ``xy``, 1/σ: (C, S, 2) spots of any light, NaN where there is none, or (L, C, 1, 2) each light's
+    own, of weight 0 where it is not visible.
+    """
+    rotations, translations = poses
+    turn = rotations.transpose(0, 2, 1)
+    q = np.tensordot(leds @ turn + translations[:, None], rig.rotations, (2, 2)) + rig.translations
+    beam = np.tensordot(normals @ turn, rig.rotations, (2, 2))  # (H, L, C, 3), as q
+    front = (q[..., 2] > 1e-9) & ((beam * q).sum(axis=3) <= 0.0)
+    at = q[..., :2] / np.where(front, q[..., 2], 1.0)[..., None]
+    square = ((weight * (xy - at[..., None, :])) ** 2).sum(axis=4)
+    nearest = np.fmin(np.fmin.reduce(square, axis=3), CAP)  # NaN: no spot
+    hidden = (weight == 0.0).all(axis=(-2, -1))
+    return np.asarray(np.where(front | hidden, nearest, CAP).sum(axis=(1, 2)))
 
 
 @njit(cache=True, nogil=True)
