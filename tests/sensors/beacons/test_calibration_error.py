@@ -12,10 +12,11 @@ from rendezview.calibration.board import misfit
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import Rig, Spots, StereoTracker
-from rendezview.sensors.beacons.calibration_error import CalibrationError, turned
+from rendezview.sensors.beacons.calibration_error import CalibrationError
 from rendezview.sensors.beacons.rig import INTRINSICS, RigCamera, intrinsics_of, with_intrinsics
 from rendezview.sensors.beacons.rig import POSE as PLACE
 from rendezview.sensors.beacons.stereo_tracker import TrackerOptions
+from rendezview.sensors.measurement import turned
 
 LEDS = np.array(
     [[0.3, 0, 0], [-0.3, 0, 0], [0, 0.3, 0], [0, -0.3, 0.05], [0, 0, 0.3], [0.2, 0.2, -0.1]]

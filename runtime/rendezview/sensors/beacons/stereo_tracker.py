@@ -15,7 +15,7 @@ from rendezview.io.target import Target
 from rendezview.sensors.arguments import check_time
 from rendezview.sensors.beacons import stereo_motion as motion
 from rendezview.sensors.beacons.budget import SPOTS, budget_of, common_of
-from rendezview.sensors.beacons.calibration_error import CalibrationError, turned
+from rendezview.sensors.beacons.calibration_error import CalibrationError
 from rendezview.sensors.beacons.detect.detectors import Spots
 from rendezview.sensors.beacons.match.agreement import (
     FEWEST_LIGHTS,
@@ -30,6 +30,7 @@ from rendezview.sensors.beacons.pose.collinearity import count_lights
 from rendezview.sensors.beacons.rig import Rig, Sights, required_leds
 from rendezview.sensors.beacons.stereo_motion import Motion, MotionOptions
 from rendezview.sensors.beacons.stereo_observation import Names, StereoObservation
+from rendezview.sensors.measurement import turned
 from rendezview.sensors.observation import Status
 
 
