@@ -7,7 +7,9 @@ from tests.plain_pictures import Look, Pinhole, discs, pair
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import LitDark, ReflectorPattern
+from rendezview.sensors.observation import Observation
 
 PINHOLE, PAPER = Pinhole(), Pinhole(focal_px=651.975)  # PAPER is that of `paper_camera`
 CAMERA = Camera(512, 384, 650.0, 650.0, 255.5, 191.5)  # PINHOLE
@@ -36,3 +38,15 @@ def frames_of(
     """The `pair` of that light."""
     light = light_of(pinhole, pattern, pose, look, hidden, covers)
     return LitDark(*pair(pinhole, light, look, rng, false=false))
+
+
+def difference(one: Pose, other: Pose) -> np.ndarray:
+    """(6,) perturbation that leads from the other pose to this one."""
+    turn = between(one.rotation.copy(), other.rotation.copy())
+    return np.append(turn, one.translation_m - other.translation_m)
+
+
+def squared_error(found: Observation, *truths: Pose) -> float:
+    """Of a pose, normalised by its covariance; from the nearest of poses that look the same."""
+    off = difference(found.pose, min(truths, key=found.pose.angle_to))
+    return float(off @ np.linalg.solve(found.covariance, off))

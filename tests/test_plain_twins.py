@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from rendezview.sensors.appearance.model.view_tables import read_only
 from rendezview.sensors.beacons.detect.cover import _shape
 from rendezview.sensors.beacons.detect.discs import expected_size
 from rendezview.sensors.beacons.match.judgement import judge
-from rendezview.sensors.beacons.match.start import _capped, _settle
+from rendezview.sensors.beacons.match.start import _settle, misfits
 from rendezview.sensors.ring.circle_pose import _differences, picture_of_circle, tangent_basis
 from rendezview.trajectory.start import _scan_hops
 from rendezview_ground.learn.views.edge_profiles import _average, _nearest_start
@@ -159,8 +160,10 @@ def capped_squares(rng):
     given, rotation, place, squares = lights(rng)
     rotations = np.stack([so3.exp(0.003 * rng.normal(size=3)) @ rotation for _ in range(4)])
     places = place + 0.01 * rng.normal(size=(4, 3))
-    out = np.empty(4)
-    _capped(rotations, places, *given, 30.0, out)
+    leds, normals, cameras, shifts, xy, weight = given
+    rig = SimpleNamespace(rotations=cameras, translations=shifts)
+    own = (values.swapaxes(0, 1)[:, :, None] for values in (xy, weight))
+    out = misfits((rotations, places), rig, leds, normals, *own)
     plain = [np.minimum(squares(*p), 30.0).sum() for p in zip(rotations, places, strict=True)]
     return out, np.array(plain)
 

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from tests.estimation.swings import AXIS, SIGMA, swinging
 
 from rendezview.estimation import rate_filters as bank_module
+from rendezview.estimation.rate_filters import surprise
 from rendezview.estimation.rates import RateBank, RateOptions
-from rendezview.estimation.surprise import surprise
 from rendezview.geometry.pose import Pose
 
 

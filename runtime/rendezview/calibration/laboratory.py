@@ -21,8 +21,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.detect.brown_lens import Lens
 from rendezview.sensors.beacons.detect.detectors import Photodiode
 from rendezview.sensors.beacons.detect.photodiode import Normalisation, ResponseFit, fit_response
-from rendezview.sensors.beacons.match.start import intersect
-from rendezview.sensors.beacons.rig import Rig, RigCamera
+from rendezview.sensors.beacons.rig import Rig, RigCamera, Sights
 
 EVERYTHING = ("f", "cx", "cy", "l1", "l2", "l3", "p1", "p2", "p3", "ox", "oy")
 _LENS = ("l1", "l2", "l3", "p1", "p2", "p3")
@@ -287,8 +286,26 @@ def _apart(rig: Rig, record: LaboratoryRecord) -> float:
             if camera.photodiode is not None and currents is not None
         ]
         if len(spots) == len(rig):
-            points, ok = intersect(rig, rig.sights(spots, len(record.plate_m)))
+            points, ok = _intersect(rig, rig.sights(spots, len(record.plate_m)))
             away.append((points - view.rig_from_plate.apply(record.plate_m))[ok])
     if not away:
         return float("nan")
     return float(np.sqrt((np.concatenate(away) ** 2).sum(axis=1).mean()))
+
+
+def _intersect(rig: Rig, sights: Sights) -> tuple[Array, np.ndarray]:
+    """(L, 3) points of least squared distance from their rays, rig frame, and (L,) which exist.
+
+    Photogrammetric triangulation (intersection), linear; a light needs two cameras.
+    """
+    visible = sights.visible
+    rays = np.concatenate([sights.xy, np.ones((*visible.shape, 1))], axis=2) @ rig.rotations
+    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+    origins = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)
+    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
+    across *= visible[..., None, None]
+    matrix = across.sum(axis=0)
+    vector = np.einsum("kljm,km->lj", across, origins)
+    usable = (visible.sum(axis=0) >= 2) & (np.linalg.det(matrix) > 1e-9)
+    matrix[~usable] = np.eye(3)
+    return np.linalg.solve(matrix, vector[..., None])[..., 0], usable

@@ -5,24 +5,20 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
+from pydantic import Field, FiniteFloat, TypeAdapter
 
 from rendezview.calibration.laboratory import CameraRecord, LaboratoryRecord, PlateView
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.io.files import StrPath, checked, parse_json, read_text
-from rendezview.sensors.beacons.rig_files import PoseTable
+from rendezview.sensors.beacons.rig_files import PoseTable, Table
 
 _Numbers = list[FiniteFloat]
 _Rows = list[_Numbers]
 _Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class _CameraTable(_Table):
+class _CameraTable(Table):
     name: Annotated[str, Field(min_length=1)]
     focal_m: _Positive
     half_width_m: _Positive
@@ -32,13 +28,13 @@ class _CameraTable(_Table):
     lens_beam: _Rows
 
 
-class _ViewTable(_Table):
+class _ViewTable(Table):
     rig_from_plate: PoseTable | None
     currents: list[list[_Numbers | None] | None]
     frames: Annotated[int, Field(gt=0)]
 
 
-class _Record(_Table):
+class _Record(Table):
     cameras: Annotated[list[_CameraTable], Field(min_length=1)]
     plate_m: _Rows
     plate_sigma_m: _Positive

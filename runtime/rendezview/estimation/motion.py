@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
@@ -38,43 +37,19 @@ def rates_between(
     return np.concatenate([so3.between(after.rotation, before.rotation), moved_m]) / dt_s
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def predict_covariance(
-    covariance: Array, turn: Array, dt: float, density: Array, fade: Array
-) -> Array:
-    """Covariance (n, n) after ``dt``: 12 states of motion, then states that only fade.
+def predict_covariance(covariance: Array, turn: Array, dt: float, density: Array) -> Array:
+    """Covariance (12, 12) after ``dt``.
 
     Args:
-        covariance: (n, n) before.
+        covariance: (12, 12) before.
         turn: (3, 3) rotation during ``dt``, with which the attitude error turns.
-        density: (6, 6) spectral density of the white accelerations, angular and linear.
-        fade: (n - 12,) factor of each further state, towards a variance of 1; 1 for a constant.
+        density: (6,) spectral densities of the white accelerations, angular and linear.
     """
-    n = len(covariance)
-    out = covariance.copy()
-    for j in range(n):  # rows: F P
-        a, b, c = out[0, j], out[1, j], out[2, j]
-        for i in range(3):
-            out[i, j] = turn[i, 0] * a + turn[i, 1] * b + turn[i, 2] * c + dt * out[6 + i, j]
-            out[3 + i, j] += dt * out[9 + i, j]
-    for i in range(12, n):
-        for j in range(n):
-            out[i, j] *= fade[i - 12]
-    for i in range(n):  # columns: (F P) Fᵀ
-        a, b, c = out[i, 0], out[i, 1], out[i, 2]
-        for j in range(3):
-            out[i, j] = turn[j, 0] * a + turn[j, 1] * b + turn[j, 2] * c + dt * out[i, 6 + j]
-            out[i, 3 + j] += dt * out[i, 9 + j]
-        for j in range(12, n):
-            out[i, j] *= fade[j - 12]
-    for i in range(12, n):
-        out[i, i] += 1.0 - fade[i - 12] ** 2
-    for i in range(6):
-        for j in range(6):
-            q = density[i, j]
-            if q != 0.0:
-                out[i, j] += q * dt * dt * dt / 3.0
-                out[i, 6 + j] += q * dt * dt / 2.0
-                out[6 + i, j] += q * dt * dt / 2.0
-                out[6 + i, 6 + j] += q * dt
-    return out
+    step, i, j = np.eye(12), np.arange(6), np.arange(6, 12)
+    step[:3, :3], step[i, j] = turn, dt
+    out = step @ covariance @ step.T
+    out[i, i] += density * dt**3 / 3.0
+    out[i, j] += density * dt**2 / 2.0
+    out[j, i] += density * dt**2 / 2.0
+    out[j, j] += density * dt
+    return np.asarray(out)

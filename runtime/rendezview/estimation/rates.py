@@ -44,9 +44,9 @@ from rendezview.estimation.rate_filters import (
     WALK,
     begin,
     step_bank,
+    surprise,
 )
 from rendezview.estimation.slow_error import SlowError
-from rendezview.estimation.surprise import surprise
 from rendezview.geometry.pose import Array, Pose
 
 # Readings that are kept to go through again: 7 s at 30 Hz. Source: by construction, a bound of time

@@ -51,10 +51,9 @@ class PoseMeasurement:
     def in_camera(self, sensor_from_camera: Pose) -> PoseMeasurement:
         """The measurement in the camera frame, from that of its sensor."""
         camera_from_sensor = sensor_from_camera.inverse()
-        turn = _twice(camera_from_sensor.rotation)
-        pose = camera_from_sensor @ self.pose
-        common = None if self.common is None else turn @ self.common @ turn.T
-        covariance = turn @ self.covariance @ turn.T
+        pose, turn = camera_from_sensor @ self.pose, camera_from_sensor.rotation
+        common = None if self.common is None else turned(self.common, turn)
+        covariance = turned(self.covariance, turn)
         return PoseMeasurement(self.time_s, self.sensor, pose, covariance, common)
 
 
@@ -149,12 +148,11 @@ class RingMeasurement:
     def in_camera(self, sensor_from_camera: Pose) -> RingMeasurement:
         """The measurement in the camera frame, from that of its sensor."""
         camera_from_sensor = sensor_from_camera.inverse()
-        turn = _twice(camera_from_sensor.rotation)
         moved = tuple(
             RingCandidate(
                 camera_from_sensor.apply(c.centre_m),
                 camera_from_sensor.rotation @ c.axis,
-                turn @ c.covariance @ turn.T,
+                turned(c.covariance, camera_from_sensor.rotation),
             )
             for c in self.candidates
         )
@@ -306,10 +304,11 @@ def _checked_covariance(covariance: npt.ArrayLike, sensor: str) -> Array:
     return matrix
 
 
-def _twice(rotation: Array) -> Array:
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = rotation
-    return turn
+def turned(covariance: Array, rotation: Array) -> Array:
+    """A covariance (6, 6) of two vectors in a frame turned by ``rotation``."""
+    both = np.zeros((6, 6))
+    both[:3, :3] = both[3:, 3:] = rotation
+    return np.asarray(both @ covariance @ both.T)
 
 
 def tangents(axis: Array) -> Array:

@@ -23,7 +23,7 @@ from rendezview.sensors.beacons import (
     six_numbers,
 )
 from rendezview.sensors.beacons.constellation import Face, ReflectorPattern
-from rendezview.sensors.beacons.pose.refinement import refine
+from rendezview.sensors.beacons.pose.refinement import SpotFit
 from rendezview_ground.simulate.reflector_frames import (
     ReflectorFrameOptions,
     exposure,
@@ -153,7 +153,9 @@ def read(
         # The target looks the same half a turn away: name left and right as in truth.
         where = where[[2, 1, 0]]
         sigma_px = np.maximum(spots.sigma_px[where], 1e-3)
-        refined = refine(CAMERA, pattern, spots.centroids_px[where], [0, 1, 2], pose, sigma_px)
+        refined = SpotFit(CAMERA, pattern).fit(
+            spots.centroids_px[where], np.arange(3), pose, sigma_px
+        )
         assert refined is not None
     spots_px = spots.centroids_px[where]
     return Reading(pose, values(six), truth_px, spots_px, refined.camera_from_target)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests import plain_pictures as plain
-from tests.plain_readings import CAMERA, HALF_TURN, PINHOLE, frames_of
+from tests.plain_readings import CAMERA, HALF_TURN, PINHOLE, frames_of, squared_error
 
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, find_spots
@@ -44,14 +44,9 @@ def test_a_far_target_is_found_where_its_spots_run_together(three, five, range_m
             found = sensor.update(0.0, frames)
             if found.pose is None:
                 continue
-            near = min((truth, truth @ HALF_TURN), key=found.pose.angle_to)
-            turn = found.pose.rotation @ near.rotation.T
-            off = np.array(
-                [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
-            )
-            error = np.append(0.5 * off, found.pose.translation_m - near.translation_m)
-            nees.append(error @ np.linalg.solve(found.covariance, error))
-            right += found.pose.angle_to(near) < 0.15
+            truths = truth, truth @ HALF_TURN
+            nees.append(squared_error(found, *truths))
+            right += min(map(found.pose.angle_to, truths)) < 0.15
         assert right >= enough
         assert right == len(nees)
         assert 3.0 < np.mean(nees) < 10.0

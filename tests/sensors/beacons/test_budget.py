@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.plain_readings import difference, squared_error
 
 from rendezview.calibration.one_camera import camera_of_corners
 from rendezview.fusion import Fusion
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.geometry.so3 import between
 from rendezview.io.camera_files import load_camera, save_camera
 from rendezview.io.target import Reflector, Target
 from rendezview.sensors.beacons import SixNumbers, patterns_of, pose_of, predict_spots
 from rendezview.sensors.beacons.budget import budget_of, budget_rows, common_of, unknown_causes
-from rendezview.sensors.beacons.pose.refinement import refine
+from rendezview.sensors.beacons.pose.refinement import SpotFit
 from rendezview.sensors.beacons.tracker import ReflectorSensor
 from rendezview.sensors.measurement import PoseMeasurement
 from rendezview.sensors.observation import Status
@@ -28,13 +28,8 @@ MIX = np.eye(4) + 0.3 * np.eye(4, k=1)
 COVARIANCE = SIGMA[:, None] * (MIX @ MIX.T) * SIGMA
 
 
-def difference(one: Pose, other: Pose) -> np.ndarray:
-    turn = between(one.rotation.copy(), other.rotation.copy())
-    return np.append(turn, one.translation_m - other.translation_m)
-
-
 def fitted(camera, pattern, spots, pose):
-    return refine(camera, pattern, spots, np.arange(len(pattern)), pose, 0.02)
+    return SpotFit(camera, pattern).fit(spots, np.arange(len(pattern)), pose, 0.02)
 
 
 def test_the_camera_moves_a_pose_by_the_slope_of_the_fit(paper_camera, five):
@@ -246,5 +241,4 @@ def test_the_reflector_that_is_mounted_aside_is_named(paper_camera, five, pictur
     known = replace(five, sigmas_m=np.array([0.0, 0.0, 0.0, 3e-3, 0.0]), sigmas_known=True)
     sensor = ReflectorSensor(paper_camera, [known])
     found = [sensor.update(t, frames) for t in (0.0, 0.1)][-1]
-    off = difference(found.pose, pose_of(SIX, five))
-    assert off @ np.linalg.solve(found.covariance, off) < 25.0
+    assert squared_error(found, pose_of(SIX, five)) < 25.0

@@ -6,16 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.plain_readings import squared_error
 
 from rendezview.calibration.board import misfit
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import Rig, Spots, StereoTracker
-from rendezview.sensors.beacons.calibration_error import CalibrationError, turned
+from rendezview.sensors.beacons.calibration_error import CalibrationError
 from rendezview.sensors.beacons.rig import INTRINSICS, RigCamera, intrinsics_of, with_intrinsics
 from rendezview.sensors.beacons.rig import POSE as PLACE
 from rendezview.sensors.beacons.stereo_tracker import TrackerOptions
+from rendezview.sensors.measurement import turned
 
 LEDS = np.array(
     [[0.3, 0, 0], [-0.3, 0, 0], [0, 0.3, 0], [0, -0.3, 0.05], [0, 0, 0.3], [0.2, 0.2, -0.1]]
@@ -79,12 +80,7 @@ def test_poses_of_wrong_calibrations_are_off_by_what_they_claim(rig):
             reading = StereoTracker(chosen, LEDS, options=options).update(0.0, spots(rig, rng))
             if reading.pose is None:  # the cameras contradict each other
                 continue
-            truth = chosen.cameras[0].camera_from_rig @ POSE
-            off = np.append(
-                between(reading.pose.rotation, truth.rotation),
-                reading.pose.translation_m - truth.translation_m,
-            )
-            out.append(off @ np.linalg.solve(reading.covariance, off))
+            out.append(squared_error(reading, chosen.cameras[0].camera_from_rig @ POSE))
     assert len(nees) > 30
     assert 4.0 < np.mean(nees) < 8.0
     assert np.mean(without) > 2.0 * np.mean(nees)
@@ -130,12 +126,7 @@ def test_of_the_floor_only_the_share_of_the_lens_model_is_an_error_of_a_pose(rig
             replace(found, sigma=np.full_like(found.sigma, sigma))
             for found in spots(rig, rng, np.hypot(sigma, misfit))
         ]
-        reading = tracker.update(0.0, given)
-        off = np.append(
-            between(reading.pose.rotation, POSE.rotation),
-            reading.pose.translation_m - POSE.translation_m,
-        )
-        nees.append(off @ np.linalg.solve(reading.covariance, off))
+        nees.append(squared_error(tracker.update(0.0, given), POSE))
     assert 5.0 < np.mean(nees) < 7.2
     unknown = CalibrationError(rig, LEDS)  # whose share of the lens model is not known
     weight = np.full((2, len(LEDS), 2), 1e4)
@@ -156,11 +147,7 @@ def test_poses_of_lights_mounted_aside_are_off_by_what_they_claim(rig):
             reading = StereoTracker(exact, given, sigmas_m=known).update(0.0, spots(exact, rng))
             if reading.pose is None:  # the lights contradict each other
                 continue
-            off = np.append(
-                between(reading.pose.rotation, POSE.rotation),
-                reading.pose.translation_m - POSE.translation_m,
-            )
-            out.append(off @ np.linalg.solve(reading.covariance, off))
+            out.append(squared_error(reading, POSE))
     assert len(nees) == 60
     assert 4.5 < np.mean(nees) < 7.8
     assert len(without) < 30 or np.mean(without) > 5.0 * np.mean(nees)

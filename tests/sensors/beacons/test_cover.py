@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 from tests import plain_pictures as plain
-from tests.plain_readings import CAMERA, HALF_TURN, PINHOLE, frames_of
+from tests.plain_readings import CAMERA, HALF_TURN, PINHOLE, frames_of, squared_error
 
 from rendezview.geometry.pose import Pose
-from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import ReflectorSensor, TrackingOptions, predict_spots
 from rendezview.sensors.beacons.detect.cover import compare_spots, middle, uncovered_sizes
 from rendezview.sensors.beacons.detect.spot_columns import (
@@ -21,7 +20,7 @@ from rendezview.sensors.beacons.detect.spot_columns import (
     SIGMA,
     SIZE,
 )
-from rendezview.sensors.beacons.pose.refinement import refine
+from rendezview.sensors.beacons.pose.refinement import SpotFit
 
 EDGE = {0.1: 0.687, 0.2: 0.492, 0.35: 0.238, 0.5: 0.0}  # radii from the middle that hide this share
 
@@ -64,11 +63,7 @@ def test_a_pose_of_a_covered_reflector_is_off_by_what_it_claims(three):
         found, truth = reading(three, rng, covers)
         if found.pose is None:
             continue
-        if found.pose.angle_to(truth) > found.pose.angle_to(truth @ HALF_TURN):
-            truth = truth @ HALF_TURN
-        turn = between(found.pose.rotation.copy(), truth.rotation.copy())
-        off = np.append(turn, found.pose.translation_m - truth.translation_m)
-        nees.append(off @ np.linalg.solve(found.covariance, off))
+        nees.append(squared_error(found, truth, truth @ HALF_TURN))
     assert len(nees) >= 12
     assert np.mean(nees) < 10.0  # 138 without
 
@@ -102,10 +97,7 @@ def test_a_half_covered_disc_of_three_is_tracked_and_off_by_what_its_pose_claims
             found = sensor.update(0.1 * k, frames)
         if found.pose is None:
             continue
-        near = min((truth, truth @ HALF_TURN), key=found.pose.angle_to)
-        turn = between(found.pose.rotation.copy(), near.rotation.copy())
-        off = np.append(turn, found.pose.translation_m - near.translation_m)
-        values.append(off @ np.linalg.solve(found.covariance, off))
+        values.append(squared_error(found, truth, truth @ HALF_TURN))
         rates = np.append(found.rates.turn_rad_s, found.rates.velocity_m_s)  # it is at rest
         of_rates.append(rates @ np.linalg.solve(found.rates.covariance, rates))
     assert len(values) >= 7
@@ -120,7 +112,7 @@ def test_the_second_order_of_a_spot_grows_with_the_fourth_power_of_its_error(thr
     def attitude(spots, pose, which, sigma_px):
         sigmas = np.full(3, 0.014)
         sigmas[which] = sigma_px
-        found = refine(CAMERA, three, spots, np.arange(3), pose, sigmas)
+        found = SpotFit(CAMERA, three).fit(spots, np.arange(3), pose, sigmas)
         return None if found is None else np.trace(found.covariance[:3, :3])
 
     counts = []

@@ -305,10 +305,10 @@ def test_windows_find_the_spot_and_the_noise():
     np.testing.assert_allclose(table[0, [X, Y]], [30.3, 25.7], atol=0.1)
     assert window_noise(image, NO_DARK, expected, half) == pytest.approx(2.0, rel=0.3)
     last = Track.begun(0.0, Pose.identity(), 3, roll_known=True)
-    last.brightness, last.unseen = np.array([1.0, 2.0, 3.0]), np.array([4, 5, 6])
+    last.brightness, last.aged = np.array([1.0, 2.0, 3.0]), np.array([4, 5, 6])
     refined = Refined(Pose.identity(), np.zeros((len(CAUSES), 6, 6)), np.zeros((0, 2)))
     after = Track.after(last, 1.0, table, refined, 2.0, False, Branch.SURE, 5)
-    assert after.unseen.tolist() == [0, 6, 7]
+    assert after.aged.tolist() == [0, 6, 7]
     assert after.brightness[1:].tolist() == [2.0, 3.0]
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.plain_readings import squared_error
 
 from rendezview.geometry.pose import Pose
-from rendezview.geometry.so3 import between
 from rendezview.io.bundled import find_target
 from rendezview.sensors.beacons import StereoTracker
 from rendezview.sensors.beacons.multiplex import MultiplexedTracker
@@ -54,12 +54,10 @@ def errors(laboratory: Laboratory, rate_deg_s: float, corrected: bool, readings:
         if k < SETTLED:
             continue
         truth = first @ at(time_s)
-        turn = between(found.pose.rotation, truth.rotation)
-        off = np.append(turn, found.pose.translation_m - truth.translation_m)
         apart = found.pose.apply(laboratory.leds) - truth.apply(laboratory.leds)
-        turns.append(np.linalg.norm(turn))
+        turns.append(found.pose.angle_to(truth))
         lights.append(np.linalg.norm(apart, axis=1).max())
-        squares.append(off @ np.linalg.solve(found.covariance, off))
+        squares.append(squared_error(found, truth))
     if not turns:
         return Errors(np.nan, np.nan, np.nan, known)
     turn_deg, light_mm = np.rad2deg(np.median(turns)), 1e3 * np.median(lights)

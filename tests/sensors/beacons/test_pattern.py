@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -19,18 +21,14 @@ def pattern():
     return patterns_of(Target.load("models_cad/client"), ("far",))[0]
 
 
-def values(six: SixNumbers) -> np.ndarray:
-    return np.array(
-        [six.range_m, six.azimuth_rad, six.elevation_rad, six.roll_rad, six.pitch_rad, six.yaw_rad]
-    )
-
-
 @pytest.mark.parametrize("roll_rad", [0.3, np.pi - 1e-7])
 def test_rates_of_the_six_numbers_are_differences_of_them(pattern, roll_rad):
     pose = pose_of(SixNumbers(6.0, 0.1, -0.05, roll_rad, 0.1, -0.2), pattern)
     rates = np.array([0.02, -0.03, 0.05, 0.1, -0.2, 0.3])
     face, h = Face.of(pattern), 1e-3
-    later, before = (values(face.six_numbers(extrapolate(pose, rates, t))) for t in (h, -h))
+    later, before = (
+        np.array(astuple(face.six_numbers(extrapolate(pose, rates, t)))) for t in (h, -h)
+    )
     change = later - before
     change[3:] -= 2.0 * np.pi * np.rint(change[3:] / (2.0 * np.pi))
     assert face.six_rates(pose, rates) == pytest.approx(change / (2.0 * h), abs=1e-6)

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests import plain_pictures as plain
-from tests.plain_readings import CAMERA, PINHOLE, frames_of
+from tests.plain_readings import CAMERA, HALF_TURN, PINHOLE, frames_of, squared_error
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
-from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import ReflectorSensor, TrackingOptions
 from rendezview.sensors.beacons.detect.rolling_shutter import at_middle_row
 from rendezview.sensors.beacons.detect.spot_columns import COLUMNS, SIGMA, X, Y
@@ -47,11 +46,7 @@ def test_a_turning_target_is_off_by_what_its_pose_claims(five):
             found, truth = sensor.update(time_s, frames), pose_at(time_s)
             if found.pose is None:
                 continue
-            turns = [truth @ Pose(np.diag([s, s, 1.0]), np.zeros(3)) for s in (1.0, -1.0)]
-            truth = min(turns, key=found.pose.angle_to)
-            turn = between(found.pose.rotation.copy(), truth.rotation.copy())
-            off = np.append(turn, found.pose.translation_m - truth.translation_m)
-            nees.append(off @ np.linalg.solve(found.covariance, off))
+            nees.append(squared_error(found, truth, truth @ HALF_TURN))
         ends[readout_s] = nees
     assert len(ends[READOUT_S]) >= 14
     assert np.mean(ends[READOUT_S]) < 9.0

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests import plain_pictures as plain
-from tests.plain_readings import HALF_TURN, PAPER, frames_of
+from tests.plain_readings import HALF_TURN, PAPER, frames_of, squared_error
 
 from rendezview.geometry.pose import Pose
-from rendezview.geometry.so3 import between
 from rendezview.sensors.beacons import ReflectorSensor, TrackingOptions
 
 
@@ -42,12 +41,7 @@ def test_poses_of_saturated_discs_are_as_near_as_they_claim(three, paper_camera,
         sensor = ReflectorSensor(paper_camera, [three], tracking=TrackingOptions(confirm=False))
         reading = sensor.update(0.0, frames)
         assert reading.pose is not None
-        near = min((truth, truth @ HALF_TURN), key=reading.pose.angle_to)
-        off = np.append(
-            between(reading.pose.rotation, near.rotation),
-            reading.pose.translation_m - near.translation_m,
-        )
-        errors.append(off @ np.linalg.solve(reading.covariance, off))
+        errors.append(squared_error(reading, truth, truth @ HALF_TURN))
         for window in range(2):  # tracked too
             tracked = sensor.update(1.0 + window, frames)
             assert tracked.status == "ok"

@@ -13,7 +13,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import ReflectorSensor, TrackingOptions, predict_spots
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
-from rendezview.sensors.beacons.pose.refinement import refine
+from rendezview.sensors.beacons.pose.refinement import SpotFit
 from rendezview.sensors.observation import Status
 
 
@@ -64,7 +64,7 @@ def test_a_pose_that_its_spots_hardly_determine_converges(five):
         sigma = np.full(5, 0.014)
         sigma[1] = 0.4
         spots = predict_spots(CAMERA, five, truth) + rng.normal(0.0, 0.014, (5, 2))
-        found = refine(CAMERA, five, spots, np.arange(5), truth, sigma)
+        found = SpotFit(CAMERA, five).fit(spots, np.arange(5), truth, sigma)
         assert found is not None
 
 

@@ -38,7 +38,7 @@ def triplets_of(acquirer, spots, tolerance=0.14):
     return out[:count]
 
 
-def test_the_grid_finds_every_centre_spot_that_the_hourglass_holds(paper_camera, three):
+def test_the_search_finds_every_centre_spot_that_the_hourglass_holds(paper_camera, three):
     acquirer = Acquirer(paper_camera, [three], AcquisitionOptions(tilt_rad=math.radians(45.0)))
     spots = crowd(paper_camera, np.random.default_rng(3), 40, 1.6)
     # A tolerance of ln 40 lets any size stand for any base: the shape alone decides.

@@ -99,10 +99,3 @@ class CalibrationError:
             places = inverse @ np.sum(moved @ np.swapaxes(moved, 1, 2), axis=0) @ inverse
         self.last = {"calibration": calibration, "places": places}
         return {SPOTS: noise, **self.last}
-
-
-def turned(covariance: Array, rotation: Array) -> Array:
-    """A covariance (6, 6) of a pose in a frame turned by ``rotation``."""
-    both = np.zeros((6, 6))
-    both[:3, :3] = both[3:, 3:] = rotation
-    return np.asarray(both @ covariance @ both.T)

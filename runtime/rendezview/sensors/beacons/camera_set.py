@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
+from pydantic import Field, FiniteFloat, TypeAdapter
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
@@ -20,32 +20,22 @@ from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptions
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.beacons.observation import ReflectorObservation
+from rendezview.sensors.beacons.rig_files import PoseTable, Table
 from rendezview.sensors.beacons.run import FramePair, Mode, pair_up
 from rendezview.sensors.beacons.tracker import ReflectorSensor
 from rendezview.sensors.observation import Status
 
-_Numbers = list[FiniteFloat]
 
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class _Mount(_Table):
-    quat_wxyz: Annotated[_Numbers, Field(min_length=4, max_length=4)]
-    translation_m: Annotated[_Numbers, Field(min_length=3, max_length=3)]
-
-
-class _CameraTable(_Table):
+class _CameraTable(Table):
     name: Annotated[str, Field(min_length=1)]
     camera: str | None = None
     frames: Annotated[list[str], Field(min_length=1, max_length=2)]
     nearest_m: FiniteFloat
     farthest_m: FiniteFloat
-    camera_from_chaser: _Mount | None = None
+    camera_from_chaser: PoseTable | None = None
 
 
-class _File(_Table):
+class _File(Table):
     cameras: Annotated[list[_CameraTable], Field(min_length=1)]
 
 
@@ -97,9 +87,8 @@ def load_cameras(
         chosen = mode or (Mode.SPLITTER if len(sequences) == 2 else Mode.PAIRS)
         mount = Pose.identity()
         if table.camera_from_chaser is not None:
-            given = table.camera_from_chaser
             try:
-                mount = Pose.from_quat_wxyz(given.quat_wxyz, given.translation_m)
+                mount = table.camera_from_chaser.pose()
             except ValueError as error:
                 raise RendezviewError(f"{path}: camera {table.name!r}: {error}") from error
         pairs = pair_up(sequences, chosen, None, invert)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
@@ -283,13 +284,8 @@ class Face:
 
 def attitude(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Array:
     """(3, 3) ``Rz(roll) Ry(−yaw) Rx(pitch)``, the turn from head-on."""
-    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
-    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
-    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
-    roll = np.array([[cr, -sr, 0.0], [sr, cr, 0.0], [0.0, 0.0, 1.0]])
-    yaw = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]])
-    pitch = np.array([[1.0, 0.0, 0.0], [0.0, cp, -sp], [0.0, sp, cp]])
-    return np.asarray(roll @ yaw @ pitch)
+    turn = Rotation.from_euler("ZYX", [roll_rad, -yaw_rad, pitch_rad])
+    return np.asarray(turn.as_matrix())
 
 
 def attitude_angles(turn: Array) -> tuple[float, float, float]:

@@ -15,10 +15,9 @@ import numpy.typing as npt
 
 from rendezview.estimation.motion import extrapolate
 from rendezview.estimation.rates import RateBank
-from rendezview.geometry import so3
-from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons.detect.detectors import Spots
-from rendezview.sensors.beacons.rig import RigCamera
+from rendezview.sensors.beacons.rig import RigCamera, by_pose
 from rendezview.sensors.beacons.stereo_observation import StereoObservation
 from rendezview.sensors.beacons.stereo_tracker import StereoTracker
 from rendezview.sensors.observation import Status
@@ -26,7 +25,6 @@ from rendezview.sensors.observation import Status
 # rad/s and m/s, σ of rates that nothing is known of. Source: by construction, twice the 20°/s at
 # which a scan of 0.1 s is a problem
 _FIRST_RATE, _FIRST_VELOCITY = 0.5, 0.15
-_STEP = 1e-5  # of the range, of the numeric slopes. Source: by construction, 1e-10 of curvature
 
 
 class MultiplexedTracker:
@@ -93,35 +91,15 @@ class MultiplexedTracker:
             spread = float(np.sqrt(positions[named].var(axis=0).sum()))
             sigma[named] = np.hypot(sigma[named], _FIRST_RATE * spread * np.abs(away_s)[:, None])
             return Spots(positions, sigma, spots.led)
-        places = self._lights(pose, lights, np.zeros(len(lights)))
-        moved = self._lights(pose, lights, self.times_s[lights])
-        positions[named] -= self._project(camera, moved) - self._project(camera, places)
-        slopes = self._slopes(camera, pose, places)
+        leds = self.tracker.leds[lights]
+        places = self._rig_from_first.apply(pose.apply(leds))
+        later = [extrapolate(pose, self._rates, after_s) for after_s in self.times_s[lights]]
+        moved = np.array([there.apply(led) for there, led in zip(later, leds, strict=True)])
+        moved = camera.project(self._rig_from_first.apply(moved))
+        positions[named] -= moved - camera.project(places)
+        by_place = camera.slopes(places)[2] @ self._rig_from_first.rotation
+        slopes = by_pose(by_place, leds @ pose.rotation.T)  # detector units a second, by the rates
         spread = np.einsum("nij,jk,nik->ni", slopes, self._covariance, slopes)
         sigma[named] = np.hypot(sigma[named], np.sqrt(spread) * np.abs(away_s)[:, None])
         seen = np.isfinite(positions).all(axis=1) & np.isfinite(sigma).all(axis=1)
         return Spots(positions[seen], sigma[seen], spots.led[seen])
-
-    def _lights(self, pose: Pose, lights: npt.NDArray[np.int64], after_s: Array) -> Array:
-        """(N, 3) places of lights, each after its own time, first camera's frame."""
-        leds = self.tracker.leds[lights]
-        turns = np.array([so3.exp(t * self._rates[:3]) for t in after_s])
-        turned = np.einsum("nij,nj->ni", turns, leds @ pose.rotation.T)
-        return np.asarray(turned + pose.translation_m + after_s[:, None] * self._rates[3:])
-
-    def _project(self, camera: RigCamera, places: Array) -> Array:
-        """(N, 2) spots of places in the first camera's frame."""
-        return camera.project(self._rig_from_first.apply(places))
-
-    def _slopes(self, camera: RigCamera, pose: Pose, places: Array) -> Array:
-        """(N, 2, 6) motion of each spot, detector units a second, by rates of one each."""
-        arms, slopes = places - pose.translation_m, np.empty((len(places), 2, 6))
-        far = float(np.linalg.norm(pose.translation_m))
-        for i in range(6):
-            unit = np.zeros(3)
-            unit[i % 3] = 1.0
-            speed = np.cross(unit, arms) if i < 3 else np.tile(unit, (len(places), 1))
-            step_s = _STEP * far / max(float(np.linalg.norm(speed, axis=1).max()), 1e-12)
-            ends = [self._project(camera, places + s * step_s * speed) for s in (0.5, -0.5)]
-            slopes[:, :, i] = (ends[0] - ends[1]) / step_s
-        return slopes

@@ -103,24 +103,18 @@ def missed(
     ``lost`` are those expected but not visible. ``search``: the whole picture is searched next.
     ``strange``: spots are where reflectors were expected, but no pose shows enough of them.
     """
+    status, reason = Status.LOST, "no reflector where it was expected"
     if strange:
-        return ReflectorObservation(
-            Status.AMBIGUOUS,
-            STRANGE,
-            time_s=time_s, tracked=True, stage_ms=stage_ms,
-        )  # fmt: skip
-    if names:
-        return ReflectorObservation(
-            Status.PARTIAL,
-            f"{len(names)} of the reflectors visible ({', '.join(names)}), which fixes no pose; "
-            f"not visible: {', '.join(lost)}",
-            time_s=time_s, spots=spots, reflectors=names, tracked=True, stage_ms=stage_ms,
-        )  # fmt: skip
+        status, reason = Status.AMBIGUOUS, STRANGE
+    elif names:
+        status = Status.PARTIAL
+        reason = f"{len(names)} of the reflectors visible ({', '.join(names)}), which fixes no pose"
+        reason += f"; not visible: {', '.join(lost)}"
+    elif search:
+        reason += ": the whole picture is searched next"
     return ReflectorObservation(
-        Status.LOST,
-        "no reflector where it was expected"
-        + (": the whole picture is searched next" if search else ""),
-        time_s=time_s, tracked=True, stage_ms=stage_ms,
+        status, reason, time_s=time_s, spots=spots, reflectors=names, tracked=True,
+        stage_ms=stage_ms,
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.sensors.beacons.closed_form import ClosedFormCalibration, closed_form, post_of
-from rendezview.sensors.beacons.constellation import Face, ReflectorPattern, SixNumbers
+from rendezview.sensors.beacons.constellation import Face, ReflectorPattern
 from rendezview.sensors.beacons.observation import ReflectorObservation, rates_record
 from rendezview.sensors.beacons.rates import RateEstimator
 from rendezview.sensors.beacons.triangulation import (
@@ -42,7 +42,9 @@ class PaperForms:
         three = None if pattern is None else outer_and_centre(pattern, reading)
         found: dict[str, Any] = {}
         if self.calibration is not None:
-            found["closed_form"] = _closed(camera, reading, pattern, three, self.calibration)
+            found["closed_form"] = None
+            if pattern is not None and three is not None and reading.pose is not None:
+                found["closed_form"] = closed_form(camera, pattern, three, self.calibration)
         if self.iteration is not None:
             found["triangulation"] = self._triangulated(camera, reading, pattern, three)
         return found
@@ -99,13 +101,3 @@ def outer_and_centre(pattern: ReflectorPattern, reading: ReflectorObservation) -
             return None
         rows.append(reading.spots.centroids_px[reading.reflectors.index(pattern.names[k])])
     return np.array(rows)
-
-
-def _closed(
-    camera: Camera, reading: ReflectorObservation, pattern: ReflectorPattern | None,
-    three: Array | None, calibration: ClosedFormCalibration,
-) -> SixNumbers | None:  # fmt: skip
-    """The closed form, where the group is one that it can read."""
-    if pattern is None or three is None or reading.pose is None:
-        return None
-    return closed_form(camera, pattern, three, calibration)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -31,11 +32,13 @@ _Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 _NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 
 
-class _Table(BaseModel):
+class Table(BaseModel):
+    """A part of a file, without unknown keys."""
+
     model_config = ConfigDict(extra="forbid")
 
 
-class PoseTable(_Table):
+class PoseTable(Table):
     """A pose in a file."""
 
     quat_wxyz: _Four
@@ -50,21 +53,21 @@ class PoseTable(_Table):
         return Pose.from_quat_wxyz(self.quat_wxyz, self.translation_m)
 
 
-class _LensTable(_Table):
+class _LensTable(Table):
     radial: _Three
     tangential: _Three
     centre: _Two
     corrects: bool
 
 
-class _PhotodiodeTable(_Table):
+class _PhotodiodeTable(Table):
     response: Annotated[list[_Curve], Field(min_length=2, max_length=2)]
     normalisation: Literal["pair", "total"]
     noise: _Positive
     half_width_m: _Positive
 
 
-class _CameraTable(_Table):
+class _CameraTable(Table):
     name: Annotated[str, Field(min_length=1)]
     fx: _Positive
     fy: _Positive
@@ -80,7 +83,7 @@ class _CameraTable(_Table):
     misfit: _NotNegative | None = None
 
 
-class _RigFile(_Table):
+class _RigFile(Table):
     format: Literal["rendezview rig 1"]
     cameras: Annotated[list[_CameraTable], Field(min_length=1)]
     covariance_names: list[str] = []
@@ -97,14 +100,8 @@ def save_rig(rig: Rig, path: StrPath) -> None:
         diode = camera.photodiode
         cameras.append(
             {
-                "name": camera.name,
-                **{key: getattr(camera, key) for key in ("fx", "fy", "cx", "cy")},
-                "lens": {
-                    "radial": camera.lens.radial,
-                    "tangential": camera.lens.tangential,
-                    "centre": camera.lens.centre,
-                    "corrects": camera.lens.corrects,
-                },
+                **{key: getattr(camera, key) for key in ("name", "fx", "fy", "cx", "cy")},
+                "lens": asdict(camera.lens),
                 "size": camera.size,
                 "photodiode": diode
                 and {
@@ -114,10 +111,7 @@ def save_rig(rig: Rig, path: StrPath) -> None:
                     "half_width_m": diode.half_width_m,
                 },
                 "camera_from_rig": camera.camera_from_rig.as_dict(),
-                "floor": camera.floor,
-                "sigma": camera.sigma,
-                "rms": camera.rms,
-                "misfit": camera.misfit,
+                **{key: getattr(camera, key) for key in ("floor", "sigma", "rms", "misfit")},
             }
         )
     content = {
@@ -153,10 +147,9 @@ def load_rig(path: StrPath) -> Rig:
 
 def _camera(table: _CameraTable) -> RigCamera:
     diode = table.photodiode
-    lens = table.lens
     return RigCamera(
         table.name, table.fx, table.fy, table.cx, table.cy, table.camera_from_rig.pose(),
-        Lens(tuple(lens.radial), tuple(lens.tangential), tuple(lens.centre), lens.corrects),  # type: ignore[arg-type]
+        Lens(**table.lens.model_dump()),
         None if table.size is None else (table.size[0], table.size[1]),
         None
         if diode is None

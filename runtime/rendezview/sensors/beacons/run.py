@@ -96,28 +96,23 @@ def pair_up(
             "pairs) or single pictures (--mode single)"
         )
     first = sequences[0]
-    if mode is Mode.SINGLE:
-        return [FramePair(frame, None, None, invert) for frame in first]
+    lit: list[Frame] = list(first)
+    dark: list[Frame] | list[None] = [None] * len(lit)
     if mode is Mode.SPLITTER:
-        second = sequences[1]
-        if len(first) != len(second):
+        dark = list(sequences[1])
+        if len(lit) != len(dark):
             raise RendezviewError(
-                f"{first.source} has {len(first)} pictures and {second.source} {len(second)}: "
+                f"{first.source} has {len(lit)} pictures and {sequences[1].source} {len(dark)}: "
                 "lit and dark must be as many"
             )
-        return [
-            FramePair(lit, dark, lit_from_dark, invert)
-            for lit, dark in zip(first, second, strict=True)
-        ]
-    if len(first) % 2:
-        raise RendezviewError(
-            f"{first.source}: {len(first)} pictures cannot be lit and dark in turn: "
-            "remove the one without its partner, or use --mode single"
-        )
-    return [
-        FramePair(lit, dark, lit_from_dark, invert)
-        for lit, dark in zip(first.frames[::2], first.frames[1::2], strict=True)
-    ]
+    elif mode is Mode.PAIRS:
+        if len(lit) % 2:
+            raise RendezviewError(
+                f"{first.source}: {len(lit)} pictures cannot be lit and dark in turn: "
+                "remove the one without its partner, or use --mode single"
+            )
+        lit, dark, lit_from_dark = lit[::2], lit[1::2], None
+    return [FramePair(*both, lit_from_dark, invert) for both in zip(lit, dark, strict=True)]
 
 
 def pair_up_live(frames: Iterator[Frame], mode: Mode, invert: bool = False) -> Iterator[FramePair]:

@@ -73,10 +73,8 @@ def predict(state: Motion, time_s: float, options: MotionOptions) -> Motion:
     if not dt >= 0.0:
         raise ValueError(f"the filter cannot go back, from {state.time_s} s to {time_s} s")
     turn = so3.exp(dt * state.rates[:3])
-    sigma = [options.angular_acceleration] * 3 + [options.linear_acceleration] * 3
-    covariance = predict_covariance(
-        state.covariance, turn, dt, np.diag(np.square(sigma)), np.ones(0)
-    )
+    density = np.square([options.angular_acceleration] * 3 + [options.linear_acceleration] * 3)
+    covariance = predict_covariance(state.covariance, turn, dt, density)
     place = state.translation + dt * state.rates[3:]
     return Motion(time_s, turn @ state.rotation, place, state.rates, covariance)
 
@@ -109,12 +107,10 @@ def update(
     )  # fmt: skip
     if not done:
         return None
-    posterior = np.linalg.inv(information)
     gain = prior[6:, :6] @ inverse  # of the rates by a pose's correction
-    lost = prior[:6, :6] - posterior
-    whole = np.block(
-        [[posterior, posterior @ gain.T], [gain @ posterior, prior[6:, 6:] - gain @ lost @ gain.T]]
-    )
+    both = np.vstack([np.eye(6), gain])
+    whole = both @ np.linalg.inv(information) @ both.T
+    whole[6:, 6:] += prior[6:, 6:] - gain @ prior[:6, 6:]
     moved = difference(rotation, translation, state.rotation, state.translation)
     return Motion(state.time_s, rotation, translation, state.rates + gain @ moved, whole)
 

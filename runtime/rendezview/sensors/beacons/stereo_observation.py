@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons.budget import Budget
-from rendezview.sensors.beacons.calibration_error import turned
 from rendezview.sensors.beacons.detect.detectors import Spots
 from rendezview.sensors.beacons.euler import YawPitchRoll, yaw_pitch_roll
 from rendezview.sensors.beacons.match.agreement import LightsFit
 from rendezview.sensors.beacons.stereo_motion import Motion
-from rendezview.sensors.observation import Observation, Status
+from rendezview.sensors.observation import Observation
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,36 +32,6 @@ class StereoObservation(Observation):
     spots: tuple[Spots, ...] = ()  # with the lights' numbers
     names: Names = Names((), ())
     budget: Budget | None = None  # the covariance by cause
-
-    @classmethod
-    def of_pose(
-        cls,
-        status: Status,
-        reason: str | None,
-        time_s: float,
-        camera_from_rig: Pose,
-        fit: LightsFit | None,
-        estimate: Motion | None,
-        restarted: bool,
-        spots: tuple[Spots, ...],
-        names: Names,
-    ) -> StereoObservation:
-        """The observation of a pose: the filter's where there is one, else the reading's own.
-
-        The covariance of a single reading is the inverse of its information.
-        """
-        if estimate is not None:
-            found = Pose(estimate.rotation, estimate.translation)
-            own = np.asarray(estimate.covariance[:6, :6], np.float64)
-        else:
-            assert fit is not None
-            found = Pose(fit.rotation, fit.translation)
-            own = np.asarray(np.linalg.inv(fit.information), np.float64)
-        pose, turn = camera_from_rig @ found, camera_from_rig.rotation
-        return cls(
-            status, reason, fit, estimate, restarted, spots, names,
-            time_s=time_s, pose=pose, covariance=turned(own, turn),
-        )  # fmt: skip
 
     @property
     def rig_from_target(self) -> Pose | None:

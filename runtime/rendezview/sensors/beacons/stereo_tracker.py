@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import Target
+from rendezview.sensors.arguments import check_time
 from rendezview.sensors.beacons import stereo_motion as motion
 from rendezview.sensors.beacons.budget import SPOTS, budget_of, common_of
-from rendezview.sensors.beacons.calibration_error import CalibrationError, turned
+from rendezview.sensors.beacons.calibration_error import CalibrationError
 from rendezview.sensors.beacons.detect.detectors import Spots
 from rendezview.sensors.beacons.match.agreement import (
     FEWEST_LIGHTS,
@@ -22,7 +23,6 @@ from rendezview.sensors.beacons.match.agreement import (
     LightsFit,
     agree,
     distance,
-    iterate,
 )
 from rendezview.sensors.beacons.match.identity import identify, nearest_lights
 from rendezview.sensors.beacons.match.start import candidates
@@ -30,11 +30,8 @@ from rendezview.sensors.beacons.pose.collinearity import count_lights
 from rendezview.sensors.beacons.rig import Rig, Sights, required_leds
 from rendezview.sensors.beacons.stereo_motion import Motion, MotionOptions
 from rendezview.sensors.beacons.stereo_observation import Names, StereoObservation
+from rendezview.sensors.measurement import turned
 from rendezview.sensors.observation import Status
-
-# sums of squares closer than this do not distinguish two minima. Source: by construction, odds of
-# e⁷
-_ALIKE = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,10 +131,7 @@ class StereoTracker:
         return observation
 
     def _update(self, time_s: float, spots: Sequence[Spots]) -> StereoObservation:
-        if not (np.isfinite(time_s) and time_s > self._last_time_s):
-            raise ValueError(
-                f"readings must come in order of time: {time_s} s after {self._last_time_s} s"
-            )
+        check_time(time_s, self._last_time_s)
         self._last_time_s = time_s
         forecast = self._forecast(time_s)
         restarted, named = forecast is None, tuple(spots)
@@ -151,15 +145,12 @@ class StereoTracker:
             sights = self._calibration.loosened(
                 sights, Pose(forecast.rotation, forecast.translation)
             )
-            fit = iterate(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
-            if fit is None or not fit.agrees:
-                fit = agree(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
+            fit = agree(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
         known = all(found.identified for found in named)  # else there is nothing to locate
         if fit is None or (isinstance(fit, Disagreement) and not fit.ambiguous and known):
             restarted = True
             fit = self.locate(self.rig.sights(named, len(self.leds)), forecast)
         if isinstance(fit, Disagreement):
-            self._lose(time_s)
             status = Status.AMBIGUOUS if fit.ambiguous else Status.DISAGREE
             return self._none(time_s, status, fit.reason, named)
         return self._accept(time_s, fit, forecast, restarted, named)
@@ -169,25 +160,19 @@ class StereoTracker:
 
         A forecast only chooses between poses that fit equally well.
         """
-        found = candidates(self.rig, self.leds, self.normals, sights)
-        if not found:
-            return Disagreement("no camera sees three lights, nor two cameras the same three")
-        fits: list[tuple[float, LightsFit]] = []
-        reason = Disagreement("the lights do not determine a pose")
-        for candidate in found:
-            if candidate.cost > found[0].cost + _ALIKE:
-                break
-            pose = candidate.rig_from_target
-            loose = self._calibration.loosened(sights, pose)
-            fit = agree(self.rig, self.leds, loose, pose.rotation, pose.translation_m)
+        fits: list[LightsFit] = []
+        reason = Disagreement("no camera sees three lights")
+        for rotation, translation in candidates(self.rig, self.leds, self.normals, sights):
+            loose = self._calibration.loosened(sights, Pose(rotation, translation))
+            fit = agree(self.rig, self.leds, loose, rotation, translation)
             if isinstance(fit, LightsFit):
-                fits.append((candidate.cost, fit))
+                fits.append(fit)
             elif not fits:
                 reason = fit
         if not fits:
             return reason
-        best = fits[0][1]
-        others = [fit for _, fit in fits[1:] if distance(best, fit) > 1.0]
+        best, *others = fits
+        others = [fit for fit in others if distance(best, fit) > 1.0]
         if not others:
             return best
         if forecast is not None:
@@ -235,13 +220,7 @@ class StereoTracker:
             after = motion.update(forecast, self.rig, self.leds, sights.xy, sights.weight)
             if after is not None:
                 self._last = after
-                return self._calibrated(
-                    StereoObservation.of_pose(
-                        Status.PARTIAL, reason, time_s, self._first, None, after, False, named,
-                        self.names,
-                    )
-                )  # fmt: skip
-        self._lose(time_s)
+                return self._found(Status.PARTIAL, reason, time_s, None, after, False, named)
         return self._none(time_s, Status.FEW_LIGHTS, reason, named)
 
     def _accept(
@@ -252,53 +231,55 @@ class StereoTracker:
         restarted: bool,
         named: tuple[Spots, ...],
     ) -> StereoObservation:
-        options = self.options.motion
-        if options is None:
-            self._last = Motion(
-                time_s, fit.rotation, fit.translation, np.zeros(6), np.zeros((12, 12))
-            )
-            return self._calibrated(
-                StereoObservation.of_pose(
-                    Status.OK, None, time_s, self._first, fit, None, restarted, named, self.names
-                )
-            )
-        after = None
-        own = fit.rotation, fit.translation
-        if forecast is not None and not motion.breaks(forecast, *own, fit.information):
-            after = motion.update(
-                forecast, self.rig, self.leds, fit.sights.xy, fit.sights.weight, own
-            )
-        if after is None:  # the first, or the motion exceeds the filter's model
-            covariance = np.asarray(np.linalg.inv(fit.information), np.float64)
-            after = motion.begin(time_s, fit.rotation, fit.translation, covariance, options)
-        self._last = after
-        return self._calibrated(
-            StereoObservation.of_pose(
-                Status.OK, None, time_s, self._first, fit, after, restarted, named, self.names
-            )
-        )
+        options, own, after = self.options.motion, (fit.rotation, fit.translation), None
+        if options is not None:
+            if forecast is not None and not motion.breaks(forecast, *own, fit.information):
+                seen = fit.sights
+                after = motion.update(forecast, self.rig, self.leds, seen.xy, seen.weight, own)
+            if after is None:  # the first, or the motion exceeds the filter's model
+                covariance = np.asarray(np.linalg.inv(fit.information), np.float64)
+                after = motion.begin(time_s, *own, covariance, options)
+        self._last = after or Motion(time_s, *own, np.zeros(6), np.zeros((12, 12)))
+        return self._found(Status.OK, None, time_s, fit, after, restarted, named)
 
-    def _calibrated(self, observation: StereoObservation) -> StereoObservation:
-        """The observation with the calibration's share in its covariance."""
-        pose, fit = observation.rig_from_target, observation.fit
-        if not self.options.calibration_error or pose is None or observation.covariance is None:
-            return observation
-        whole: dict[str, Array | None] = dict(self._calibration.last)
-        if self._calibration and fit is not None:
-            whole = self._calibration.shares(pose, fit.sights.weight)
-        for cause, share in whole.items():
-            whole[cause] = None if share is None else turned(share, self._first.rotation)
-        noise = whole.get(SPOTS)
-        own = observation.covariance if noise is None or self.options.motion else noise
-        whole[SPOTS] = own
-        common = common_of(whole)
-        return replace(observation, covariance=own + common, common=common, budget=budget_of(whole))
+    def _found(
+        self, status: Status, reason: str | None, time_s: float, fit: LightsFit | None,
+        after: Motion | None, restarted: bool, named: tuple[Spots, ...],
+    ) -> StereoObservation:  # fmt: skip
+        """The observation of a pose: the filter's where there is one, else the reading's own.
+
+        The covariance of a single reading is the inverse of its information. The calibration's
+        share is added.
+        """
+        answer = StereoObservation(status, reason, fit, after, restarted, named, self.names)
+        pose, turn = answer.rig_from_target, self._first.rotation
+        assert pose is not None
+        if after is not None:
+            own = np.asarray(after.covariance[:6, :6])
+        else:
+            assert fit is not None
+            own = np.asarray(np.linalg.inv(fit.information), np.float64)
+        covariance, common, budget = turned(own, turn), None, None
+        if self.options.calibration_error:
+            whole: dict[str, Array | None] = dict(self._calibration.last)
+            if self._calibration and fit is not None:
+                whole = self._calibration.shares(pose, fit.sights.weight)
+            for cause, share in whole.items():
+                whole[cause] = None if share is None else turned(share, turn)
+            noise = whole.get(SPOTS)
+            own = covariance if noise is None or self.options.motion else noise
+            whole[SPOTS] = own
+            common, budget = common_of(whole), budget_of(whole)
+            covariance = own + common
+        return replace(
+            answer, time_s=time_s, pose=self._first @ pose, covariance=covariance, common=common,
+            budget=budget,
+        )  # fmt: skip
 
     def _none(
         self, time_s: float, status: Status, reason: str, named: tuple[Spots, ...]
     ) -> StereoObservation:
-        return StereoObservation(status, reason, spots=named, names=self.names, time_s=time_s)
-
-    def _lose(self, time_s: float) -> None:
-        if self._last is not None and time_s - self._last.time_s > self.options.longest_outage_s:
+        last = self._last
+        if last is not None and time_s - last.time_s > self.options.longest_outage_s:
             self._last = None
+        return StereoObservation(status, reason, spots=named, names=self.names, time_s=time_s)

@@ -97,7 +97,6 @@ class Track:
     roll_ambiguous: bool
     misses: int = 0
     branch: Branch = Branch.SURE
-    unseen: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     aged: npt.NDArray[np.int64] = field(init=False)  # (N,) readings since its brightness was sure
     alone: npt.NDArray[np.int64] = field(init=False)  # (N,) readings since another was beside it
 
@@ -108,11 +107,8 @@ class Track:
     @classmethod
     def begun(cls, time_s: float, pose: Pose, reflectors: int, *, roll_known: bool) -> Track:
         """The memory of a pose that another sensor has found: no spot was seen yet."""
-        nowhere, never = np.full((reflectors, 2), np.nan), np.zeros(reflectors, np.int64)
-        return cls(
-            time_s, pose, nowhere, nowhere.copy(), time_s, np.full(reflectors, np.nan), 2.0,
-            not roll_known, unseen=never,
-        )  # fmt: skip
+        nowhere, dim = np.full((reflectors, 2), np.nan), np.full(reflectors, np.nan)
+        return cls(time_s, pose, nowhere, nowhere.copy(), time_s, dim, 2.0, not roll_known)
 
     @classmethod
     def after(
@@ -120,21 +116,21 @@ class Track:
         ambiguous: bool, branch: Branch, coast: int, light: Array | None = None,
     ) -> Track:  # fmt: skip
         """The memory after a reading; ``table`` (N, COLUMNS): its spots, NaN where not visible."""
-        count = len(table)
-        since, dim = np.zeros(count, np.int64), np.full(count, np.nan)
-        before, before_s = np.full((count, 2), np.nan), time_s
+        dim, before, before_s = (
+            np.full(len(table), np.nan),
+            np.full((len(table), 2), np.nan),
+            time_s,
+        )
         if last is not None:
-            since, dim = last.unseen, last.brightness
+            dim = last.brightness
             if last.misses <= coast:
                 before, before_s = last.places, last.time_s
-        visible = np.isfinite(table[:, X])
-        sure = visible
+        sure = np.isfinite(table[:, X])
         if light is not None:
-            sure = visible & (light < _LIKE) & ~vague(table[:, SIGMA].copy())
-        bright, unseen = np.where(sure, table[:, AMPLITUDE], dim), np.where(visible, 0, since + 1)
+            sure = sure & (light < _LIKE) & ~vague(table[:, SIGMA].copy())
         after = cls(
-            time_s, refined.camera_from_target, table[:, :2].copy(), before, before_s, bright,
-            noise, ambiguous, unseen=unseen, branch=branch,
+            time_s, refined.camera_from_target, table[:, :2].copy(), before, before_s,
+            np.where(sure, table[:, AMPLITUDE], dim), noise, ambiguous, branch=branch,
         )  # fmt: skip
         if last is not None:
             after.aged = np.where(sure, 0, last.aged + 1)
@@ -158,7 +154,6 @@ class Track:
         places[seen] = table[seen, :2]
         self.before, self.before_s = self.places, self.time_s
         self.places, self.time_s = places, time_s
-        self.unseen = np.where(np.isfinite(places[:, 0]), 0, self.unseen + 1)
         self.aged += 1
 
 

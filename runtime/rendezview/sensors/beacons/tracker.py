@@ -12,6 +12,7 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.arguments import check_time
 from rendezview.sensors.beacons.budget import budget_of, common_of, unknown_of
 from rendezview.sensors.beacons.constellation import Face, ReflectorPattern
 from rendezview.sensors.beacons.detect.background import Background
@@ -121,10 +122,7 @@ class ReflectorSensor:
         push = None if acceleration is None else checked_acceleration(acceleration)
         frames.check(self.camera)
         with self._lock:
-            if not (np.isfinite(time_s) and time_s > self._last_s):
-                raise ValueError(
-                    f"readings must come in order of time: {time_s} after {self._last_s}"
-                )
+            check_time(time_s, self._last_s)
             self._last_s = time_s
             self._lights.since += 1
             if self.is_tracking:

@@ -14,7 +14,7 @@ from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview.sensors.beacons.detect.background import Background
 from rendezview.sensors.beacons.detect.cover import compare_spots
 from rendezview.sensors.beacons.detect.difference import LitDark, ThresholdOptions
-from rendezview.sensors.beacons.detect.discs import camera_doubts, camera_numbers
+from rendezview.sensors.beacons.detect.discs import camera_numbers
 from rendezview.sensors.beacons.detect.lens_scale import LensScale
 from rendezview.sensors.beacons.detect.rolling_shutter import at_middle_row
 from rendezview.sensors.beacons.detect.spot_columns import COLUMNS, COVER, SIGMA, X
@@ -24,8 +24,7 @@ from rendezview.sensors.beacons.match.choice import FEW
 from rendezview.sensors.beacons.match.judgement import least_facing
 from rendezview.sensors.beacons.match.matching import expect_spots
 from rendezview.sensors.beacons.match.mirrored_pose import mirror
-from rendezview.sensors.beacons.pose.refinement import Refined, loose_px, solve_spots
-from rendezview.sensors.beacons.pose.shares import CAUSES
+from rendezview.sensors.beacons.pose.refinement import Refined, SpotFit, loose_px
 from rendezview.sensors.beacons.track import Branch, Track, TrackingOptions
 from rendezview.sensors.beacons.windows import VISIBLE, place_windows, read_windows, window_noise
 
@@ -51,10 +50,8 @@ class WindowFit:
         self._margin = acquisition.pose_margin
         self._least_cosine = acquisition.least_cosine
         self._lens = camera_numbers(camera, acquisition.blur_px)
-        self._doubts = camera_doubts(camera)
+        self.solve = SpotFit(camera, constellation, self._blur_px, tracking.floor_px).solve
         self._lens_scale = LensScale(camera, acquisition.blur_px)
-        self._centre = constellation.centre_m
-        self._arms, self._discs = constellation.positions_m - self._centre, constellation.discs
         self._background = background  # of the last whole picture
         n = len(constellation)  # of the last reading's windows:
         self.expected, self.table = np.empty((n, 3)), np.empty((n, COLUMNS))
@@ -120,19 +117,6 @@ class WindowFit:
         at_middle_row(table, before[:, :2], step_s, readout_s, height, before_is_raw=True)
         seen = np.flatnonzero(np.isfinite(table[:, 0]))
         return self.solve(refined.camera_from_target, table, seen)
-
-    def solve(self, start: Pose, table: Array, seen: Ints) -> Refined | None:
-        """Least squares on the rows ``seen`` of a spot table, from a pose."""
-        rotation, translation = np.array(start.rotation), np.empty(3)
-        shares, residuals = np.empty((len(CAUSES), 6, 6)), np.empty((len(seen), 2))
-        iterations = solve_spots(
-            self._lens, self._doubts, self._arms, self.constellation.normals, self._discs,
-            self._centre, table, seen, self.options.floor_px,
-            rotation, np.array(start.translation_m), translation, shares, residuals,
-        )  # fmt: skip
-        if iterations < 0:
-            return None
-        return Refined(Pose.unchecked(rotation, translation), shares, residuals)
 
     def with_rivals(self, track: Track, seen: Ints) -> Iterator[tuple[Refined, Array]]:
         """Poses of few spots with the next best of one window, and (K,) χ² of their light."""

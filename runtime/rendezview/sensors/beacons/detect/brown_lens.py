@@ -90,18 +90,8 @@ class Lens:
         side = np.linspace(-reach, reach, _FIELD_SAMPLES)
         ideal = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
         wanted = self.distort(ideal) - ideal
-        x, y = ideal.T
-        r2 = x * x + y * y
-        columns = np.stack(
-            [
-                np.stack([x * r2, y * r2], 1),
-                np.stack([x * r2**2, y * r2**2], 1),
-                np.stack([2.0 * x * y, r2 + 2.0 * y * y], 1),
-                np.stack([r2 + 2.0 * x * x, 2.0 * x * y], 1),
-                np.stack([x * r2**3, y * r2**3], 1),
-            ],
-            axis=-1,
-        ).reshape(-1, 5)
+        k1_k2_p1_p2_k3 = [0, 1, 4, 3, 2]  # OpenCV's tangential terms are the others
+        columns = Lens(corrects=False).derivatives(ideal)[2][:, :, k1_k2_p1_p2_k3].reshape(-1, 5)
         fitted, *_ = np.linalg.lstsq(columns, wanted.ravel(), rcond=None)
         worst = float(np.abs(columns @ fitted - wanted.ravel()).max())
         if not worst <= tolerance:

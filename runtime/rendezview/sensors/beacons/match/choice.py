@@ -24,7 +24,7 @@ from rendezview.sensors.beacons.match.acquisition_options import Acquisition, Ac
 from rendezview.sensors.beacons.match.judgement import least_facing
 from rendezview.sensors.beacons.match.matching import match_all, size_score
 from rendezview.sensors.beacons.match.mirrored_pose import mirror
-from rendezview.sensors.beacons.pose.refinement import Refined, loose_px, refine
+from rendezview.sensors.beacons.pose.refinement import Refined, SpotFit, loose_px
 from rendezview.sensors.observation import Status
 
 Ints = npt.NDArray[np.int64]
@@ -93,6 +93,7 @@ class Chooser:
             [np.argsort(self._group_of != g, kind="stable") for g in range(len(patterns))]
         )
         self._lens = camera_numbers(camera, options.blur_px)
+        self._fit = SpotFit(camera, constellation, options.blur_px).fit
 
     def choose(
         self, spots: SpotTable, usable: Ints, candidates: Candidates, prior: Pose | None
@@ -321,10 +322,8 @@ class Chooser:
                 spots.table[where], pattern, which, pose, self.camera.fx, options.blur_px
             )
             sigma = np.sqrt(sigma**2 + cover**2 + unsure**2)
-            refined = refine(
-                self.camera, pattern, spots.table[where, :2], which, pose, sigma, options.blur_px,
-                saturated=bool((spots.saturated_px[where] > 1).all()),
-            )  # fmt: skip
+            clipped = bool((spots.saturated_px[where] > 1).all())
+            refined = self._fit(spots.table[where, :2], which, pose, sigma, saturated=clipped)
             if refined is None:
                 return None
             if len(which) == 3:
@@ -352,10 +351,8 @@ class Chooser:
         costs = []
         for k in range(len(which)):
             rest, own = np.delete(which, k), np.delete(where, k)
-            trial = refine(
-                self.camera, self.constellation, spots.table[own, :2], rest, pose,
-                np.delete(sigma, k), self.options.blur_px,
-            )  # fmt: skip
-            off = np.inf if trial is None else trial.residuals_px / np.delete(sigma, k)[:, None]
+            left = np.delete(sigma, k)
+            trial = self._fit(spots.table[own, :2], rest, pose, left)
+            off = np.inf if trial is None else trial.residuals_px / left[:, None]
             costs.append(float(np.sum(np.square(off))))
         return int(np.argmin(costs))

@@ -21,11 +21,11 @@ from rendezview.sensors.beacons.match.start import (
     DISTINCT_RAD,
     NOISY_TIMES,
     Retrieval,
+    misfits,
     p3p,
     widest,
 )
-from rendezview.sensors.beacons.pose.collinearity import squares
-from rendezview.sensors.beacons.rig import Rig, Sights
+from rendezview.sensors.beacons.rig import Rig
 
 _MOST_SPOTS = 40  # a camera that sees more sees no target. Source: by construction, a bound of time
 _MOST_ASSIGNMENTS = 12_000  # Source: by construction, a bound of time
@@ -33,6 +33,9 @@ _MOST_ASSIGNMENTS = 12_000  # Source: by construction, a bound of time
 _FEWEST_SPOTS = 5
 _TRIPLES = 12  # of spots that are tried, the widest first. Source: by construction, a bound of time
 _KEPT = 8  # Source: by construction, a bound of time
+
+# Spots that a pose explains, its sum of squares, the numbered spots and the fit.
+Answer = tuple[int, float, tuple[Spots, ...], LightsFit]
 
 
 def nearest_lights(
@@ -43,31 +46,23 @@ def nearest_lights(
     One spot for each light and the other way round, at least total distance (Hungarian);
     ``gate``: distance, normalised, beyond which a spot is no light.
     """
-    return tuple(
-        _numbered(rig, k, leds, normals, found, pose, gate) for k, found in enumerate(spots)
-    )
-
-
-def _numbered(
-    rig: Rig, k: int, leds: Array, normals: Array, found: Spots, pose: Pose, gate: float
-) -> Spots:
     from scipy.optimize import linear_sum_assignment  # slow to import
 
-    led = np.full(len(found), UNKNOWN)
-    camera = rig.cameras[k]
-    in_camera = camera.camera_from_rig @ pose
-    points = in_camera.apply(leds)
-    away = np.einsum("li,li->l", normals @ in_camera.rotation.T, points) > 0.0
-    ideal, _ = camera.ideal(found)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        predicted = points[:, :2] / points[:, 2:]
-    apart = np.linalg.norm(ideal[:, None] - predicted[None], axis=2)
-    apart[:, away | ~(points[:, 2] > 0.0)] = np.inf
-    allowed = np.where(apart < gate, apart, 2.0 * gate)
-    for i, j in zip(*linear_sum_assignment(allowed), strict=True):
-        if apart[i, j] < gate:
-            led[i] = j
-    return Spots(found.positions, found.sigma, led, found.brightness)
+    named = []
+    for camera, found in zip(rig.cameras, spots, strict=True):
+        led = np.full(len(found), UNKNOWN)
+        in_camera = camera.camera_from_rig @ pose
+        points = in_camera.apply(leds)
+        away = np.einsum("li,li->l", normals @ in_camera.rotation.T, points) > 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            predicted = points[:, :2] / points[:, 2:]
+        apart = np.linalg.norm(camera.ideal(found)[0][:, None] - predicted[None], axis=2)
+        apart[:, away | ~(points[:, 2] > 0.0)] = np.inf
+        i, j = linear_sum_assignment(np.where(apart < gate, apart, 2.0 * gate))
+        near = apart[i, j] < gate
+        led[i[near]] = j[near]
+        named.append(Spots(found.positions, found.sigma, led, found.brightness))
+    return tuple(named)
 
 
 def identify(
@@ -111,14 +106,19 @@ def _mirrored(
     return max((answer[0] for answer in theirs), default=0) > max(explained, _FEWEST_SPOTS - 1)
 
 
-def _answers(
-    rig: Rig, leds: Array, normals: Array, spots: Sequence[Spots]
-) -> list[tuple[int, float, tuple[Spots, ...], LightsFit]]:
+def _answers(rig: Rig, leds: Array, normals: Array, spots: Sequence[Spots]) -> list[Answer]:
     """Poses that explain spots, with how many; not sorted."""
     counts = [len(found) for found in spots]
-    xy, weight = _padded(rig, spots)
+    # (C, S, 2) ideal places, NaN where none, and 1/σ
+    xy, weight = (
+        np.full((len(spots), max(counts), 2), np.nan),
+        np.zeros((len(spots), max(counts), 2)),
+    )
+    for k, found in enumerate(spots):
+        ideal, sigma = rig.cameras[k].ideal(found)
+        xy[k, : len(found)], weight[k, : len(found)] = ideal, 1.0 / sigma
     # Spread-out triples of the camera that sees the most; then the others.
-    answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]] = []
+    answers: list[Answer] = []
     tried = 0
     for k in np.argsort([-count for count in counts], kind="stable"):
         if counts[k] < 3:
@@ -142,16 +142,6 @@ def _answers(
     return answers
 
 
-def _padded(rig: Rig, spots: Sequence[Spots]) -> tuple[Array, Array]:
-    """(C, S, 2) ideal places (NaN where none) and 1/σ."""
-    size = max(len(found) for found in spots)
-    xy, weight = np.full((len(spots), size, 2), np.nan), np.zeros((len(spots), size, 2))
-    for k, found in enumerate(spots):
-        ideal, sigma = rig.cameras[k].ideal(found)
-        xy[k, : len(found)], weight[k, : len(found)] = ideal, 1.0 / sigma
-    return xy, weight
-
-
 def _explain(
     rig: Rig,
     leds: Array,
@@ -160,11 +150,11 @@ def _explain(
     xy: Array,
     weight: Array,
     poses: Retrieval,
-    answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]],
+    answers: list[Answer],
 ) -> None:
     """Judge poses by the spots they explain; the best are refined and added to the answers."""
     rotations, translations = poses
-    misfit = _misfits(poses, rig, leds, normals, xy, weight / NOISY_TIMES)
+    misfit = misfits(poses, rig, leds, normals, xy, weight / NOISY_TIMES)
     coarse = 2.0 * np.sqrt(CAP) * NOISY_TIMES / np.median(weight[weight > 0.0])
     for i in np.argsort(misfit, kind="stable")[:_KEPT]:
         pose, gate = Pose(rotations[i], translations[i]), coarse
@@ -180,22 +170,13 @@ def _explain(
             if isinstance(fit, Disagreement):
                 break
             pose, gate = Pose(fit.rotation, fit.translation), 0.25 * coarse
-        if isinstance(fit, LightsFit) and not _shines_away(rig, leds, normals, sights, fit):
+        if isinstance(fit, LightsFit):
             explained = int(sights.visible.sum()) - len(fit.left_out)
             answers.append((explained, fit.cost, numbered, fit))
 
 
-def _shines_away(rig: Rig, leds: Array, normals: Array, sights: Sights, fit: LightsFit) -> bool:
-    each = np.empty(sights.visible.shape)
-    squares(
-        fit.rotation, fit.translation, leds, normals, rig.rotations, rig.translations,
-        sights.xy, sights.weight, each,
-    )  # fmt: skip
-    return bool(np.isinf(each).any())
-
-
 def _verdict(
-    answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]],
+    answers: list[Answer],
 ) -> tuple[tuple[Spots, ...], LightsFit] | Disagreement:
     if not answers:
         return Disagreement("no assignment of spots to lights fits the target")
@@ -212,20 +193,3 @@ def _verdict(
                 ambiguous=True,
             )
     return numbered, fit
-
-
-def _misfits(
-    poses: Retrieval, rig: Rig, leds: Array, normals: Array, xy: Array, weight: Array
-) -> Array:
-    """(H,) sums over lights and cameras of the squared distance to the nearest spot, up to CAP."""
-    rotations, translations = poses
-    places = leds @ rotations.transpose(0, 2, 1) + translations[:, None]
-    beams, total = normals @ rotations.transpose(0, 2, 1), np.zeros(len(rotations))
-    for k in range(len(rig)):
-        q, beam = places @ rig.rotations[k].T + rig.translations[k], beams @ rig.rotations[k].T
-        front = (q[:, :, 2] > 1e-9) & ((beam * q).sum(axis=2) <= 0.0)
-        at = q[:, :, :2] / np.where(front, q[:, :, 2], 1.0)[:, :, None]
-        square = ((weight[k] * (xy[k] - at[:, :, None])) ** 2).sum(axis=3)
-        nearest = np.fmin(np.fmin.reduce(square, axis=2), CAP)  # NaN: no spot
-        total += np.where(front, nearest, CAP).sum(axis=1)
-    return np.asarray(total)

@@ -1,8 +1,6 @@
-"""Starting poses without a prior: the linear solution, and poses from three lights.
+"""Starting poses without a prior: from three lights.
 
-The paper's tracker cannot find its target again once a sensor was lost; it proposes a linear
-method instead. Here the lights that two or more cameras see are intersected (linear
-least squares), and the rigid body is laid through the points (Kabsch). Further starts are
+The paper's tracker cannot find its target again once a sensor was lost. Here the starts are
 the poses of every three lights in every single camera (P3P): a false light spoils only
 some of them, and they need no second camera. All are judged by the collinearity equations
 of all cameras, the best are refined, and every distinct answer is returned.
@@ -12,13 +10,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
+from rendezview.estimation.hypotheses import choose
 from rendezview.estimation.p3p import MAX_ROOTS, solve_p3p_batch
-from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.pose import Array
 from rendezview.sensors.beacons.pose.collinearity import solve, squares
 from rendezview.sensors.beacons.rig import Rig, Sights
 
@@ -29,6 +27,9 @@ DISTINCT_RAD = np.deg2rad(3.0)  # rad; poses nearer than this are one. Source: b
 # A pose of three lights fits the other lights so many times worse than σ. Source: by hand;
 # stereo-accuracy (0.1) --part recovery finds all
 NOISY_TIMES = 6.0
+# sums of squares closer than this do not distinguish two minima. Source: by construction, odds of
+# e⁷
+_ALIKE = 15.0
 # Squared residual of a light, at which it counts as false: 1 in 3 million by chance.
 CAP = 30.0  # Source: χ² distribution, two degrees of freedom
 
@@ -36,18 +37,11 @@ Retrieval = tuple[Array, Array]  # (N, 3, 3) rotations and (N, 3) translations, 
 _NO: Retrieval = (np.empty((0, 3, 3)), np.empty((0, 3)))  # Source: by construction
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
-    """One answer of the equations: a minimum, with its sum of squares, each light up to CAP."""
+def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[tuple[Array, Array]]:
+    """All distinct poses that the sights allow, rotation and translation, the likeliest first.
 
-    rig_from_target: Pose
-    cost: float
-
-
-def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[Candidate]:
-    """All distinct poses that the sights allow, the likeliest first.
-
-    Empty where no camera sees three lights and no three are visible to two cameras.
+    The starts that fit best are iterated, false lights kept out. Empty where no camera sees three
+    lights.
 
     Args:
         rig: the cameras.
@@ -55,64 +49,28 @@ def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[Ca
         normals: (L, 3) directions of their beams, zeros where not known.
         sights: identified lights.
     """
-    linear = linear_start(rig, leds, sights)
-    whole = [] if linear is None else [linear]
     parts = [three_light_poses(rig, k, leds, sights) for k in range(len(rig))]
-    rotations = np.concatenate(
-        [[pose.rotation for pose in whole] or _NO[0], *(p[0] for p in parts)]
-    )
-    translations = np.concatenate(
-        [[pose.translation_m for pose in whole] or _NO[1], *(p[1] for p in parts)]
-    )
-    refined = refine(rig, leds, normals, sights, (rotations, translations))
-    distinct: list[Candidate] = []
-    for one in sorted(refined, key=lambda candidate: candidate.cost):
-        traces = [
-            np.vdot(one.rig_from_target.rotation, other.rig_from_target.rotation)
-            for other in distinct
-        ]
-        if all(trace < 1.0 + 2.0 * np.cos(DISTINCT_RAD) for trace in traces):
-            distinct.append(one)
-    return distinct
+    rotations, translations = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if not len(rotations):
+        return []
+    own = sights.xy.swapaxes(0, 1)[:, :, None], sights.weight.swapaxes(0, 1)[:, :, None]
+    cost = misfits((rotations, translations), rig, leds, normals, own[0], own[1] / NOISY_TIMES)
+    best = np.argsort(cost, kind="stable")[:_REFINED]
+    rotations = np.ascontiguousarray(rotations[best])
+    translations = np.ascontiguousarray(translations[best])
+    arguments = (leds, normals, rig.rotations, rig.translations, sights.xy)
+    _settle(rotations, translations, *arguments, sights.weight)
+    cost = misfits((rotations, translations), rig, leds, normals, *own)
+    cost[~np.isfinite(rotations.sum(axis=(1, 2)) + translations.sum(axis=1))] = np.inf
 
+    def same(one: int, other: int) -> bool:
+        trace = np.vdot(rotations[one], rotations[other])
+        return bool(trace >= 1.0 + 2.0 * np.cos(DISTINCT_RAD))
 
-def linear_start(rig: Rig, leds: Array, sights: Sights) -> Pose | None:
-    """Intersection of each light's rays, then the rigid body through the points.
-
-    ``None`` where fewer than three lights are visible to two cameras, or all on one line.
-    """
-    points, covered = intersect(rig, sights)
-    if covered.sum() < 3:
-        return None
-    return rigid_body(leds[covered], points[covered])
-
-
-def intersect(rig: Rig, sights: Sights) -> tuple[Array, np.ndarray]:
-    """(L, 3) points of least squared distance from their rays, rig frame, and (L,) which exist.
-
-    Photogrammetric triangulation (intersection), linear; a light needs two cameras.
-    """
-    visible = sights.visible
-    rays = np.concatenate([sights.xy, np.ones((*visible.shape, 1))], axis=2) @ rig.rotations
-    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-    origins = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)
-    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
-    across *= visible[..., None, None]
-    matrix = across.sum(axis=0)
-    vector = np.einsum("kljm,km->lj", across, origins)
-    usable = (visible.sum(axis=0) >= 2) & (np.linalg.det(matrix) > 1e-9)
-    matrix[~usable] = np.eye(3)
-    return np.linalg.solve(matrix, vector[..., None])[..., 0], usable
-
-
-def rigid_body(points_from: Array, points_to: Array) -> Pose | None:
-    """Least-squares pose ``p_to = R p_from + t`` of (N, 3) points (Kabsch); planar ones too."""
-    a, b = points_from - points_from.mean(axis=0), points_to - points_to.mean(axis=0)
-    u, s, vt = np.linalg.svd(b.T @ a)
-    if not s[1] > 1e-9 * s[0]:
-        return None
-    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return Pose(rotation, points_to.mean(axis=0) - rotation @ points_from.mean(axis=0))
+    found = choose(-cost, same, within=_ALIKE, most=len(cost))
+    if found is None or not np.isfinite(cost[found.best]):
+        return []
+    return [(rotations[k], translations[k]) for k in found.answers]
 
 
 def three_light_poses(rig: Rig, camera: int, leds: Array, sights: Sights) -> Retrieval:
@@ -147,49 +105,24 @@ def p3p(rig: Rig, camera: int, problems: Iterable[tuple[Array, Array]]) -> Retri
     return rotation @ rotations[found], (translations[found] - translation) @ rotation.T
 
 
-def refine(
-    rig: Rig, leds: Array, normals: Array, sights: Sights, starts: Retrieval
-) -> list[Candidate]:
-    """The starts that fit best, each iterated to its minimum, false lights kept out."""
-    rotations, translations = starts
-    if not len(rotations):
-        return []
-    arguments = (leds, normals, rig.rotations, rig.translations, sights.xy)
-    rough = np.empty(len(rotations))
-    _capped(rotations, translations, *arguments, sights.weight / NOISY_TIMES, CAP, rough)
-    best = np.argsort(rough, kind="stable")[:_REFINED]
-    rotations = np.ascontiguousarray(rotations[best])
-    translations = np.ascontiguousarray(translations[best])
-    cost = np.empty(len(best))
-    _settle(rotations, translations, *arguments, sights.weight)
-    _capped(rotations, translations, *arguments, sights.weight, CAP, cost)
-    return [
-        Candidate(Pose(rotation, translation), float(value))
-        for rotation, translation, value in zip(rotations, translations, cost, strict=True)
-        if np.isfinite(rotation).all() and np.isfinite(translation).all()
-    ]
+def misfits(
+    poses: Retrieval, rig: Rig, leds: Array, normals: Array, xy: Array, weight: Array
+) -> Array:
+    """(H,) sums over lights and cameras of the squared distance to the nearest spot, up to CAP.
 
-
-@njit(cache=True, nogil=True)
-def _capped(
-    rotations: Array,
-    translations: Array,
-    leds: Array,
-    normals: Array,
-    cr: Array,
-    ct: Array,
-    xy: Array,
-    weight: Array,
-    cap: float,
-    out: Array,
-) -> None:
-    each = np.empty(weight.shape[:2])
-    for i in range(rotations.shape[0]):
-        squares(rotations[i], translations[i], leds, normals, cr, ct, xy, weight, each)
-        out[i] = 0.0
-        for k in range(weight.shape[0]):
-            for j in range(weight.shape[1]):
-                out[i] += min(each[k, j], cap)
+    ``xy``, 1/σ: (C, S, 2) spots of any light, NaN where there is none, or (L, C, 1, 2) each light's
+    own, of weight 0 where it is not visible.
+    """
+    rotations, translations = poses
+    turn = rotations.transpose(0, 2, 1)
+    q = np.tensordot(leds @ turn + translations[:, None], rig.rotations, (2, 2)) + rig.translations
+    beam = np.tensordot(normals @ turn, rig.rotations, (2, 2))  # (H, L, C, 3), as q
+    front = (q[..., 2] > 1e-9) & ((beam * q).sum(axis=3) <= 0.0)
+    at = q[..., :2] / np.where(front, q[..., 2], 1.0)[..., None]
+    square = ((weight * (xy - at[..., None, :])) ** 2).sum(axis=4)
+    nearest = np.fmin(np.fmin.reduce(square, axis=3), CAP)  # NaN: no spot
+    hidden = (weight == 0.0).all(axis=(-2, -1))
+    return np.asarray(np.where(front | hidden, nearest, CAP).sum(axis=(1, 2)))
 
 
 @njit(cache=True, nogil=True)

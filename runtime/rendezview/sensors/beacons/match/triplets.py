@@ -145,8 +145,6 @@ def search(
         directions, flat, sizes, peaks, order, base_m, diameters_m, focal_px, blur_px,
         size_tolerance, blur_tolerance, foreshortened,
     )  # fmt: skip
-    widest_px = math.hypot(along, over) * shortest * focal_px
-    firsts, members, left, top, columns, rows = _grid(at, widest_px)
     found: int = np.int64(0)  # type: ignore[assignment]  # a 0 would be a type of its own for callees
     for i in range(count):
         least, most = max(low[i], shortest), min(high[i], longest)
@@ -169,8 +167,7 @@ def search(
                 continue
             found = _centres(
                 i, j, math.sqrt(square), ray, at, log_size, log_peak, low, high, order, glass,
-                (along, over, left, top, alike, peak_tolerance, longest_side), columns, rows,
-                firsts, members, both_ways, found, out,
+                (along, over, alike, peak_tolerance, longest_side), both_ways, found, out,
             )  # fmt: skip
             if found < 0:
                 return -1
@@ -214,11 +211,10 @@ def _by_column(
 def _centres(
     i: int, j: int, chord: float, ray: Array, at: Array, log_size: Array, log_peak: Array,
     low: Array, high: Array, order: Ints, glass: Array,
-    limits: tuple[float, float, float, float, float, float, float], columns: tuple[float, float],
-    rows: tuple[float, float], firsts: Ints, members: Ints, both_ways: bool, found: int, out: Ints,
+    limits: tuple[float, float, float, float, float], both_ways: bool, found: int, out: Ints,
 ) -> int:  # fmt: skip
     """Write the triplets of the base i, j; the number found so far, −1 where ``out`` is full."""
-    along, over, left, top, alike, peak_tolerance, longest_side = limits
+    along, over, alike, peak_tolerance, longest_side = limits
     square = chord * chord
     dx, dy, dz = ray[j, 0] - ray[i, 0], ray[j, 1] - ray[i, 1], ray[j, 2] - ray[i, 2]
     mx, my, mz = (
@@ -236,38 +232,39 @@ def _centres(
     middle_x, middle_y = 0.5 * (at[i, 0] + at[j, 0]), 0.5 * (at[i, 1] + at[j, 1])
     # The box of the hourglass, turned with the base.
     wide, tall = along * abs(bx) + over * abs(by), along * abs(by) + over * abs(bx)
-    c0 = max(int((middle_x - wide - left) * columns[1]), 0)
-    c1 = min(int((middle_x + wide - left) * columns[1]), int(columns[0]) - 1)
-    r0 = max(int((middle_y - tall - top) * rows[1]), 0)
-    r1 = min(int((middle_y + tall - top) * rows[1]), int(rows[0]) - 1)
-    for r in range(r0, r1 + 1):
-        # Cells of a row lie behind one another.
-        line = r * int(columns[0])
-        for n in range(firsts[line + c0], firsts[line + c1 + 1]):
-            k = members[n]
-            if (abs(log_size[k] - size) > alike) | (chord < 0.9 * low[k]):
-                continue
-            ex, ey, ez = ray[k, 0] - mx, ray[k, 1] - my, ray[k, 2] - mz
-            x = ex * dx + ey * dy + ez * dz
-            y = ex * cx + ey * cy + ez * cz
-            inside, turned = _within(glass, x, y), _within(glass, -x, -y) & both_ways
-            if not (
-                (inside | turned)
-                & ((abs(x) + 0.5) ** 2 + y * y <= longest_side)  # the base is the longest
-                & (abs(log_peak[k] - peak) <= 0.5 * peak_tolerance)
-                & (chord <= 1.1 * high[k])
-                & (k != i)
-                & (k != j)
-            ):
-                continue
-            if found + inside + turned > out.shape[0]:
-                return -1
-            if inside:
-                out[found, 0], out[found, 1], out[found, 2] = order[i], order[k], order[j]
-                found += 1
-            if turned:
-                out[found, 0], out[found, 1], out[found, 2] = order[j], order[k], order[i]
-                found += 1
+    first = i  # spots rise with x
+    while first > 0 and at[first - 1, 0] >= middle_x - wide:
+        first -= 1
+    for k in range(first, at.shape[0]):
+        if at[k, 0] > middle_x + wide:
+            break
+        if (
+            (abs(at[k, 1] - middle_y) > tall)
+            | (abs(log_size[k] - size) > alike)
+            | (chord < 0.9 * low[k])
+        ):
+            continue
+        ex, ey, ez = ray[k, 0] - mx, ray[k, 1] - my, ray[k, 2] - mz
+        x = ex * dx + ey * dy + ez * dz
+        y = ex * cx + ey * cy + ez * cz
+        inside, turned = _within(glass, x, y), _within(glass, -x, -y) & both_ways
+        if not (
+            (inside | turned)
+            & ((abs(x) + 0.5) ** 2 + y * y <= longest_side)  # the base is the longest
+            & (abs(log_peak[k] - peak) <= 0.5 * peak_tolerance)
+            & (chord <= 1.1 * high[k])
+            & (k != i)
+            & (k != j)
+        ):
+            continue
+        if found + inside + turned > out.shape[0]:
+            return -1
+        if inside:
+            out[found, 0], out[found, 1], out[found, 2] = order[i], order[k], order[j]
+            found += 1
+        if turned:
+            out[found, 0], out[found, 1], out[found, 2] = order[j], order[k], order[i]
+            found += 1
     return found
 
 
@@ -285,35 +282,6 @@ def _unlikeness(diameters_m: Array) -> float:
     """ln of the largest over the least."""
     most, least = _extremes(diameters_m)
     return math.log(most / least)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _grid(
-    at: Array, least: float
-) -> tuple[Ints, Ints, float, float, tuple[float, float], tuple[float, float]]:
-    """Spots (N, 2) sorted into square cells, row by row: where each cell begins, and its spots.
-
-    Then left and top edge, and (number, cells a pixel) of columns and of rows.
-    """
-    count = at.shape[0]
-    left, right, top, bottom = at[0, 0], at[count - 1, 0], at[0, 1], at[0, 1]
-    for i in range(count):
-        top, bottom = min(top, at[i, 1]), max(bottom, at[i, 1])
-    # About one spot a cell, and none narrower than the smallest circle looked into.
-    cell = max(math.sqrt((right - left + 1.0) * (bottom - top + 1.0) / count), 0.5 * least, 1.0)
-    cell = max(cell, (right - left) / 64.0, (bottom - top) / 64.0)
-    wide, high = int((right - left) / cell) + 1, int((bottom - top) / cell) + 1
-    firsts, members = np.zeros(wide * high + 2, np.int64), np.empty(count, np.int64)
-    for i in range(count):
-        c, r = int((at[i, 0] - left) / cell), int((at[i, 1] - top) / cell)
-        firsts[r * wide + c + 2] += 1
-    for n in range(2, wide * high + 2):
-        firsts[n] += firsts[n - 1]
-    for i in range(count):
-        c, r = int((at[i, 0] - left) / cell), int((at[i, 1] - top) / cell)
-        members[firsts[r * wide + c + 1]] = i
-        firsts[r * wide + c + 1] += 1
-    return firsts, members, left, top, (float(wide), 1.0 / cell), (float(high), 1.0 / cell)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

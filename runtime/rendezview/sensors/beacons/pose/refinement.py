@@ -26,7 +26,7 @@ from rendezview.sensors.beacons.detect.discs import (
     LAW,
     camera_doubts,
     camera_numbers,
-    project_disc,
+    project_all,
     turned,
 )
 from rendezview.sensors.beacons.detect.spot_columns import COLUMNS, COVER, SATURATED, SIGMA, X, Y
@@ -81,53 +81,50 @@ class Refined:
         return np.asarray(self.shares[COVERED])
 
 
-def refine(
-    camera: Camera,
-    pattern: ReflectorPattern,
-    spots_px: npt.ArrayLike,
-    reflectors: npt.ArrayLike,
-    start: Pose,
-    sigma_px: npt.ArrayLike = 0.02,
-    blur_px: float = BLUR_PX,
-    *,
-    saturated: bool = False,
-) -> Refined | None:
-    """The pose that fits spots (K, 2) of the reflectors numbered ``reflectors`` (K,), K ≥ 3.
+class SpotFit:
+    """Least squares of one constellation's pose on spots of one camera.
 
-    Args:
-        camera: with its distortion.
-        pattern: the reflectors.
-        spots_px: centroids.
-        reflectors: which reflector each spot is.
-        start: a pose near the answer.
-        sigma_px: error of the centroids, one or (K,), one standard deviation.
-        blur_px: σ of the optics and a pixel's width together.
-        saturated: whether all spots are: their places are those of rims.
-
-    Returns:
-        None where the spots do not determine a pose near ``start``.
-
-    Raises:
-        ValueError: fewer than three spots, or wrong shapes.
+    ``floor_px``: error of a centroid beside the noise.
     """
-    spots = np.ascontiguousarray(spots_px, dtype=np.float64)
-    which = np.ascontiguousarray(reflectors, dtype=np.int64)
-    if spots.ndim != 2 or spots.shape[1] != 2 or which.shape != (len(spots),) or len(spots) < 3:
-        raise ValueError(
-            f"spots_px must be (K, 2) and reflectors (K,) with K of three or more, "
-            f"not {spots.shape} and {which.shape}"
-        )
-    table = np.zeros((len(pattern), COLUMNS))
-    table[which[:, None], [X, Y]] = spots
-    table[which, SIGMA], table[which, SATURATED] = sigma_px, 2.0 * saturated
-    shares, residuals = np.empty((len(CAUSES), 6, 6)), np.empty((len(spots), 2))
-    rotation, translation, centre = np.array(start.rotation), np.empty(3), pattern.centre_m
-    iterations = solve_spots(
-        camera_numbers(camera, blur_px), camera_doubts(camera), pattern.positions_m - centre,
-        pattern.normals, pattern.discs, centre, table, which, 0.0,
-        rotation, np.array(start.translation_m), translation, shares, residuals,
-    )  # fmt: skip
-    return None if iterations < 0 else Refined(Pose(rotation, translation), shares, residuals)
+
+    def __init__(
+        self, camera: Camera, pattern: ReflectorPattern, blur_px: float = BLUR_PX,
+        floor_px: float = 0.0,
+    ) -> None:  # fmt: skip
+        centre = pattern.centre_m
+        self._lens, self._floor_px = camera_numbers(camera, blur_px), floor_px
+        self._given = (
+            camera_doubts(camera), pattern.positions_m - centre, pattern.normals, pattern.discs,
+            centre,
+        )  # fmt: skip
+
+    def solve(self, start: Pose, table: Array, seen: Ints) -> Refined | None:
+        """The pose near ``start`` that fits the rows ``seen`` of a spot table; None: there is none.
+
+        ``table`` (N, COLUMNS): a row each reflector.
+        """
+        rotation, translation = np.array(start.rotation), np.empty(3)
+        shares, residuals = np.empty((len(CAUSES), 6, 6)), np.empty((len(seen), 2))
+        iterations = solve_spots(
+            self._lens, *self._given, table, seen, self._floor_px,
+            rotation, np.array(start.translation_m), translation, shares, residuals,
+        )  # fmt: skip
+        if iterations < 0:
+            return None
+        return Refined(Pose.unchecked(rotation, translation), shares, residuals)
+
+    def fit(
+        self, spots_px: Array, which: Ints, start: Pose, sigma_px: npt.ArrayLike, *,
+        saturated: bool = False,
+    ) -> Refined | None:  # fmt: skip
+        """The same of spots (K, 2) of the reflectors ``which`` (K,).
+
+        ``sigma_px``: one or (K,). ``saturated``: all spots are: their places are those of rims.
+        """
+        table = np.zeros((len(self._given[1]), COLUMNS))
+        table[which[:, None], [X, Y]] = spots_px
+        table[which, SIGMA], table[which, SATURATED] = sigma_px, 2.0 * saturated
+        return self.solve(start, table, which)
 
 
 def loose_px(pattern: ReflectorPattern, refined: Refined, which: Ints, focal_px: float) -> Array:
@@ -361,12 +358,9 @@ def _cost(
     rotation: Array, shift: Array, residuals: Array,
 ) -> float:  # fmt: skip
     total = 0.0
+    project_all(lens, arms, normals, diameters, rotation, shift, residuals)
     for i in range(arms.shape[0]):
-        px, py, pz = turned(rotation, arms, i)
-        nx, ny, nz = turned(rotation, normals, i)
-        u, v = project_disc(
-            lens, px + shift[0], py + shift[1], pz + shift[2], nx, ny, nz, 0.5 * diameters[i]
-        )
-        residuals[i, 0], residuals[i, 1] = spots[i, 0] - u, spots[i, 1] - v
+        for k in range(2):
+            residuals[i, k] = spots[i, k] - residuals[i, k]
         total += (residuals[i, 0] ** 2 + residuals[i, 1] ** 2) / (sigma[i] * sigma[i])
     return total if math.isfinite(total) else np.inf
