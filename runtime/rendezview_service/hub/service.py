@@ -145,8 +145,10 @@ class Service:
         start_s = time.monotonic()
         model = self.given or await asyncio.to_thread(self.models.first_readable)
         viewers = asyncio.to_thread(self._viewers.start)
-        workers = self.workers.start(self.settings.workers or os.cpu_count() or 1, model)
+        workers = self.workers.start(self.settings.workers or os.cpu_count() or 1)
         await asyncio.gather(viewers, workers)
+        if model is not None:
+            await self.workers.read(model)
         if self._alone and self.settings.state_folder is not None:
             await self._go_on(self.settings.state_folder)
         for number, source in enumerate(self._sources):
@@ -239,7 +241,6 @@ class Service:
         stored = stored or self.model_named(request.model)
         self._opening.add(name)
         try:
-            await self.workers.warmed(stored)
             request = await asyncio.to_thread(self.defaults.filled, request, name, stored)
             if request.sensors is not None:  # one that is known already waits as long as it takes
                 known = source is not None or resumed is not None

@@ -52,6 +52,11 @@ def prepare_request(sights: list[Header]) -> Header:
     return {"kind": "prepare", "session": "", "sights": sights}
 
 
-def warm_request(model: StoredModel, *, sensors: bool) -> Header:
-    """Read a model, and compile the loops that it needs; and those of sessions' own sensors."""
-    return {"kind": "warm", "session": "", "model_path": str(model.copy), "sensors": sensors}
+def read_request(model: StoredModel) -> Header:
+    """Read a model, before a session uses it."""
+    return {"kind": "read", "session": "", "model_path": str(model.copy)}
+
+
+def warm_request(*, sensors: bool) -> Header:
+    """Load the loops of trackers, or compile them; and those of sessions' own sensors."""
+    return {"kind": "warm", "session": "", "sensors": sensors}

@@ -336,39 +336,3 @@ def _listed(matrix: Array | None) -> Json | None:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def warm_up() -> None:
-    """Compile the filter's loops, or read them from their cache: one line of each kind."""
-    ring = {"centre_m": [0.0, 0.0, 0.5], "axis": [0.0, 0.0, 1.0], "radius_m": 0.5}
-    asked = {"ring": ring, "options": {"ring_radius_sigma": 1e-3}}
-    wall = BeamMesh(
-        np.array([[-9.0, -9.0, 0.5], [9.0, -9.0, 0.5], [0.0, 9.0, 0.5]]), np.array([[0, 1, 2]])
-    )
-    filter_ = SessionFilter(FusionRequest.model_validate(asked), mesh=wall)
-    seen = {
-        "centre_m": [0.0, 0.0, 10.5],
-        "axis": [0.0, 0.0, 1.0],
-        "covariance": (1e-4 * np.eye(5)).tolist(),
-    }
-    tilted = seen | {"axis": [0.0, 0.1, math.sqrt(0.99)]}
-    pose = {"quat_wxyz": [1.0, 0.0, 0.0, 0.0], "translation_m": [0.0, 0.0, 10.0]}
-    lines: Sequence[tuple[str, Json]] = [
-        ("pose", {"pose": pose, "covariance": (1e-4 * np.eye(6)).tolist()}),
-        ("ring", {"ellipses": [], "poses": [seen, tilted]}),
-        ("ring", {"ellipses": [], "poses": [seen]}),
-        ("range", {"range_m": 10.5, "sigma_m": 0.02}),
-    ]
-    start = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
-    for k in range(3):
-        for sensor, record in lines:
-            timed = record | {"time_s": float(k)}
-            kind = kind_of(timed, sensor)
-            filter_.take(sensor, read_line(timed, kind, sensor, filter_._context, sensor))
-        filter_.track(
-            Observation(
-                Status.OK, time_s=k + 0.5, pose=start, covariance=0.1 ** (4 + k) * np.eye(6)
-            )
-        )
-    far = {"time_s": 2.9, "range_m": 30.0, "sigma_m": 0.02}
-    filter_.take("range", read_line(far, "range", "range", filter_._context, "range"))

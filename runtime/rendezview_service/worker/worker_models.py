@@ -12,7 +12,7 @@ from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview_service.messages.messages import CameraMessage
 from rendezview_service.messages.wire import Header
 from rendezview_service.tracker.tracking import camera_of
-from rendezview_service.tracker.warming import warm_up, warm_up_sensors
+from rendezview_service.tracker.warming import LOOPS, SENSOR_LOOPS, warm_up
 
 _SPARE_MODELS = 2  # that stay in memory without a session. Source: chosen
 
@@ -47,27 +47,27 @@ class WorkerModels:
         """
         self.compiled = 0  # number of loops; see `warm_up`
         self._tell = tell
+        self._loaded: set[tuple[str, ...]] = set()  # groups of loops
         self._models: dict[Path, ViewModel] = {}
         self._recognizers: dict[Sight, Recognizer] = {}
         self._prepared: list[Sight] = []
-        self._reads_sensors = False  # their loops are compiled
+
+    def load_loops(self, *, sensors: bool) -> None:
+        """Load the loops of trackers, or compile them, once; and those of sessions' own sensors."""
+        for groups in (LOOPS, SENSOR_LOOPS) if sensors else (LOOPS,):
+            if groups not in self._loaded:
+                self._loaded.add(groups)
+                self.compiled += warm_up(groups, self._tell)
 
     def model(self, path: Path) -> ViewModel:
-        """A model, read once, with its loops compiled; the file is named by its content."""
+        """A model, read once; the file is named by its content."""
         if path not in self._models:
             used = {sight.model for sight in self._recognizers}
             for other in [p for p in self._models if p not in used][:-_SPARE_MODELS]:
                 del self._models[other]
             self._models[path] = ViewModel.load(path)
-            self.compiled += warm_up(self._models[path], self._tell)
             _give_back()
         return self._models[path]
-
-    def warm_sensors(self) -> None:
-        """Compile the loops of the sensors of a session, or read them, once."""
-        if not self._reads_sensors:
-            self._reads_sensors = True
-            self.compiled += warm_up_sensors(self._tell)
 
     def recognizer(self, sight: Sight) -> Recognizer:
         """The recognizer of a model and a camera."""

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +16,7 @@ import numpy as np
 
 import rendezview as rv
 from experiments.frame import ROOT, mesh_of
+from experiments.startup import session
 from experiments.startup.recorded import recorded
 from experiments.stereo.accuracy import leds_of, spots_of
 from rendezview.calibration.laboratory import calibrate_laboratory
@@ -34,7 +34,6 @@ from rendezview_ground.simulate.ranger import Ranger, write_echoes
 from rendezview_ground.simulate.reflector_scene import simulate_reflectors, without_mesh
 from rendezview_ground.simulate.scene import SceneOptions
 from rendezview_ground.simulate.trajectories import TrajectoryOptions, trajectory
-from rendezview_service.tracker.warming import warm_up, warm_up_sensors
 
 # Few nodes, but views enough that lists of shown faces are made. Source: by construction
 _SMALL = rv.TrainingOptions(order=1, perturbed_views=6000, held_out_views=100, contour_radii=(1.0,))
@@ -148,8 +147,8 @@ def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
 GROUPS: dict[str, Callable[[Path, Path], list[dict[str, Any]]]] = {
     "train": train, "track": track, "hard": hard, "demo": demo, "reflectors": reflectors,
     "stereo": stereo,
-    "filter": lambda model, _: recorded(partial(warm_up, rv.ViewModel.load(model))),
-    "sensors": lambda *_: recorded(warm_up_sensors),
+    "filter": lambda *_: recorded(session.fuse),
+    "sensors": lambda *_: recorded(session.sense),
 }  # fmt: skip
 
 
