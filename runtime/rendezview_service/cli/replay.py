@@ -44,7 +44,7 @@ def replay(
     with optional("`rendezview replay` needs", "service", ", which is not installed"):
         from rendezview_service.logs import log_repair
         from rendezview_service.logs.replay import model_of, read_log, repeat
-        from rendezview_service.tracker.warming import LOOPS, SENSOR_LOOPS, warm_up
+        from rendezview_service.worker.worker_models import LOOPS, SENSOR_LOOPS, warm_up
     console = Console(stderr=True)
 
     def say(text: str) -> None:

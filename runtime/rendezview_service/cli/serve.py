@@ -135,7 +135,7 @@ def serve(
         from rendezview_service.json_logging import set_up_logging
         from rendezview_service.server import run
         from rendezview_service.settings import load_settings
-        from rendezview_service.tracker.warming import LOOPS, SENSOR_LOOPS
+        from rendezview_service.worker.worker_models import LOOPS, SENSOR_LOOPS
     flags = {_SETTINGS.get(flag, flag): value for flag, value in given.items() if flag not in _OWN}
     loaded = load_settings(settings, flags)
     if check:

@@ -21,7 +21,7 @@ from rendezview_service.hub.checkpoint import checkpoint_path, read_checkpoint
 from rendezview_service.hub.model_store import BY_HASH
 from rendezview_service.hub.model_store import SUFFIX as RVM
 from rendezview_service.hub.service import Service
-from rendezview_service.hub.worker_requests import sight_of
+from rendezview_service.hub.worker_handle import sight_of
 from rendezview_service.json_logging import set_up_logging
 from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.settings import Settings

@@ -27,8 +27,8 @@ from rendezview.errors import RendezviewError
 from rendezview.io.files import checked, read_toml
 from rendezview_service.http.budgets import Bodies, Body, Budget, Share, Socket
 from rendezview_service.http.connections import ABORT
+from rendezview_service.hub.inputs import TokenBucket
 from rendezview_service.hub.metrics import Metrics
-from rendezview_service.hub.rate_limit import TokenBucket
 from rendezview_service.messages.message_parts import Fault
 from rendezview_service.settings import LOOPBACK, Settings
 

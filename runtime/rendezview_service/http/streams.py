@@ -198,7 +198,6 @@ async def watch(
     watcher = Watcher(rate_hz, width if image else 0, contour, silhouette)
     session.watchers.add(watcher)
     service.watchers += 1
-    service.metrics.watchers.set(service.watchers)
     listener = asyncio.create_task(_until_gone(socket))
     shower = asyncio.create_task(_show(socket, watcher))
     try:
@@ -206,7 +205,6 @@ async def watch(
     finally:
         session.watchers.discard(watcher)
         service.watchers -= 1
-        service.metrics.watchers.set(service.watchers)
         for task in (listener, shower):
             task.cancel()
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):

@@ -19,7 +19,7 @@ from pydantic import PrivateAttr
 
 from rendezview.errors import RendezviewError
 from rendezview_service.hub.model_store import ModelStore
-from rendezview_service.hub.temporary import TemporaryFolder
+from rendezview_service.logs.log_lock import TemporaryFolder
 from rendezview_service.messages.model_messages import JobInfo, JobState
 
 log = logging.getLogger("rendezview_service")

@@ -26,7 +26,7 @@ from rendezview.geometry.pose import Array
 from rendezview.io.files import atomic_write, make_folder, write_error
 from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance import ViewModel
-from rendezview_service.hub.temporary import TemporaryFolder
+from rendezview_service.logs.log_lock import TemporaryFolder
 from rendezview_service.messages.model_messages import ModelInfo
 from rendezview_service.tracker.model_geometry import geometry
 

@@ -9,7 +9,6 @@ import os
 import secrets
 import time
 from collections.abc import Callable, Coroutine
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -37,12 +36,12 @@ from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.source_process import open_apart
 from rendezview_service.hub.sources import Source
 from rendezview_service.hub.viewers import Viewers
-from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle
+from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle, open_request
 from rendezview_service.hub.worker_pool import WorkerPool
-from rendezview_service.hub.worker_requests import open_request
 from rendezview_service.logs.log_folder import keep_logs
 from rendezview_service.logs.recordings import Recordings
-from rendezview_service.messages.messages import Health, SessionRequest
+from rendezview_service.messages.message_parts import BudgetUse, Health
+from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import camera_message
 
@@ -84,8 +83,9 @@ class Service:
         self.ended: dict[str, str] = {}  # why the last ones ended, by id
         self.resuming: set[str | None] = set()  # of an earlier run, that will go on
         self.watchers, self.stopping = 0, False
+        self.metrics.sessions.set_function(lambda: len(self.sessions))
+        self.metrics.watchers.set_function(lambda: self.watchers)
         self.started_s = time.monotonic()
-        self.version = metadata.version("rendezview")
         self._sources: list[Source] = []
         self._alone = not shares_models
         try:
@@ -110,7 +110,8 @@ class Service:
         self.workers = WorkerPool(settings, self.metrics, self._reopen)
         self._feeders: dict[str, Feeder] = {}
         self._opening: set[str] = set()
-        self.budgets = budgets_of(self)
+        self.budgets = budgets_of(self.sessions, self.histories, settings)
+        self.budgets["watchers"] = lambda: BudgetUse(used=self.watchers, most=settings.watchers)
         self._ending: dict[str, CheckpointKeeper] = {}  # of sessions that have ended
         self.once: Once[str] = Once(_REMEMBERED)  # ids of what requests have begun
         self._tasks: set[asyncio.Task[None]] = set()
@@ -207,7 +208,8 @@ class Service:
         reasons = self.workers.troubles
         if self._begun is not None and not self._begun.done():
             reasons = [f"starting: {self.workers.progress}"]
-        return health_of(self, reasons)
+        known = self.sessions, self.budgets, reasons
+        return health_of(*known, self.started_s, self.stopping)
 
     # Sessions
 
@@ -269,7 +271,6 @@ class Service:
             if keeper.reason is not None and resumed is None:
                 await self.close(session, "it has no checkpoint")
                 raise RendezviewError(f"session {name} cannot be opened: {keeper.reason}")
-        self.metrics.sessions.set(len(self.sessions))
         self._spawn(self.workers.prepare(list(self.sessions.values())))
         if self._viewers.any:
             self._spawn(self._viewers.follow(session))
@@ -294,7 +295,6 @@ class Service:
             self._ending[session.id] = keeper
         session.worker = None
         session.end(reason, 503 if goes_on and keeper is not None else 410)
-        self.metrics.sessions.set(len(self.sessions))
         if worker is not None:
             worker.forget(session)
             with contextlib.suppress(WorkerGone, TimeoutError):

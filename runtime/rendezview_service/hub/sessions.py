@@ -10,17 +10,15 @@ from functools import partial
 from pydantic_core import to_json
 
 from rendezview_service.hub import inputs
-from rendezview_service.hub.attached_flight import AttachedFlight
 from rendezview_service.hub.checkpoint import Checkpoint, CheckpointKeeper
 from rendezview_service.hub.clock import SessionClock
 from rendezview_service.hub.history import Histories, Past
-from rendezview_service.hub.inputs import Answer, InputQueue, SessionInput
+from rendezview_service.hub.inputs import Answer, InputQueue, SessionInput, TokenBucket
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.hub.once import Once
 from rendezview_service.hub.progress import Progress
-from rendezview_service.hub.rate_limit import TokenBucket
-from rendezview_service.hub.session_events import SessionEvents
+from rendezview_service.hub.session_events import AttachedFlight, SessionEvents
 from rendezview_service.hub.session_log import SessionLog
 from rendezview_service.hub.watching import Watchers
 from rendezview_service.messages.approach_messages import Level

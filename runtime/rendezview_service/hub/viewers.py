@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from rendezview.errors import RendezviewError
+from rendezview_service.hub.health import info_of
 from rendezview_service.hub.rerun_readings import ReadingsRecorder, transform
 from rendezview_service.hub.ros_viewer import RosViewer
-from rendezview_service.hub.session_info import info_of
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
 from rendezview_service.messages.messages import SessionInfo

@@ -13,8 +13,9 @@ from rendezview_service.hub.inputs import NotReady
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.hub.sessions import Session
-from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle
-from rendezview_service.hub.worker_requests import (
+from rendezview_service.hub.worker_handle import (
+    WorkerGone,
+    WorkerHandle,
     prepare_request,
     read_request,
     sight_of,

@@ -1,4 +1,4 @@
-"""The models of a worker process, and what is made of them for a camera."""
+"""The compiled loops and the models of a worker process, and what is made of these for a camera."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import NamedTuple
 
+from numba.core.event import Event, Listener, install_listener
+
+from rendezview.cli.compiling import load_ahead
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview_service.messages.messages import CameraMessage
 from rendezview_service.messages.wire import Header
 from rendezview_service.tracker.tracking import camera_of
-from rendezview_service.tracker.warming import LOOPS, SENSOR_LOOPS, warm_up
 
 _SPARE_MODELS = 2  # that stay in memory without a session. Source: chosen
+LOOPS, SENSOR_LOOPS = ("track", "hard", "filter"), ("sensors",)  # groups, as `load_ahead` has them
 
 
 class Sight(NamedTuple):
@@ -99,3 +102,34 @@ def _give_back() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # absent without glibc
     if trim is not None:
         trim(0)
+
+
+class _Counted(Listener):
+    """Counts the loops that are compiled."""
+
+    def __init__(self, tell: Callable[[int], None]) -> None:
+        self.count = 0
+        self._tell = tell
+
+    def on_start(self, event: Event) -> None:
+        """A loop is being compiled."""
+
+    def on_end(self, event: Event) -> None:
+        """A loop is compiled."""
+        self.count += 1
+        self._tell(self.count)
+
+
+def warm_up(groups: tuple[str, ...], tell: Callable[[int], None] = lambda count: None) -> int:
+    """Load groups of loops from the cache; the number of those that it lacked and were compiled.
+
+    Fresh loops may round differently from those of the cache: restart a process that had to
+    compile before you record its poses.
+
+    Args:
+        tell: receives the number of loops compiled so far, after each.
+    """
+    counted = _Counted(tell)
+    with install_listener("numba:compile", counted):
+        load_ahead(*groups)
+    return counted.count
