@@ -75,7 +75,7 @@ class Service:
             speed: of sources that are files, as a multiple of their own rate; 0: no pauses.
 
         Raises:
-            RendezviewError: a model, camera or source is missing or wrong.
+            RendezviewError: a model, camera, source or folder is missing or wrong.
         """
         self.settings = settings
         self.metrics = Metrics()
@@ -88,6 +88,12 @@ class Service:
         self.started_s = time.monotonic()
         self._sources: list[Source] = []
         self._alone = not shares_models
+        logs = settings.record_folder
+        if logs is not None and logs == settings.record:
+            make_folder(logs)
+        elif logs is not None and not logs.is_dir():
+            reason = "its folder does not exist: create it first"
+            raise RendezviewError(f"{settings.record}: {reason}")
         try:
             state, folder = settings.state_folder if self._alone else None, settings.models_folder
             self._state_lock = None if state is None else lock_state(state)
@@ -103,7 +109,7 @@ class Service:
             for source in self._sources:
                 source.close()
             raise
-        self.recordings = Recordings(settings.record_folder)
+        self.recordings = Recordings(logs)
         self._viewers, self.histories = Viewers(settings), Histories(settings.history_bytes)
         self._speed = speed
         self.jobs = Jobs(self.models, settings.jobs, settings.job_s, settings.job_bytes)
@@ -126,17 +132,9 @@ class Service:
         """Begin to start workers and sources, and to repair logs of an earlier run.
 
         It returns at once; `health` has the progress. If the start fails, `failure` says why.
-
-        Raises:
-            RendezviewError: logs cannot be written to their folder.
         """
         folder = self.settings.record_folder
         if folder is not None:
-            if folder == self.settings.record:
-                make_folder(folder)
-            elif not folder.is_dir():
-                reason = "its folder does not exist: create it first"
-                raise RendezviewError(f"{self.settings.record}: {reason}")
             self._spawn(keep_logs(folder, self.settings.logs_bytes, self.settings.logs_s))
         self._begun = asyncio.create_task(self._begin())
         self._begun.add_done_callback(self._begin_done)
