@@ -208,6 +208,11 @@ class Guard:
         scope["state"]["caller"] = name
         if right is Right.NONE and not _is_open(scope):
             return 401, "a token is needed: send it as `Authorization: Bearer TOKEN`"
+        if scope["type"] == "http":
+            most, _ = _longest_body(scope, self._settings)
+            declared = headers.get("content-length", "0")
+            if not declared.isdecimal() or int(declared) > most:
+                return 413, f"the body is too long: send at most {most} bytes"
         return None
 
     def _caller(self, scope: Scope, headers: Headers) -> tuple[str, Right]:

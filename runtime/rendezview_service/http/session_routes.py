@@ -21,7 +21,6 @@ from rendezview_service.http.answers import (
     Tracked,
     answered,
     body_in_docs,
-    body_of,
     download,
     frame_region,
     frame_time,
@@ -150,9 +149,7 @@ async def post_measurements(
     """Give the session's filter lines of another sensor's log: as `ring`, `reflectors`,
     `stereo track` and `track` write them, or of a ranger (`range_m`, `sigma_m`)."""
     sensor_name(sensor)
-    settings = service_of(request).settings
-    content = await body_of(request, min(settings.measurement_bytes, settings.frame_bytes))
-    return answered(await measure(session, sensor, content, key_of(request)))
+    return answered(await measure(session, sensor, await request.body(), key_of(request)))
 
 
 @router.get(

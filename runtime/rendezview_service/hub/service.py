@@ -312,10 +312,6 @@ class Service:
             self.models.prune({session.stored.sha256 for session in self.sessions.values()})
             self._spawn(self.workers.prepare(list(self.sessions.values())))
 
-    def uses(self, stored: StoredModel) -> bool:
-        """Whether a session uses a model."""
-        return any(session.stored is stored for session in self.sessions.values())
-
     def model_named(self, name: str | None) -> StoredModel:
         """A model; None: the only one.
 
