@@ -234,15 +234,13 @@ async def _until_gone(socket: WebSocket) -> None:
 
 
 async def _accepted(socket: WebSocket, name: str, right: Right) -> Session | None:
+    # Accept first: a browser gives its page no reason for a refused handshake.
     offered = socket.scope.get("subprotocols", [])
+    await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
     try:
         needs(socket, right)
-        session = session_of(socket, name)
+        return session_of(socket, name)
     except (HTTPException, NotReady) as error:
-        # Accept first: a browser gives its page no reason for a refused handshake.
-        await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
         code = _SOON if isinstance(error, NotReady) else _REFUSED
         await socket.close(code, _refusal(error).error[:100])
         return None
-    await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
-    return session

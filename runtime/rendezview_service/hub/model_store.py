@@ -237,9 +237,6 @@ class ModelStore:
         self._models[name] = stored
         return stored
 
-    def __len__(self) -> int:
-        return len(self._models)
-
     def names(self) -> list[str]:
         """Names, sorted."""
         return sorted(self._models)

@@ -145,9 +145,8 @@ class WorkerHandle(asyncio.Protocol):
 
     async def restart(self) -> None:
         """Replace the process, which has no sessions yet."""
-        gone, self.on_gone = self.on_gone, lambda worker: None
-        if self._transport is not None:
-            self._transport.write(pack({"kind": "quit"}))
+        gone = self.on_gone
+        self.stop()
         await self.join(_START_S)
         while self._transport is not None:
             await asyncio.sleep(0.01)

@@ -160,15 +160,9 @@ class SessionFilter:
 
     def take(self, sensor: str, line: SensorLine) -> tuple[Json | None, Json | None]:
         """Give a checked line to the filter: the `Verdict`, and the `Fused` state afterwards."""
-        counts = self._counts.setdefault(sensor, SensorCounts(line.kind))
-        counts.lines += 1
         self.lines += 1
-        verdict = None
-        if line.measurement is None:
-            counts.silent += 1
-        else:
-            self.fuses = True
-            verdict = self._add(line.measurement, counts)
+        self.fuses = self.fuses or line.measurement is not None
+        verdict = self.add(sensor, line.kind, line.measurement)
         return verdict, self.state_at(self._newest_s) if self.fuses else None
 
     # The camera
@@ -188,23 +182,22 @@ class SessionFilter:
         """camera_from_target at a time and its covariance (6, 6); None where it is not known."""
         return pose_of_fused(self.state_at(time_s)) if self.fuses else None
 
-    def add(self, sensor: str, kind: str, measurement: Measurement | None) -> Json | None:
-        """Give a reading of the session's own sensor to the filter: the `Verdict`.
-
-        None: nothing was measured.
-        """
+    def add(
+        self, sensor: str, kind: str, measurement: Measurement | None, why: str | None = None
+    ) -> Json | None:
+        """Give a reading to the filter: the `Verdict`; None: nothing was measured, for a reason."""
         counts = self._counts.setdefault(sensor, SensorCounts(kind))
         counts.lines += 1
-        if measurement is None:
-            counts.silent += 1
-            return None
         try:
-            check_size(measurement, sensor)
+            if measurement is not None:
+                check_size(measurement, sensor)
         except RendezviewError as error:
-            counts.silent += 1
-            counts.reason = str(error)
-            return None
-        return self._add(measurement, counts)
+            measurement, why = None, str(error)
+        if measurement is not None:
+            return self._add(measurement, counts)
+        counts.silent += 1
+        counts.reason = why or counts.reason
+        return None
 
     def health(self) -> dict[str, Json]:
         """Counts and trust of each sensor, by name: a `SensorTrust` and more."""
@@ -232,22 +225,15 @@ class SessionFilter:
 
     def _see(self, observation: Observation, time_s: float) -> None:
         """Give a frame's pose to the filter."""
-        if observation.pose is None or observation.covariance is None:
-            self._newest_s = max(self._newest_s, time_s)
-            return
-        counts = self._counts.setdefault(CAMERA, SensorCounts("pose"))
-        counts.lines += 1
-        try:
-            measurement = observation.measurement(CAMERA)
-            if measurement is None:
-                raise ValueError("the pose has an alarm of its integrity")
-            check_size(measurement, CAMERA)
-        except (ValueError, RendezviewError) as error:
-            counts.silent += 1
-            counts.reason = str(error)
-            self._newest_s = max(self._newest_s, time_s)
-        else:
-            self._add(measurement, counts)
+        if observation.pose is not None and observation.covariance is not None:
+            measurement, why = None, "the pose has an alarm of its integrity"
+            try:
+                measurement = observation.measurement(CAMERA)
+            except ValueError as error:
+                why = str(error)
+            if self.add(CAMERA, "pose", measurement, why) is not None:
+                return
+        self._newest_s = max(self._newest_s, time_s)
 
     def _add(self, measurement: Measurement, counts: SensorCounts) -> Json:
         counts.measurements += 1
