@@ -242,7 +242,8 @@ class Service:
         self._opening.add(name)
         try:
             request = await asyncio.to_thread(self.defaults.filled, request, name, stored)
-            if request.sensors is not None:  # one that is known already waits as long as it takes
+            if request.sensors is not None and request.sensors.any:
+                # One that is known already waits as long as it takes.
                 known = source is not None or resumed is not None
                 await self.workers.sensors_compiled(None if known else _START_WAIT_S)
             of = None if source is None else source.name

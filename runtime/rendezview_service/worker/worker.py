@@ -160,7 +160,7 @@ class WorkerProcess:
 
     def _opened(self, request: Header, asked: SessionRequest, sight: Sight) -> _WorkerSession:
         model = self._models.model(sight.model)
-        self._models.load_loops(sensors=asked.sensors is not None)
+        self._models.load_loops(sensors=asked.sensors is not None and asked.sensors.any)
         tracker = SessionTracker(
             request["session"],
             model,
