@@ -181,9 +181,7 @@ async def track(
     """
 
     def put(answer: Callable[[Answer], None]) -> None:
-        waiting = session.input(pieces, time_s, answer, sender=sender, key=key)
-        waiting.roi = roi
-        session.queue(waiting)
+        session.queue(session.input(pieces, time_s, answer, sender=sender, key=key, roi=roi))
 
     about = "frame", time_s, None if roi is None else tuple(roi), sum(map(len, pieces))
     return await session.once.do(key, about, lambda: _answered(put))

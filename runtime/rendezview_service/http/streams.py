@@ -143,9 +143,7 @@ def _take(session: Session, content: bytes, answer: Answering, sender: str) -> N
         if len(picture) > session.frame_bytes:
             most = session.frame_bytes
             raise HTTPException(413, f"the frame is too long: send at most {most} bytes")
-        waiting = session.input([picture], time_s, answer, sender=sender)
-        waiting.roi = region
-        session.replace(waiting)
+        session.replace(session.input([picture], time_s, answer, sender=sender, roi=region))
     except (HTTPException, RendezviewError, Refused) as error:
         answer(_refusal(error))
 

@@ -110,6 +110,7 @@ class Session:
         sender: str = "",
         sensor: str | None = None,
         key: str | None = None,
+        roi: list[float] | None = None,
     ) -> SessionInput:
         """An input that arrives now, by the session's clock.
 
@@ -124,7 +125,7 @@ class Session:
             self.progress.check_time(time_s)
         unix_s = self.clock.unix_s(now_s)
         at_s = unix_s if time_s is None else time_s
-        return SessionInput(pieces, at_s, unix_s, now_s, answer, sensor, sender, key)
+        return SessionInput(pieces, at_s, unix_s, now_s, answer, sensor, sender, key, roi)
 
     def queue(self, waiting: SessionInput) -> None:
         """A frame that is tracked after those before it.
