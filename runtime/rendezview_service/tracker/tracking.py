@@ -98,10 +98,9 @@ class SessionTracker:
             Region.of(self._roi, self.camera)  # a wrong one is said at once
         prior = None if request.prior is None else request.prior.pose
         recognizer = recognizer or Recognizer(model, self.camera, trees=request.trees)
-        asked = (
-            None if request.integrity is None else request.integrity.model_dump(exclude_none=True)
-        )
-        integrity = None if asked is None else IntegrityOptions(**asked)
+        asked, integrity = request.integrity, None
+        if asked is not None:
+            integrity = IntegrityOptions(**asked.model_dump(exclude_none=True))
         self.tracker = Tracker(recognizer, prior, integrity=integrity)
         self._nodes = model.geodesic.nodes.tolist()
         self._sensors = FrameSensors(request, self.camera)
