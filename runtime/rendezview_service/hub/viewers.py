@@ -17,7 +17,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
@@ -47,23 +47,13 @@ _NUMBERS = ("confidence", "score", "range_m", "track_ms", "latency_ms")
 Json = dict[str, Any]
 
 
-class Viewer(Protocol):
-    """A server of another program's data."""
-
-    def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
-        """A `WatchState` and its JPEG, or nothing."""
-
-    def close(self) -> None:
-        """End the server."""
-
-
 class Viewers:
     """The servers that the settings ask for."""
 
     def __init__(self, settings: Settings) -> None:
         """None runs yet: see `start`."""
         self._settings = settings
-        self._viewers: list[Viewer] = []
+        self._viewers: list[FoxgloveViewer | RerunViewer | RosViewer] = []
         self._lock = threading.Lock()  # a close waits for the start
 
     def start(self) -> None:
