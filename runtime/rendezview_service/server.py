@@ -14,6 +14,7 @@ from collections.abc import Callable
 from types import FrameType
 
 import uvicorn
+from starlette.types import ASGIApp
 
 from rendezview.errors import RendezviewError
 from rendezview_service.http.app import make_app
@@ -80,7 +81,7 @@ def run(
         RendezviewError: the address is taken, or the service cannot start.
     """
     settings = service.settings
-    app = _Watched(make_app(service, tokens_of(settings)))
+    app = make_app(service, tokens_of(settings))
     protocol = bounded(_connections(settings.connections))
     service.budgets |= protocol.budgets()
     server = _Server(_config(app, settings, protocol))
@@ -98,22 +99,19 @@ def run(
         telling.add(asyncio.create_task(tell(address)))
 
     _serve(server, settings, listens)
-    failure = app.failure or service.failure
-    if isinstance(failure, RendezviewError):
-        raise failure
-    if failure is not None:
-        raise RendezviewError(f"the service cannot start: {failure}") from failure
+    if isinstance(service.failure, RendezviewError):
+        raise service.failure
+    if service.failure is not None:
+        raise RendezviewError(f"the service cannot start: {service.failure}") from service.failure
 
 
 def run_gateway(settings: Settings, on_ready: Callable[[str], None]) -> None:
     """Serve as a gateway of a Ray cluster. Errors as in `run`."""
     from rendezview_service.cluster.gateway import make_gateway
 
-    app = _Watched(make_gateway(settings, tokens_of(settings)))
+    app = make_gateway(settings, tokens_of(settings))
     protocol = bounded(_connections(settings.connections))
     _serve(_Server(_config(app, settings, protocol)), settings, on_ready)
-    if app.failure is not None:
-        raise app.failure
 
 
 def tokens_of(settings: Settings) -> list[Token]:
@@ -121,7 +119,7 @@ def tokens_of(settings: Settings) -> list[Token]:
     return [] if settings.tokens_file is None else read_tokens(settings.tokens_file)
 
 
-def _config(app: _Watched, settings: Settings, protocol: type[BoundedProtocol]) -> uvicorn.Config:
+def _config(app: ASGIApp, settings: Settings, protocol: type[BoundedProtocol]) -> uvicorn.Config:
     return uvicorn.Config(
         app,
         http=protocol,
@@ -168,22 +166,6 @@ def _connections(wanted: int) -> int:
             soft = allowed
     most = wanted if soft == resource.RLIM_INFINITY else (soft - _OTHER_FILES) // 2
     return max(1, min(wanted, most))
-
-
-class _Watched:
-    """Keeps the error of a failed start: uvicorn only logs it."""
-
-    def __init__(self, app: object) -> None:
-        self._app = app
-        self.failure: RendezviewError | None = None
-
-    async def __call__(self, scope, receive, send) -> None:  # type: ignore[no-untyped-def]
-        """ASGI."""
-        try:
-            await self._app(scope, receive, send)  # type: ignore[operator]
-        except RendezviewError as error:
-            self.failure = error
-            raise
 
 
 def listen(host: str, port: int) -> socket.socket:

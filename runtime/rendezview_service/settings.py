@@ -108,11 +108,6 @@ class Settings(BaseSettings):
             return self.record
         return self.record.parent
 
-    @property
-    def is_loopback(self) -> bool:
-        """Whether only this machine can reach the service."""
-        return self.host in LOOPBACK or self.host.startswith("127.")
-
 
 def load_settings(file: Path | None, flags: dict[str, Any]) -> Settings:
     """Settings of a TOML file, over them the environment, over them the flags that were given.
@@ -138,7 +133,8 @@ def load_settings(file: Path | None, flags: dict[str, Any]) -> Settings:
         raise RendezviewError(f"settings of the service: {error}") from None
     if (settings.tls_certificate is None) != (settings.tls_key is None):
         raise RendezviewError("TLS needs both a certificate and a key: give --tls-key too")
-    if not settings.is_loopback and settings.tokens_file is None and not settings.open_to_all:
+    only_here = settings.host in LOOPBACK or settings.host.startswith("127.")
+    if not only_here and settings.tokens_file is None and not settings.open_to_all:
         raise RendezviewError(
             f"{settings.host} is open to other machines: give --tokens FILE, or "
             "--open-to-all if the network is trusted"

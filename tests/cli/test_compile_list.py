@@ -16,11 +16,11 @@ from rendezview_ground.simulate.trajectories import TrajectoryOptions, trajector
 
 _TRACK = """
 import json, sys
+from experiments.startup import session
 from experiments.startup.recorded import recorded
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.following import follow
-from rendezview_service.tracker.warming import warm_up, warm_up_sensors
 
 model, sequence = ViewModel.load(sys.argv[1]), open_sequence(sys.argv[2])
 
@@ -29,7 +29,7 @@ def work():
         for frame, observation in follow(model, sequence, prior=prior):
             print(observation.status, observation.reason, file=sys.stderr)
 
-serve = recorded(lambda: warm_up(model)) + recorded(warm_up_sensors)
+serve = recorded(lambda: (session.track(model), session.fuse(), session.sense()))
 print(json.dumps({"track": recorded(work), "serve": serve}))
 """
 
@@ -56,7 +56,7 @@ def test_every_loop_of_tracking_and_of_the_service_is_listed(
     }
     names = {name.rpartition(":")[2] for loops in called.values() for name, _ in loops}
     assert {"align", "shading", "mean_shift", "align_to_sketch"} <= names, run.stderr
-    assert {"fit_steps", "judge", "downhill_simplex", "ring_parts"} <= names, run.stderr
+    assert {"fit_steps", "judge", "downhill_simplex", "first_hits"} <= names, run.stderr
     for command, loops in called.items():
         groups = map(compiling.load_loops, compiling.COMMANDS[command])
         listed = [(e["loop"], e["arguments"]) for group in groups for e in group]

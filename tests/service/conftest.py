@@ -51,14 +51,13 @@ def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) ->
     """Starts a service; those that still run at the end are killed."""
     started: list[Served] = []
 
-    def start(*flags: str, given: bool = True, **environment: str) -> Served:
-        """Without ``given`` it has no model: it starts in half the time, but tracks nothing.
-
-        A ``PYTHONPATH`` is searched first: its ``sitecustomize`` runs before the service.
-        """
-        places = environment.get("PYTHONPATH"), os.environ.get("PYTHONPATH")
-        environment["PYTHONPATH"] = os.pathsep.join(filter(None, places))
+    def start(*flags: str, given: bool = True, before: str = "", **environment: str) -> Served:
+        """Without ``given`` it has no model; ``before``: a program that each process runs first."""
         folder = tmp_path_factory.mktemp("service")
+        if before:
+            (folder / "sitecustomize.py").write_text(before)
+            places = str(folder), os.environ.get("PYTHONPATH")
+            environment["PYTHONPATH"] = os.pathsep.join(filter(None, places))
         model = [str(model_path)] if given else []
         served = Served.start(
             *model, "--workers", "1", *flags, folder=folder, environment=_PATIENT | environment

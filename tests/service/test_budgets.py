@@ -40,14 +40,13 @@ if "serve" in sys.orig_argv:
 
 @pytest.fixture(scope="module")
 def served(start_service, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("hurry")
-    (folder / "sitecustomize.py").write_text(HURRY)
+    folder = tmp_path_factory.mktemp("logs")
     served = start_service(
         RENDEZVIEW_SERVE_CONNECTIONS=str(CONNECTIONS),
         RENDEZVIEW_SERVE_BODIES_BYTES=str(int(1e6 * BODIES_MB)),
         RENDEZVIEW_SERVE_RECORD=str(folder),
         RENDEZVIEW_SERVE_COMPRESSION="",
-        PYTHONPATH=str(folder),
+        before=HURRY,
     )
     served.folder = folder
     yield served

@@ -34,10 +34,8 @@ def guarded(start_service, tmp_path_factory):
     folder = tmp_path_factory.mktemp("tokens")
     tokens = folder / "tokens.toml"
     tokens.write_text('[ann]\nscope = "admin"\ntoken = "nobody-here-has-this-one"\n')
-    (folder / "sitecustomize.py").write_text(NO_HURRY)
     served = start_service(
-        "--tokens", str(tokens), given=False, RENDEZVIEW_SERVE_CONNECTIONS="40",
-        PYTHONPATH=str(folder),
+        "--tokens", str(tokens), given=False, before=NO_HURRY, RENDEZVIEW_SERVE_CONNECTIONS="40",
     )  # fmt: skip
     yield served
     served.stop()

@@ -26,9 +26,8 @@ from rendezview_ground.fly.guidance import Guidance
 from rendezview_ground.fly.live import LiveSensors, ServiceEstimator, fly_live
 from rendezview_ground.fly.options import GuidanceOptions
 from rendezview_service.client import ServiceError
-from rendezview_service.hub.attached_flight import AttachedFlight
-from rendezview_service.hub.session_events import SessionEvents
-from rendezview_service.messages.flight_messages import Flight, Order
+from rendezview_service.hub.session_events import AttachedFlight, SessionEvents
+from rendezview_service.messages.approach_messages import Flight, Order
 
 REPORT = {
     "time_s": 1.0, "mode": "approach", "reason": "", "range_m": 9.5,

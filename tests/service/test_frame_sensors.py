@@ -70,7 +70,7 @@ def test_what_runs_by_default_is_what_the_target_has(camera, target):
     request = filled(camera, Settings(target=folder))
     runs = request.sensors
     has = target is not None
-    assert (runs.ring, runs.fusion, bool(runs.trajectory)) == (has, has, has)
+    assert (runs.ring, runs.fusion, bool(runs.trajectory), runs.any) == (has,) * 4
     assert runs.reflectors == "off"  # nobody says how the lights are shown
     if has:
         assert runs.trajectory.shape == "vbar"

@@ -98,9 +98,8 @@ def stepped(start_service, tmp_path_factory):
     """A service whose clock the file ``off_by`` sets, and where a sender keeps its session."""
     folder = tmp_path_factory.mktemp("stepped")
     (folder / "off_by").write_text("0")
-    (folder / "sitecustomize.py").write_text(CLOCK)
     served = start_service(
-        PYTHONPATH=str(folder),
+        before=CLOCK,
         CLOCK_OFF_BY=str(folder / "off_by"),
         RENDEZVIEW_SERVE_SENDER_HOLD_S=str(MOST_S),
     )
@@ -201,10 +200,9 @@ def test_two_senders_do_not_mix(stepped, camera, tour):
 def hurried(start_service, tmp_path_factory):
     """An input may take 3 s; with a spare worker, a decoder that never ends, and logs."""
     folder = tmp_path_factory.mktemp("hurried")
-    (folder / "sitecustomize.py").write_text(SLOW_DECODER)
     served = start_service(
         "--record", str(folder / "logs"),
-        PYTHONPATH=str(folder), RENDEZVIEW_SERVE_SPARE_WORKER="true",
+        before=SLOW_DECODER, RENDEZVIEW_SERVE_SPARE_WORKER="true",
         RENDEZVIEW_SERVE_FRAME_TIMEOUT_S="3",
     )  # fmt: skip
     served.folder = folder / "logs"

@@ -15,7 +15,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
 from urllib.parse import urlsplit
@@ -173,40 +172,35 @@ def test_a_worker_that_hangs_over_another_request_is_killed(monkeypatch) -> None
     assert known.gone == [known.handle]
 
 
+def _compiled_after(known: _Handled, before_s: float, pause_s: float) -> Any:
+    """The answer to a request, which comes after a time; and then a pause of this process."""
+
+    async def ask() -> Any:
+        theirs = await known.connect()
+        asked = asyncio.create_task(known.handle.ask({"kind": "warm", "session": ""}))
+        await asyncio.sleep(before_s)
+        theirs.sendall(pack({"kind": "opened", "session": "", "compiled": 3}))
+        time.sleep(pause_s)
+        answer = await asked
+        theirs.close()
+        return answer["compiled"]
+
+    return asyncio.run(ask())
+
+
 def test_a_worker_that_works_for_long_is_waited_for(monkeypatch) -> None:
     monkeypatch.setattr(worker_handle, "_IDLE_S", 0.2)
     known = _Handled(SimpleNamespace(kill=lambda: pytest.fail("killed"), pid=0))
     spent = iter(range(1000))
     monkeypatch.setattr(WorkerHandle, "_processor_s", lambda self: float(next(spent)))
-
-    async def ask() -> Any:
-        theirs = await known.connect()
-        asked = asyncio.create_task(known.handle.ask({"kind": "warm", "session": ""}))
-        await asyncio.sleep(0.7)
-        theirs.sendall(pack({"kind": "opened", "session": "", "compiled": 3}))
-        answer = await asked
-        theirs.close()
-        return answer
-
-    assert asyncio.run(ask())["compiled"] == 3
+    assert _compiled_after(known, 0.7, 0.0) == 3
 
 
 def test_after_a_pause_of_the_service_an_answer_is_read_before_its_worker_is_judged(monkeypatch):
     monkeypatch.setattr(worker_handle, "_IDLE_S", 0.3)
     known = _Handled(SimpleNamespace(kill=lambda: pytest.fail("killed"), pid=0))
     monkeypatch.setattr(WorkerHandle, "_processor_s", lambda self: 0.0)
-
-    async def ask() -> Any:
-        theirs = await known.connect()
-        asked = asyncio.create_task(known.handle.ask({"kind": "warm", "session": ""}))
-        await asyncio.sleep(0.01)
-        theirs.sendall(pack({"kind": "opened", "session": "", "compiled": 3}))
-        time.sleep(1.5)  # the pause: the timer is due, and the answer is not read
-        answer = await asked
-        theirs.close()
-        return answer
-
-    assert asyncio.run(ask())["compiled"] == 3
+    assert _compiled_after(known, 0.01, 1.5) == 3  # the timer is due, and the answer is not read
 
 
 def test_an_answer_that_the_service_cannot_take_refuses_its_input() -> None:
@@ -266,9 +260,8 @@ def test_a_program_of_a_live_stream_that_does_not_end_is_killed(monkeypatch) -> 
         assert process.wait(MOST_S) == -signal.SIGKILL
 
 
-def test_a_service_ends_though_a_thread_waits_for_a_disk(start_service, tmp_path: Path) -> None:
-    (tmp_path / "sitecustomize.py").write_text(HUNG_THREAD)
-    served = start_service(given=False, PYTHONPATH=str(tmp_path))
+def test_a_service_ends_though_a_thread_waits_for_a_disk(start_service) -> None:
+    served = start_service(given=False, before=HUNG_THREAD)
     assert httpx.get(served.url + "healthz", timeout=MOST_S).status_code == 200
     served.process.send_signal(signal.SIGTERM)
     assert served.process.wait(60.0) == 0

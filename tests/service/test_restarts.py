@@ -75,8 +75,7 @@ def test_a_session_whose_frames_end_three_processes_is_ended_and_no_other(
     start_service, camera, tour, tmp_path
 ):
     """None of these frames is tried twice."""
-    (tmp_path / "sitecustomize.py").write_text(FATAL_DECODER)
-    served = start_service(PYTHONPATH=str(tmp_path))
+    served = start_service(before=FATAL_DECODER)
     with served.client() as client, served.client() as other:
         session, attacker = client.open(camera, name="mine"), other.open(camera, name="theirs")
         for k in range(3):

@@ -26,7 +26,7 @@ from rendezview_service.logs.log_repair import mend
 from rendezview_service.logs.recording import PENDING, RECORDED, LogWriter, RecordingOptions
 from rendezview_service.logs.replay import read_log
 
-_HANGS = Path(__file__).parent / "sick_disk"
+_HANGS = Path(__file__).parent / "sick_disk" / "sitecustomize.py"
 PICTURE = np.random.default_rng(0).integers(0, 256, 100 * 100, np.uint8).tobytes()
 
 
@@ -369,7 +369,7 @@ def test_a_disk_that_hangs_costs_no_pose_and_no_worker(start_service, camera, to
     place, sign, frame_s = tmp_path / "logs", tmp_path / "hangs", 2.0
     served = start_service(
         *("--record", str(place)),
-        PYTHONPATH=f"{_HANGS}:{os.environ.get('PYTHONPATH', '')}",
+        before=_HANGS.read_text(),
         SICK_DISK=str(sign),
         RENDEZVIEW_SERVE_LOG_WAIT_S="0.1",
         RENDEZVIEW_SERVE_FRAME_TIMEOUT_S=str(frame_s),

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from rendezview_service.hub.temporary import TemporaryFolder
+from rendezview_service.logs.log_lock import TemporaryFolder
 
 _MAKE = """
 import sys
-from rendezview_service.hub.temporary import TemporaryFolder
+from rendezview_service.logs.log_lock import TemporaryFolder
 made = TemporaryFolder("rendezview-models-")
 (made.path / "model.rvm").write_bytes(b"1")
 print(made.path, flush=True)

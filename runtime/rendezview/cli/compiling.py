@@ -132,6 +132,16 @@ def compile_ahead(*groups: str) -> None:
     say(f"Compiled in {time.perf_counter() - start:.0f} s")
 
 
+def load_ahead(*groups: str) -> None:
+    """Load the loops of some groups from the cache, in this process; it compiles what is missing.
+
+    Always in the same order: it decides which compiled copy of a shared loop the process uses, and
+    copies that were compiled separately may round differently.
+    """
+    loops = [entry for group in groups for entry in load_loops(group)]
+    _compile(sorted(loops, key=lambda entry: float(entry["seconds"])))
+
+
 class _Counter:
     """Counts the loops that several processes have compiled, and says so now and then."""
 

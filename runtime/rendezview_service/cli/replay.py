@@ -44,7 +44,7 @@ def replay(
     with optional("`rendezview replay` needs", "service", ", which is not installed"):
         from rendezview_service.logs import log_repair
         from rendezview_service.logs.replay import model_of, read_log, repeat
-        from rendezview_service.tracker.warming import warm_up, warm_up_sensors
+        from rendezview_service.worker.worker_models import LOOPS, SENSOR_LOOPS, warm_up
     console = Console(stderr=True)
 
     def say(text: str) -> None:
@@ -65,7 +65,7 @@ def replay(
     opened = read_log(log)
     used = model_of(opened, model)
     cv2.setNumThreads(1)
-    if warm_up(used) + warm_up_sensors() and _AGAIN not in os.environ:
+    if warm_up(LOOPS + SENSOR_LOOPS) and _AGAIN not in os.environ:
         # Freshly compiled code may round differently from code read from the cache.
         os.environ[_AGAIN] = "1"
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])

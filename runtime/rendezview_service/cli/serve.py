@@ -135,6 +135,7 @@ def serve(
         from rendezview_service.json_logging import set_up_logging
         from rendezview_service.server import run
         from rendezview_service.settings import load_settings
+        from rendezview_service.worker.worker_models import LOOPS, SENSOR_LOOPS
     flags = {_SETTINGS.get(flag, flag): value for flag, value in given.items() if flag not in _OWN}
     loaded = load_settings(settings, flags)
     if check:
@@ -152,9 +153,9 @@ def serve(
         _be_gateway(loaded, bool(model or source), tell)
         return
     service = Service(loaded, model, source, speed)
-    compile_ahead("track", "hard")
+    compile_ahead(*LOOPS)
     set_up_logging(loaded.log_level)
-    with contextlib.ExitStack() as flights, compile_beside("sensors") as beside:
+    with contextlib.ExitStack() as flights, compile_beside(*SENSOR_LOOPS) as beside:
         service.workers.without_sensors = lambda: beside.is_busy
 
         def ready(address: str) -> None:

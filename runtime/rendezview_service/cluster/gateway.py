@@ -15,7 +15,7 @@ from typing import Any
 import ray
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
-from starlette.requests import HTTPConnection
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -65,11 +65,12 @@ class Gateway:
             await self._socket(scope, receive, send)
         elif scope["path"].startswith(("/v1/", "/healthz", "/readyz", "/openapi.json", "/docs")):
             try:
-                status, headers, body = await self._answer(scope, await _body(receive))
+                body = await Request(scope, receive).body()
+                status, headers, body = await self._answer(scope, body)
             except ray.exceptions.RayActorError:
                 await fault(503, _NO_ORCHESTRATOR)(scope, receive, send)
                 return
-            except (Refused, RendezviewError, HTTPException) as error:
+            except (Refused, RendezviewError, HTTPException, ClientDisconnect) as error:
                 response = fault_of(error.cause if hasattr(error, "cause") else error)
                 assert response is not None
                 await response(scope, receive, send)
@@ -317,17 +318,6 @@ async def _pump(actor: Any, key: str, receive: Receive) -> None:
                 return
             if message["type"] == "websocket.disconnect":
                 return
-
-
-async def _body(receive: Receive) -> bytes:
-    parts, more = [], True
-    while more:
-        message = await receive()
-        if message["type"] == "http.disconnect":
-            break
-        parts.append(message.get("body", b""))
-        more = message.get("more_body", False)
-    return b"".join(parts)
 
 
 def _json(value: Any, good: bool = True) -> tuple[int, list[Any], bytes]:

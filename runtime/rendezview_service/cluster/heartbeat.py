@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 from typing import Any
 
 import ray
@@ -16,18 +15,11 @@ import ray
 _CONNECT_S = 2.0  # s, for the connection. Source: chosen
 
 
-class Beacon:
-    """The end at the slot."""
-
-    def __init__(self) -> None:
-        self._server: asyncio.Server | None = None
-
-    async def address(self) -> tuple[str, int, int]:
-        """Where it listens, and the number of its process."""
-        host = ray.util.get_node_ip_address()
-        if self._server is None:
-            self._server = await asyncio.start_server(_stay, host, 0)
-        return host, self._server.sockets[0].getsockname()[1], os.getpid()
+async def beacon() -> tuple[str, int, asyncio.Server]:
+    """The end at the slot: where it listens."""
+    host = ray.util.get_node_ip_address()
+    server = await asyncio.start_server(_stay, host, 0)
+    return host, server.sockets[0].getsockname()[1], server
 
 
 async def _stay(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -359,32 +359,18 @@ class Orchestrator:
 def make_slot(name: str, node: str, settings: Settings) -> None:
     """Create a slot on a node; if its process ends, Ray starts it again there."""
     place = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
-    ray.remote(Slot).options(
-        name=name,
-        namespace=NAMESPACE,
-        lifetime="detached",
-        get_if_exists=True,
-        num_cpus=1,
-        max_restarts=-1,
-        max_concurrency=1000,
-        scheduling_strategy=place,
-    ).remote(settings.model_dump(mode="json"))
+    _actor(Slot, name, settings, num_cpus=1, scheduling_strategy=place)
 
 
 def join(settings: Settings) -> Any:
     """Join the cluster of the settings; its orchestrator, which the first gateway starts."""
     ray.init(address=settings.cluster, namespace=NAMESPACE, log_to_driver=False)
-    return (
-        ray.remote(Orchestrator)
-        .options(
-            name=ORCHESTRATOR,
-            namespace=NAMESPACE,
-            lifetime="detached",
-            get_if_exists=True,
-            num_cpus=0,
-            max_restarts=-1,
-            max_concurrency=1000,
-            resources={_HEAD: 0.001},  # without the head there is no cluster
-        )
-        .remote(settings.model_dump(mode="json"))
-    )
+    on_head = {_HEAD: 0.001}  # without the head there is no cluster
+    return _actor(Orchestrator, ORCHESTRATOR, settings, num_cpus=0, resources=on_head)
+
+
+def _actor(kind: type, name: str, settings: Settings, **place: Any) -> Any:
+    """The actor of a name; it is made if there is none, and stays."""
+    stays = {"lifetime": "detached", "get_if_exists": True, "max_restarts": -1}
+    options = {"namespace": NAMESPACE, "max_concurrency": 1000} | stays | place
+    return ray.remote(kind).options(name=name, **options).remote(settings.model_dump(mode="json"))

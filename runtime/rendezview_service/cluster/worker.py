@@ -14,14 +14,14 @@ from typing import Any
 
 from starlette.types import Message, Scope
 
-from rendezview_service.cluster.heartbeat import Beacon
+from rendezview_service.cluster.heartbeat import beacon
 from rendezview_service.cluster.tunnel import Sockets, exchange
 from rendezview_service.http.app import make_routes
 from rendezview_service.hub.checkpoint import checkpoint_path, read_checkpoint
 from rendezview_service.hub.model_store import BY_HASH
 from rendezview_service.hub.model_store import SUFFIX as RVM
 from rendezview_service.hub.service import Service
-from rendezview_service.hub.worker_requests import sight_of
+from rendezview_service.hub.worker_handle import sight_of
 from rendezview_service.json_logging import set_up_logging
 from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.settings import Settings
@@ -48,7 +48,7 @@ class Slot:
         self._service = Service(self._settings, shares_models=True)
         self._app = make_routes(self._service)
         self._sockets = Sockets(self._app)
-        self._beacon = Beacon()
+        self._beacon: tuple[str, int, asyncio.Server] | None = None
         self._held: str | None = None
         self._begun = False
 
@@ -64,7 +64,8 @@ class Slot:
 
     async def beacon(self) -> tuple[str, int, int]:
         """Host and port of a connection that lasts as long as this process; its number."""
-        return await self._beacon.address()
+        self._beacon = self._beacon or await beacon()
+        return *self._beacon[:2], os.getpid()
 
     async def ready(self) -> bool:
         """Whether it can take a session."""

@@ -111,11 +111,6 @@ def body_in_docs(content: dict[str, Any]) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": content}}
 
 
-async def body_of(request: Request, most: int) -> bytes:
-    """The body of a request. Errors as in `pieces_of`."""
-    return b"".join(await pieces_of(request, most))
-
-
 async def pieces_of(request: Request, most: int) -> list[Bytes]:
     """The body in the pieces that arrive, refused as soon as it is too long.
 
@@ -124,41 +119,37 @@ async def pieces_of(request: Request, most: int) -> list[Bytes]:
     Raises:
         HTTPException: 413.
     """
-    return [piece async for piece in _pieces(request, most)]
+    pieces: list[Bytes] = []
+    length = 0
+    declared = int(request.headers.get("content-length", "0"))
+    if declared <= most:
+        async for piece in request.stream():
+            pieces.append(piece)
+            if (length := length + len(piece)) > most:
+                break
+    if max(length, declared) > most:
+        raise HTTPException(413, f"the body is too long: send at most {most} bytes")
+    return pieces
 
 
 @contextlib.asynccontextmanager
-async def file_of(request: Request, most: int, folder: Path) -> AsyncIterator[Path]:
+async def file_of(request: Request, folder: Path) -> AsyncIterator[Path]:
     """The body as a file in a folder; if it is still there at the end, it is removed.
 
     Raises:
-        HTTPException: 413.
         RendezviewError: the disk is full, or the folder is gone.
     """
     path = folder / f".{secrets.token_hex(6)}.tmp"
     try:
         try:
             with open(path, "xb") as file:
-                async for piece in _pieces(request, most):
+                async for piece in request.stream():
                     await run_in_threadpool(file.write, piece)
         except OSError as error:
             raise write_error(folder, error) from error
         yield path
     finally:
         path.unlink(missing_ok=True)
-
-
-async def _pieces(request: Request, most: int) -> AsyncIterator[bytes]:
-    length_header = request.headers.get("content-length", "0")
-    refusal = HTTPException(413, f"the body is too long: send at most {most} bytes")
-    if not length_header.isdecimal() or int(length_header) > most:
-        raise refusal
-    length = 0
-    async for piece in request.stream():
-        length += len(piece)
-        if length > most:
-            raise refusal
-        yield piece
 
 
 def answered(answer: Answer) -> Response:
@@ -190,9 +181,7 @@ async def track(
     """
 
     def put(answer: Callable[[Answer], None]) -> None:
-        waiting = session.input(pieces, time_s, answer, sender=sender, key=key)
-        waiting.roi = roi
-        session.queue(waiting)
+        session.queue(session.input(pieces, time_s, answer, sender=sender, key=key, roi=roi))
 
     about = "frame", time_s, None if roi is None else tuple(roi), sum(map(len, pieces))
     return await session.once.do(key, about, lambda: _answered(put))

@@ -14,7 +14,6 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Scope
 
 from rendezview_service.http import (
-    flight_routes,
     model_routes,
     recording_routes,
     session_routes,
@@ -22,8 +21,9 @@ from rendezview_service.http import (
 )
 from rendezview_service.http.answers import answer_errors, needs, service_of
 from rendezview_service.http.security import Guard, Right, Token
+from rendezview_service.hub.health import VERSION
 from rendezview_service.hub.service import Service
-from rendezview_service.messages.messages import Health
+from rendezview_service.messages.message_parts import Health
 
 PAGE = Path(__file__).parents[1] / "page"
 
@@ -67,7 +67,7 @@ def make_routes(service: Service) -> FastAPI:
     app = FastAPI(
         title="rendezview",
         summary="Where a spacecraft is relative to another one: frames in, poses out.",
-        version=service.version,
+        version=VERSION,
         docs_url=None,  # its scripts come from another server
         redoc_url=None,
         lifespan=life,
@@ -77,9 +77,9 @@ def make_routes(service: Service) -> FastAPI:
     app.router.routes.append(session_routes.FRAMES)  # before the routers, whose routes come later
     # Described only: `Guard` checks the tokens before a request arrives here.
     secured = [Depends(HTTPBearer(auto_error=False, description="a token of the tokens file"))]
-    app.include_router(session_routes.router, dependencies=secured)
-    for routes in (flight_routes, model_routes, recording_routes):
+    for routes in (session_routes, model_routes, recording_routes):
         app.include_router(routes.router, dependencies=secured)
+    app.include_router(session_routes.flights, dependencies=secured)
     app.include_router(streams.router)
 
     @app.get("/healthz", tags=["operations"])

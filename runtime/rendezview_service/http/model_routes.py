@@ -93,7 +93,7 @@ async def put_model(request: Request, name: Name, replace: bool = False) -> Mode
     service = service_of(request)
     service.models.path_for(name, replace)  # refuses before the body is read
     present = service.models.get(name)
-    async with file_of(request, service.settings.model_bytes, service.models.folder) as sent:
+    async with file_of(request, service.models.folder) as sent:
         stored = await run_in_threadpool(service.models.add, name, sent, replace)
     if present is not None:
         service.release()
@@ -104,7 +104,7 @@ async def put_model(request: Request, name: Name, replace: bool = False) -> Mode
 async def delete_model(request: Request, stored: Stored) -> None:
     """Delete a model that was uploaded or trained."""
     service = service_of(request)
-    if service.uses(stored):
+    if any(session.stored is stored for session in service.sessions.values()):
         raise HTTPException(409, f"model {stored.name}: a session uses it: close the session first")
     service.models.remove(stored.name)
     service.release()
@@ -140,7 +140,7 @@ async def add_job(
     given = {"unit": unit, "order": order, "views": views, "held-out": held_out, "seed": seed}
     options = {name: str(value) for name, value in given.items() if value is not None}
 
-    async with file_of(request, service.settings.mesh_bytes, Path(tempfile.gettempdir())) as mesh:
+    async with file_of(request, Path(tempfile.gettempdir())) as mesh:
         if not (length := mesh.stat().st_size):
             raise HTTPException(422, "the mesh is empty: send the file as the body")
 

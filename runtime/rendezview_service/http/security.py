@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from typing import Annotated, Any
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from starlette.datastructures import Headers
@@ -27,8 +27,8 @@ from rendezview.errors import RendezviewError
 from rendezview.io.files import checked, read_toml
 from rendezview_service.http.budgets import Bodies, Body, Budget, Share, Socket
 from rendezview_service.http.connections import ABORT
+from rendezview_service.hub.inputs import TokenBucket
 from rendezview_service.hub.metrics import Metrics
-from rendezview_service.hub.rate_limit import TokenBucket
 from rendezview_service.messages.message_parts import Fault
 from rendezview_service.settings import LOOPBACK, Settings
 
@@ -194,12 +194,12 @@ class Guard:
             body.close()
 
     def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
-        host = _host(headers.get("host", ""))
+        host = (_split(f"//{headers.get('host', '')}").hostname or "").lower()
         if host not in self._hosts and not (self._any_address and _is_address(host)):
             return 421, "the service does not have this host name: see the setting allowed_hosts"
         origin = headers.get("origin")
         changes = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD", "OPTIONS")
-        if origin is not None and changes and _netloc(origin) != headers.get("host"):
+        if origin is not None and changes and _split(origin).netloc != headers.get("host"):
             return 403, "pages of other origins may not use the service"
         name, right = self._caller(scope, headers)
         if not self._within_rate(name):
@@ -208,6 +208,11 @@ class Guard:
         scope["state"]["caller"] = name
         if right is Right.NONE and not _is_open(scope):
             return 401, "a token is needed: send it as `Authorization: Bearer TOKEN`"
+        if scope["type"] == "http":
+            most, _ = _longest_body(scope, self._settings)
+            declared = headers.get("content-length", "0")
+            if not declared.isdecimal() or int(declared) > most:
+                return 413, f"the body is too long: send at most {most} bytes"
         return None
 
     def _caller(self, scope: Scope, headers: Headers) -> tuple[str, Right]:
@@ -289,11 +294,12 @@ def _is_open(scope: Scope) -> bool:
     return not closed and scope["type"] == "http"
 
 
-def _netloc(origin: str) -> str:
+def _split(address: str) -> SplitResult:
+    """Its parts, empty where it is no address."""
     try:
-        return urlsplit(origin).netloc
+        return urlsplit(address)
     except ValueError:
-        return ""
+        return urlsplit("")
 
 
 def _is_address(host: str) -> bool:
@@ -302,13 +308,6 @@ def _is_address(host: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _host(value: str) -> str:
-    try:
-        return (urlsplit(f"//{value}").hostname or "").lower()
-    except ValueError:
-        return ""
 
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, error: str) -> None:

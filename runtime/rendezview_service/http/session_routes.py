@@ -1,4 +1,4 @@
-"""Routes of sessions: open, frames, states, history, logs."""
+"""Routes of sessions: open, frames, states, history, logs; and of the flights attached to them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from rendezview_service.http.answers import (
     Tracked,
     answered,
     body_in_docs,
-    body_of,
     download,
     frame_region,
     frame_time,
@@ -36,11 +35,11 @@ from rendezview_service.http.answers import (
     track,
 )
 from rendezview_service.http.security import Right
+from rendezview_service.hub.health import info_of
 from rendezview_service.hub.session_defaults import approach_of
-from rendezview_service.hub.session_info import info_of
 from rendezview_service.hub.sessions import Session
 from rendezview_service.logs.log_file import is_own
-from rendezview_service.messages.approach_messages import ApproachRequest
+from rendezview_service.messages.approach_messages import ApproachRequest, Flight, Order, Orders
 from rendezview_service.messages.fusion_messages import Marks, Measured
 from rendezview_service.messages.message_parts import NAME_PATTERN
 from rendezview_service.messages.messages import (
@@ -57,6 +56,7 @@ from rendezview_service.messages.ros import pose_with_covariance_stamped, transf
 from rendezview_service.tracker.tracking import camera_of, contour_shown
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"], responses=FAULTS)
+flights = APIRouter(prefix="/v1/sessions/{name}", tags=["flights"], responses=FAULTS)
 
 _JPEG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/jpeg": BINARY}}}
 _MCAP: dict[int | str, dict[str, Any]] = {200: {"content": {BYTES: BINARY}}}
@@ -149,9 +149,7 @@ async def post_measurements(
     """Give the session's filter lines of another sensor's log: as `ring`, `reflectors`,
     `stereo track` and `track` write them, or of a ranger (`range_m`, `sigma_m`)."""
     sensor_name(sensor)
-    settings = service_of(request).settings
-    content = await body_of(request, min(settings.measurement_bytes, settings.frame_bytes))
-    return answered(await measure(session, sensor, content, key_of(request)))
+    return answered(await measure(session, sensor, await request.body(), key_of(request)))
 
 
 @router.get(
@@ -255,3 +253,18 @@ async def get_log(session: Read) -> Response:
     if not parts:
         raise HTTPException(404, "this session is not recorded")
     return await download(parts[0].path.name, [part for part in parts if is_own(part.path)])
+
+
+@flights.put("/flight")
+async def report_flight(session: Tracked, flight: Flight) -> Orders:
+    """A flight says what it does, at least every ten seconds; the orders since its last report."""
+    return Orders(orders=session.flight.reported(flight))
+
+
+@flights.post("/orders", status_code=204)
+async def order(session: Tracked, order: Order) -> None:
+    """An order of the operator to the flight, which takes it at its next step."""
+    if not session.flight.order(order):
+        raise HTTPException(
+            409, "no flight with this switch is attached: see `flight` of the session"
+        )

@@ -143,9 +143,7 @@ def _take(session: Session, content: bytes, answer: Answering, sender: str) -> N
         if len(picture) > session.frame_bytes:
             most = session.frame_bytes
             raise HTTPException(413, f"the frame is too long: send at most {most} bytes")
-        waiting = session.input([picture], time_s, answer, sender=sender)
-        waiting.roi = region
-        session.replace(waiting)
+        session.replace(session.input([picture], time_s, answer, sender=sender, roi=region))
     except (HTTPException, RendezviewError, Refused) as error:
         answer(_refusal(error))
 
@@ -198,7 +196,6 @@ async def watch(
     watcher = Watcher(rate_hz, width if image else 0, contour, silhouette)
     session.watchers.add(watcher)
     service.watchers += 1
-    service.metrics.watchers.set(service.watchers)
     listener = asyncio.create_task(_until_gone(socket))
     shower = asyncio.create_task(_show(socket, watcher))
     try:
@@ -206,7 +203,6 @@ async def watch(
     finally:
         session.watchers.discard(watcher)
         service.watchers -= 1
-        service.metrics.watchers.set(service.watchers)
         for task in (listener, shower):
             task.cancel()
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
@@ -236,15 +232,13 @@ async def _until_gone(socket: WebSocket) -> None:
 
 
 async def _accepted(socket: WebSocket, name: str, right: Right) -> Session | None:
+    # Accept first: a browser gives its page no reason for a refused handshake.
     offered = socket.scope.get("subprotocols", [])
+    await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
     try:
         needs(socket, right)
-        session = session_of(socket, name)
+        return session_of(socket, name)
     except (HTTPException, NotReady) as error:
-        # Accept first: a browser gives its page no reason for a refused handshake.
-        await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
         code = _SOON if isinstance(error, NotReady) else _REFUSED
         await socket.close(code, _refusal(error).error[:100])
         return None
-    await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
-    return session

@@ -70,12 +70,10 @@ def kept_in(folder: Path) -> list[Checkpoint]:
     found = []
     for path in sorted(folder.glob(f"*{SUFFIX}")):
         try:
-            kept = read_checkpoint(path)
+            found.append(read_checkpoint(path))
         except (OSError, ValueError) as error:
             log.warning("checkpoint not read", extra={"path": str(path), "reason": str(error)})
-        else:
-            found += [] if kept is None else [kept]
-    return found
+    return [kept for kept in found if kept is not None]
 
 
 def names_in(folder: Path) -> set[str]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from concurrent.futures import Future
 
 from rendezview.errors import RendezviewError
-from rendezview_service.hub.inputs import SOURCE, Answer
+from rendezview_service.hub.inputs import SOURCE
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.sources import Source, SourceFrame
 
@@ -63,18 +62,10 @@ class Feeder:
             self._loop.call_soon_threadsafe(self._session.source_ended, reason)
 
     def _give(self, frame: SourceFrame) -> None:
-        done: Future[Answer] = Future()
-
-        def answer(result: Answer) -> None:
-            if not done.done():
-                done.set_result(result)
-
-        waiting = self._session.input([frame.content], frame.time_s, answer, sender=SOURCE)
+        done = threading.Event()
+        waiting = self._session.input(
+            [frame.content], frame.time_s, lambda answer: done.set(), sender=SOURCE
+        )
         self._loop.call_soon_threadsafe(self._session.replace, waiting)
-        if not self._source.live:
-            while not self._stop.is_set():
-                try:
-                    done.result(timeout=0.5)
-                    return
-                except TimeoutError:
-                    continue
+        while not (self._source.live or self._stop.is_set() or done.is_set()):
+            done.wait(0.5)

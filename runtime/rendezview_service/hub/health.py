@@ -1,67 +1,58 @@
-"""Whether the service can track, what is wrong, and what is in use."""
+"""Whether the service can track, what is wrong, what is in use; and the state of a session."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Protocol
+from importlib import metadata
 
 from rendezview_service.hub.history import Histories
 from rendezview_service.hub.sessions import Session
-from rendezview_service.messages.message_parts import BudgetUse
-from rendezview_service.messages.messages import Health, RecordingState
+from rendezview_service.messages.frame_sensor_messages import FrameSensorsRequest
+from rendezview_service.messages.message_parts import BudgetUse, Health
+from rendezview_service.messages.messages import RecordingState, SessionInfo
 from rendezview_service.settings import Settings
 
-
-class Observed(Protocol):
-    """What health is made of."""
-
-    settings: Settings
-    sessions: dict[str, Session]
-    histories: Histories
-    budgets: dict[str, Callable[[], BudgetUse]]
-    watchers: int
-    stopping: bool
-    started_s: float
-    version: str
+Budgets = dict[str, Callable[[], BudgetUse]]
+VERSION = metadata.version("rendezview")
 
 
-def health_of(service: Observed, reasons: list[str]) -> Health:
+def health_of(
+    sessions: dict[str, Session], uses: Budgets, reasons: list[str], started_s: float, stops: bool
+) -> Health:
     """The health of a service.
 
     Args:
         reasons: why it cannot track.
+        started_s: monotonic.
+        stops: it ends.
     """
-    failing, troubles = troubles_of(list(service.sessions.values()))
-    budgets = {name: use() for name, use in service.budgets.items()}
+    failing, troubles = troubles_of(list(sessions.values()))
+    budgets = {name: use() for name, use in uses.items()}
     over = [name for name, budget in budgets.items() if budget.exceeded]
     troubles += [f"budget {name} is used up: whoever has the most is refused" for name in over]
-    status = "stopping" if service.stopping else "not ready" if reasons else "ok"
+    status = "stopping" if stops else "not ready" if reasons else "ok"
     if status == "ok" and troubles:
         status = "degraded"
     return Health(
         status=status,  # type: ignore[arg-type]
         reasons=reasons + troubles,
-        version=service.version,
-        uptime_s=time.monotonic() - service.started_s,
-        sessions=len(service.sessions),
+        version=VERSION,
+        uptime_s=time.monotonic() - started_s,
+        sessions=len(sessions),
         recording_failures=failing,
         budgets=budgets,
     )
 
 
-def budgets_of(service: Observed) -> dict[str, Callable[[], BudgetUse]]:
+def budgets_of(sessions: dict[str, Session], histories: Histories, settings: Settings) -> Budgets:
     """What is in use of the budgets of sessions; those of requests come from the guard."""
-    sessions, settings = service.sessions, service.settings
 
     def barred() -> int:
         return sum(one.bar.left_s > 0.0 for one in sessions.values())
 
     return {
-        "history_bytes": lambda: BudgetUse(
-            used=service.histories.held, most=settings.history_bytes
-        ),
-        "watchers": lambda: BudgetUse(used=service.watchers, most=settings.watchers),
+        "history_bytes": lambda: BudgetUse(used=histories.held, most=histories.most),
         "sessions": lambda: BudgetUse(used=len(sessions), most=settings.sessions),
         "barred_sessions": lambda: BudgetUse(used=barred(), most=settings.sessions),
     }
@@ -80,3 +71,34 @@ def troubles_of(sessions: list[Session]) -> tuple[int, list[str]]:
     stays = {session.id: session.keeper.reason for session in sessions if session.keeper}
     found += [f"session {n} cannot go on elsewhere: {why}" for n, why in stays.items() if why]
     return len(failed), found
+
+
+def info_of(session: Session) -> SessionInfo:
+    """The present state of a session."""
+    assert session.request.camera is not None
+    progress = session.progress
+    return SessionInfo(
+        id=session.id,
+        model=session.model,
+        model_sha256=session.stored.sha256,
+        camera=session.request.camera,
+        source=session.source,
+        phase=progress.phase,
+        created_unix_s=session.created_unix_s,
+        frames=progress.frames,
+        drops=session.drops,
+        found_fraction=progress.found / progress.frames if progress.frames else None,
+        watchers=len(session.watchers),
+        last_frame=progress.last_frame,
+        last_time_s=progress.last_time_s,
+        since_pose_s=progress.since_pose_s,
+        age_s=progress.age_s,
+        alarms=session.events.alarms,
+        sensors=session.sensors(),
+        on_frames=session.request.sensors or FrameSensorsRequest(),
+        recording=session.log.recording,
+        finished=session.finished,
+        reason=session.reason,
+        warnings=list(dict.fromkeys(session.request.notes)),
+        flight=session.flight.report,
+    )

@@ -19,7 +19,7 @@ from pydantic import PrivateAttr
 
 from rendezview.errors import RendezviewError
 from rendezview_service.hub.model_store import ModelStore
-from rendezview_service.hub.temporary import TemporaryFolder
+from rendezview_service.logs.log_lock import TemporaryFolder
 from rendezview_service.messages.model_messages import JobInfo, JobState
 
 log = logging.getLogger("rendezview_service")
@@ -164,7 +164,7 @@ class Jobs:
 
     async def _run(self, job: Job) -> None:
         job.state, job._started_s = JobState.RUNNING, time.monotonic()
-        last = ""
+        last, ended = "", JobState.CANCELLED
         try:
             # Its own process group: the processes that it starts end with it.
             job._process = await asyncio.create_subprocess_exec(
@@ -183,26 +183,19 @@ class Jobs:
                 async for line in job._process.stderr:
                     last = _progress(job, line.decode(errors="replace").strip()) or last
                 code = await job._process.wait()
-            if job.state is JobState.CANCELLED:
-                self._over(job, JobState.CANCELLED)
-            elif code != 0:
-                job.reason = last or f"the training ended with code {code}"
-                self._over(job, JobState.FAILED)
-            else:
+            if job.state is not JobState.CANCELLED:
+                if code != 0:
+                    raise RendezviewError(last or f"the training ended with code {code}")
                 made = job._folder / f"{job.model}.rvm"
                 await asyncio.to_thread(self._store.add, job.model, made)
-                self._over(job, JobState.DONE)
-        except TimeoutError:
-            _kill(job)
-            job.reason = f"the training took longer than {self._most_s:g} s: see `job_s`"
-            self._over(job, JobState.FAILED)
-        except (OSError, RendezviewError, ValueError) as error:
-            job.reason = str(error)
-            self._over(job, JobState.FAILED)
+                ended = JobState.DONE
+        except (OSError, RendezviewError, ValueError) as error:  # the time is over, too
+            late = f"the training took longer than {self._most_s:g} s: see `job_s`"
+            job.reason = late if isinstance(error, TimeoutError) else str(error)
+            ended = JobState.FAILED
         finally:
-            if not job.is_over:
-                _kill(job)
-                self._over(job, JobState.CANCELLED)
+            _kill(job)
+            self._over(job, ended)
             self._running.pop(job.id, None)
             self._next()
 

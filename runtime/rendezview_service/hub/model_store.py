@@ -26,7 +26,7 @@ from rendezview.geometry.pose import Array
 from rendezview.io.files import atomic_write, make_folder, write_error
 from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance import ViewModel
-from rendezview_service.hub.temporary import TemporaryFolder
+from rendezview_service.logs.log_lock import TemporaryFolder
 from rendezview_service.messages.model_messages import ModelInfo
 from rendezview_service.tracker.model_geometry import geometry
 
@@ -236,9 +236,6 @@ class ModelStore:
         _ = stored.model
         self._models[name] = stored
         return stored
-
-    def __len__(self) -> int:
-        return len(self._models)
 
     def names(self) -> list[str]:
         """Names, sorted."""

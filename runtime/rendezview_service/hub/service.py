@@ -9,7 +9,6 @@ import os
 import secrets
 import time
 from collections.abc import Callable, Coroutine
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -37,12 +36,12 @@ from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.source_process import open_apart
 from rendezview_service.hub.sources import Source
 from rendezview_service.hub.viewers import Viewers
-from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle
+from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle, open_request
 from rendezview_service.hub.worker_pool import WorkerPool
-from rendezview_service.hub.worker_requests import open_request
 from rendezview_service.logs.log_folder import keep_logs
 from rendezview_service.logs.recordings import Recordings
-from rendezview_service.messages.messages import Health, SessionRequest
+from rendezview_service.messages.message_parts import BudgetUse, Health
+from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import camera_message
 
@@ -76,7 +75,7 @@ class Service:
             speed: of sources that are files, as a multiple of their own rate; 0: no pauses.
 
         Raises:
-            RendezviewError: a model, camera or source is missing or wrong.
+            RendezviewError: a model, camera, source or folder is missing or wrong.
         """
         self.settings = settings
         self.metrics = Metrics()
@@ -84,10 +83,17 @@ class Service:
         self.ended: dict[str, str] = {}  # why the last ones ended, by id
         self.resuming: set[str | None] = set()  # of an earlier run, that will go on
         self.watchers, self.stopping = 0, False
+        self.metrics.sessions.set_function(lambda: len(self.sessions))
+        self.metrics.watchers.set_function(lambda: self.watchers)
         self.started_s = time.monotonic()
-        self.version = metadata.version("rendezview")
         self._sources: list[Source] = []
         self._alone = not shares_models
+        logs = settings.record_folder
+        if logs is not None and logs == settings.record:
+            make_folder(logs)
+        elif logs is not None and not logs.is_dir():
+            reason = "its folder does not exist: create it first"
+            raise RendezviewError(f"{settings.record}: {reason}")
         try:
             state, folder = settings.state_folder if self._alone else None, settings.models_folder
             self._state_lock = None if state is None else lock_state(state)
@@ -103,14 +109,15 @@ class Service:
             for source in self._sources:
                 source.close()
             raise
-        self.recordings = Recordings(settings.record_folder)
+        self.recordings = Recordings(logs)
         self._viewers, self.histories = Viewers(settings), Histories(settings.history_bytes)
         self._speed = speed
         self.jobs = Jobs(self.models, settings.jobs, settings.job_s, settings.job_bytes)
         self.workers = WorkerPool(settings, self.metrics, self._reopen)
         self._feeders: dict[str, Feeder] = {}
         self._opening: set[str] = set()
-        self.budgets = budgets_of(self)
+        self.budgets = budgets_of(self.sessions, self.histories, settings)
+        self.budgets["watchers"] = lambda: BudgetUse(used=self.watchers, most=settings.watchers)
         self._ending: dict[str, CheckpointKeeper] = {}  # of sessions that have ended
         self.once: Once[str] = Once(_REMEMBERED)  # ids of what requests have begun
         self._tasks: set[asyncio.Task[None]] = set()
@@ -125,17 +132,9 @@ class Service:
         """Begin to start workers and sources, and to repair logs of an earlier run.
 
         It returns at once; `health` has the progress. If the start fails, `failure` says why.
-
-        Raises:
-            RendezviewError: logs cannot be written to their folder.
         """
         folder = self.settings.record_folder
         if folder is not None:
-            if folder == self.settings.record:
-                make_folder(folder)
-            elif not folder.is_dir():
-                reason = "its folder does not exist: create it first"
-                raise RendezviewError(f"{self.settings.record}: {reason}")
             self._spawn(keep_logs(folder, self.settings.logs_bytes, self.settings.logs_s))
         self._begun = asyncio.create_task(self._begin())
         self._begun.add_done_callback(self._begin_done)
@@ -145,8 +144,10 @@ class Service:
         start_s = time.monotonic()
         model = self.given or await asyncio.to_thread(self.models.first_readable)
         viewers = asyncio.to_thread(self._viewers.start)
-        workers = self.workers.start(self.settings.workers or os.cpu_count() or 1, model)
+        workers = self.workers.start(self.settings.workers or os.cpu_count() or 1)
         await asyncio.gather(viewers, workers)
+        if model is not None:
+            await self.workers.read(model)
         if self._alone and self.settings.state_folder is not None:
             await self._go_on(self.settings.state_folder)
         for number, source in enumerate(self._sources):
@@ -205,7 +206,8 @@ class Service:
         reasons = self.workers.troubles
         if self._begun is not None and not self._begun.done():
             reasons = [f"starting: {self.workers.progress}"]
-        return health_of(self, reasons)
+        known = self.sessions, self.budgets, reasons
+        return health_of(*known, self.started_s, self.stopping)
 
     # Sessions
 
@@ -239,9 +241,9 @@ class Service:
         stored = stored or self.model_named(request.model)
         self._opening.add(name)
         try:
-            await self.workers.warmed(stored)
             request = await asyncio.to_thread(self.defaults.filled, request, name, stored)
-            if request.sensors is not None:  # one that is known already waits as long as it takes
+            if request.sensors is not None and request.sensors.any:
+                # One that is known already waits as long as it takes.
                 known = source is not None or resumed is not None
                 await self.workers.sensors_compiled(None if known else _START_WAIT_S)
             of = None if source is None else source.name
@@ -268,7 +270,6 @@ class Service:
             if keeper.reason is not None and resumed is None:
                 await self.close(session, "it has no checkpoint")
                 raise RendezviewError(f"session {name} cannot be opened: {keeper.reason}")
-        self.metrics.sessions.set(len(self.sessions))
         self._spawn(self.workers.prepare(list(self.sessions.values())))
         if self._viewers.any:
             self._spawn(self._viewers.follow(session))
@@ -293,7 +294,6 @@ class Service:
             self._ending[session.id] = keeper
         session.worker = None
         session.end(reason, 503 if goes_on and keeper is not None else 410)
-        self.metrics.sessions.set(len(self.sessions))
         if worker is not None:
             worker.forget(session)
             with contextlib.suppress(WorkerGone, TimeoutError):
@@ -312,10 +312,6 @@ class Service:
         if not self.stopping:
             self.models.prune({session.stored.sha256 for session in self.sessions.values()})
             self._spawn(self.workers.prepare(list(self.sessions.values())))
-
-    def uses(self, stored: StoredModel) -> bool:
-        """Whether a session uses a model."""
-        return any(session.stored is stored for session in self.sessions.values())
 
     def model_named(self, name: str | None) -> StoredModel:
         """A model; None: the only one.

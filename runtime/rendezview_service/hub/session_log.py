@@ -57,15 +57,9 @@ class SessionLog:
         changed = recording.state is not self.recording.state
         failed = recording.state is RecordingState.FAILED
         if changed and (self._paths or failed):
-            log.log(
-                logging.ERROR if failed else logging.INFO,
-                "recording",
-                extra={
-                    "session": self._session,
-                    "state": str(recording.state),
-                    "reason": recording.reason,
-                },
-            )
+            level, reason = logging.ERROR if failed else logging.INFO, recording.reason
+            about = {"session": self._session, "state": str(recording.state), "reason": reason}
+            log.log(level, "recording", extra=about)
         lost = self._earlier_lost + recording.lost
         self.recording = recording.model_copy(update={"lost": lost})
         self._paths = [*self._earlier, *map(Path, paths)]

@@ -10,17 +10,15 @@ from functools import partial
 from pydantic_core import to_json
 
 from rendezview_service.hub import inputs
-from rendezview_service.hub.attached_flight import AttachedFlight
 from rendezview_service.hub.checkpoint import Checkpoint, CheckpointKeeper
 from rendezview_service.hub.clock import SessionClock
 from rendezview_service.hub.history import Histories, Past
-from rendezview_service.hub.inputs import Answer, InputQueue, SessionInput
+from rendezview_service.hub.inputs import Answer, InputQueue, SessionInput, TokenBucket
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.hub.once import Once
 from rendezview_service.hub.progress import Progress
-from rendezview_service.hub.rate_limit import TokenBucket
-from rendezview_service.hub.session_events import SessionEvents
+from rendezview_service.hub.session_events import AttachedFlight, SessionEvents
 from rendezview_service.hub.session_log import SessionLog
 from rendezview_service.hub.watching import Watchers
 from rendezview_service.messages.approach_messages import Level
@@ -112,6 +110,7 @@ class Session:
         sender: str = "",
         sensor: str | None = None,
         key: str | None = None,
+        roi: list[float] | None = None,
     ) -> SessionInput:
         """An input that arrives now, by the session's clock.
 
@@ -126,7 +125,7 @@ class Session:
             self.progress.check_time(time_s)
         unix_s = self.clock.unix_s(now_s)
         at_s = unix_s if time_s is None else time_s
-        return SessionInput(pieces, at_s, unix_s, now_s, answer, sensor, sender, key)
+        return SessionInput(pieces, at_s, unix_s, now_s, answer, sensor, sender, key, roi)
 
     def queue(self, waiting: SessionInput) -> None:
         """A frame that is tracked after those before it.

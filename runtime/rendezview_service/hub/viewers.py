@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import functools
 import json
 import logging
 import os
@@ -18,14 +17,18 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
+
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 
 from rendezview.errors import RendezviewError
+from rendezview_service.hub.health import info_of
 from rendezview_service.hub.rerun_readings import ReadingsRecorder, transform
 from rendezview_service.hub.ros_viewer import RosViewer
-from rendezview_service.hub.session_info import info_of
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
+from rendezview_service.logs.log_schemas import descriptors, frame_transform, pose_in_frame, stamp
 from rendezview_service.messages.messages import SessionInfo
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import camera_of
@@ -44,23 +47,13 @@ _NUMBERS = ("confidence", "score", "range_m", "track_ms", "latency_ms")
 Json = dict[str, Any]
 
 
-class Viewer(Protocol):
-    """A server of another program's data."""
-
-    def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
-        """A `WatchState` and its JPEG, or nothing."""
-
-    def close(self) -> None:
-        """End the server."""
-
-
 class Viewers:
     """The servers that the settings ask for."""
 
     def __init__(self, settings: Settings) -> None:
         """None runs yet: see `start`."""
         self._settings = settings
-        self._viewers: list[Viewer] = []
+        self._viewers: list[FoxgloveViewer | RerunViewer | RosViewer] = []
         self._lock = threading.Lock()  # a close waits for the start
 
     def start(self) -> None:
@@ -126,82 +119,60 @@ class FoxgloveViewer:
 
     def __init__(self, host: str, port: int) -> None:
         import foxglove
-        from foxglove import channels, messages
 
-        self._messages, self._kinds = messages, channels
-        self._context = foxglove.Context()
+        self._package, self._context = foxglove, foxglove.Context()
         self._server = foxglove.start_server(
             name="rendezview", host=host, port=port, context=self._context
         )
         self._channels: dict[str, Any] = {}
-        self._of_states = functools.partial(
-            foxglove.Channel, message_encoding="json", schema={"type": "object"}
-        )
 
-    def _channel(self, topic: str, kind: Any) -> Any:
+    def _send(self, topic: str, message: Any) -> None:
+        """Send a message of protobuf, or JSON."""
+        as_json = isinstance(message, dict)
         if topic not in self._channels:
-            self._channels[topic] = kind(topic, context=self._context)
-        return self._channels[topic]
+            schema: Any = {"type": "object"}
+            if not as_json:
+                name = message.DESCRIPTOR.full_name
+                schema = self._package.Schema(
+                    name=name, encoding="protobuf", data=descriptors(message)
+                )
+            encoding = "json" if as_json else "protobuf"
+            self._channels[topic] = self._package.Channel(
+                topic, message_encoding=encoding, schema=schema, context=self._context
+            )
+        self._channels[topic].log(message if as_json else message.SerializeToString())
 
     def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
         """A `WatchState` and its JPEG, or nothing."""
-        parts, kinds, state, at = self._messages, self._kinds, message["state"], f"/{info.id}"
-        whole = int(state["received_unix_s"])
-        stamp = parts.Timestamp(sec=whole, nsec=int(1e9 * (state["received_unix_s"] - whole)))
-        frame = f"{info.id}/camera"
-        self._channel(f"{at}/state", self._of_states).log(state)
+        state, at, time_s = message["state"], f"/{info.id}", message["state"]["received_unix_s"]
+        frames = f"{info.id}/camera", f"{info.id}/target"
+        self._send(f"{at}/state", state)
         if info.flight is not None:
-            self._channel(f"{at}/flight", self._of_states).log(info.flight.model_dump(mode="json"))
+            self._send(f"{at}/flight", info.flight.model_dump(mode="json"))
         poses = {"pose": state["pose"], "fused": (state.get("fused") or {}).get("pose")}
         for name, pose in poses.items():
-            if pose is None:
-                continue
-            w, *vector = pose["quat_wxyz"]
-            place = parts.Vector3(**_xyz(pose["translation_m"]))
-            turn = parts.Quaternion(w=w, **_xyz(vector))
-            placed = parts.Pose(position=place, orientation=turn)
-            told = parts.PoseInFrame(timestamp=stamp, frame_id=frame, pose=placed)
-            self._channel(f"{at}/target/{name}", kinds.PoseInFrameChannel).log(told)
-            if name == "pose":
-                transform = parts.FrameTransform(
-                    timestamp=stamp,
-                    parent_frame_id=frame,
-                    child_frame_id=f"{info.id}/target",
-                    translation=place,
-                    rotation=turn,
-                )
-                self._channel(f"{at}/tf", kinds.FrameTransformChannel).log(transform)
+            if pose is not None:
+                self._send(f"{at}/target/{name}", pose_in_frame(time_s, pose, frames[0]))
+        if state["pose"] is not None:
+            self._send(f"{at}/tf", frame_transform(time_s, state["pose"], *frames))
         if picture:
-            image = parts.CompressedImage(
-                timestamp=stamp, frame_id=frame, data=picture, format="jpeg"
-            )
-            self._channel(f"{at}/camera/image", kinds.CompressedImageChannel).log(image)
-            scale = _WIDTH_PX / max(info.camera.width, _WIDTH_PX)
-            marks = parts.ImageAnnotations(points=_foxglove_points(parts, stamp, message, scale))
-            self._channel(f"{at}/camera/contour", kinds.ImageAnnotationsChannel).log(marks)
+            stamped = {"timestamp": stamp(time_s), "frame_id": frames[0]}
+            image = CompressedImage(data=picture, format="jpeg", **stamped)
+            self._send(f"{at}/camera/image", image)
+            marks, scale = ImageAnnotations(), _WIDTH_PX / max(info.camera.width, _WIDTH_PX)
+            if message["contour"] is not None:
+                points = [
+                    {"x": scale * u, "y": scale * v} for u, v in message["contour"]["points_px"]
+                ]
+                drawn = marks.points.add(timestamp=stamp(time_s), points=points, thickness=2.0)
+                drawn.type = drawn.POINTS
+                colour = drawn.outline_color
+                colour.r, colour.g, colour.b, colour.a = _CONTOUR_RGBA
+            self._send(f"{at}/camera/contour", marks)
 
     def close(self) -> None:
         """End the server."""
         self._server.stop()
-
-
-def _xyz(values: list[float]) -> dict[str, float]:
-    return dict(zip("xyz", values, strict=True))
-
-
-def _foxglove_points(parts: Any, stamp: Any, message: Json, scale: float) -> list[Any]:
-    contour = message["contour"]
-    if contour is None:
-        return []
-    red, green, blue, alpha = _CONTOUR_RGBA
-    colour = parts.Color(r=red, g=green, b=blue, a=alpha)
-    points = [parts.Point2(x=scale * u, y=scale * v) for u, v in contour["points_px"]]
-    kind = parts.PointsAnnotationType.Points
-    return [
-        parts.PointsAnnotation(
-            timestamp=stamp, type=kind, points=points, outline_color=colour, thickness=2.0
-        )
-    ]
 
 
 class RerunViewer:

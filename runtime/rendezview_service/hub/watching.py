@@ -124,19 +124,14 @@ class Watchers(set[Watcher]):
         contour, outlines = to_json(extras["contour"]), to_json(extras["silhouette_px"])
         for watcher in self._due & self:
             shown = picture if watcher.width else b""
-            text = b"".join(
-                (
-                    b'{"type":"state","state":',
+            text = (
+                b'{"type":"state","state":%b,"contour":%b,"silhouette_px":%b,"image_follows":%b,%b}'
+                % (
                     state,
-                    b',"contour":',
                     contour if watcher.contour else b"null",
-                    b',"silhouette_px":',
                     outlines if watcher.silhouette else b"null",
-                    b',"image_follows":',
                     b"true" if shown else b"false",
-                    b",",
                     rest,
-                    b"}",
                 )
             )
             stamped = int(extras["frame"]).to_bytes(8, "little") + shown if shown else b""

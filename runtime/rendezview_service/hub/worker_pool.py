@@ -13,8 +13,14 @@ from rendezview_service.hub.inputs import NotReady
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.hub.sessions import Session
-from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle
-from rendezview_service.hub.worker_requests import prepare_request, sight_of, warm_request
+from rendezview_service.hub.worker_handle import (
+    WorkerGone,
+    WorkerHandle,
+    prepare_request,
+    read_request,
+    sight_of,
+    warm_request,
+)
 from rendezview_service.messages.wire import Header
 from rendezview_service.settings import Settings
 
@@ -25,7 +31,6 @@ _MOST_PREPARED = 4  # recognizers, 90 MB each, that the spare worker has ready. 
 _SPARE_PAUSE_S = 1.0  # s, in which moved sessions have the processor alone. Source: chosen
 _RESTART_PAUSE_S = 1.0  # s, between attempts to replace a worker. Source: chosen
 _LOOK_S = 0.2  # s; between questions whether loops are compiled. Source: chosen
-_WARM_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
 _STOP_S = 3.0  # s, for a process to end, then it is killed. Source: chosen
 
 
@@ -53,21 +58,18 @@ class WorkerPool:
         self._workers: list[WorkerHandle] = []
         self._spare: WorkerHandle | None = None
         self._sights: list[Header] = []  # what the spare worker has ready
-        self._warm_with: StoredModel | None = None  # model for the warm-up
-        self._warming: asyncio.Task[None] | None = None
         self._replacing: set[asyncio.Task[None]] = set()
         self._stopping = False
         self.progress = "the worker processes start"
         # Whether the loops of sessions' own sensors are still being compiled.
         self.without_sensors: Callable[[], bool] = lambda: False
 
-    async def start(self, count: int, model: StoredModel | None) -> None:
-        """Start ``count`` workers and warm them up with a model.
+    async def start(self, count: int) -> None:
+        """Start ``count`` workers and warm them up.
 
         Raises:
             RendezviewError: a worker does not start.
         """
-        self._warm_with = model
         self._workers = [self._new() for _ in range(count)]
         try:
             # One first: the others then read its compiled code.
@@ -102,9 +104,8 @@ class WorkerPool:
 
     @property
     def troubles(self) -> list[str]:
-        """Why no frame can be tracked; or not soon, because loops are being compiled."""
-        compiling = self._warming is not None and not self._warming.done()
-        return ["no worker process is ready"] * self.none_ready + [COMPILING] * compiling
+        """Why no frame can be tracked."""
+        return ["no worker process is ready"] * self.none_ready
 
     def least_busy(self) -> WorkerHandle:
         """The worker with the fewest sessions.
@@ -135,31 +136,13 @@ class WorkerPool:
 
     async def read(self, model: StoredModel) -> None:
         """Have all workers read a model, before a session uses it."""
-        await self.warmed(model)
-        await self._ask_all(self._warm_request(model))
+        await self._ask_all(read_request(model))
 
     async def _ask_all(self, request: Header) -> None:
         for worker in self._workers:
             if worker.ready:
                 with contextlib.suppress(WorkerGone):
                     await worker.ask(request)
-
-    async def warmed(self, model: StoredModel) -> None:
-        """Warm the workers up with a model, if there was none at the start.
-
-        Raises:
-            RendezviewError: the file is not a model.
-            NotReady: it takes longer, because loops have to be compiled.
-        """
-        if self._warm_with is None:
-            self._warm_with = model
-            self._warming = asyncio.create_task(self._warm_all(model))
-        if self._warming is None:
-            return
-        try:
-            await asyncio.wait_for(asyncio.shield(self._warming), _WARM_WAIT_S)
-        except TimeoutError:
-            raise NotReady(COMPILING) from None
 
     async def sensors_compiled(self, within_s: float | None) -> None:
         """Wait until the loops of sessions' own sensors are compiled; None: for any time.
@@ -174,9 +157,6 @@ class WorkerPool:
         except TimeoutError:
             raise NotReady(COMPILING) from None
 
-    def _warm_request(self, model: StoredModel) -> Header:
-        return warm_request(model, sensors=not self.without_sensors())
-
     def _new(self) -> WorkerHandle:
         worker = WorkerHandle(self._settings.frame_bytes, self._settings.frame_timeout_s)
         worker.on_gone = self._gone
@@ -189,14 +169,13 @@ class WorkerPool:
         log.info("compiling", extra={"loops": loops})
 
     async def _start_one(self, worker: WorkerHandle) -> None:
-        """Start a worker and warm it up."""
-        await worker.start()
-        if self._warm_with is not None:
-            await self._warm(worker, self._warm_with)
+        """Start a worker with its loops; if it had to compile, again, to read them from the cache.
 
-    async def _warm(self, worker: WorkerHandle, model: StoredModel) -> None:
-        """Have a worker compile its loops; if it did, restart it to read them from the cache."""
-        request = self._warm_request(model)
+        Raises:
+            RendezviewError: they cannot be compiled.
+        """
+        await worker.start()
+        request = warm_request(sensors=not self.without_sensors())
         answer = await worker.ask(request)
         if answer["kind"] == "fault":
             raise RendezviewError(answer["error"])
@@ -204,17 +183,6 @@ class WorkerPool:
             log.info("compiled", extra={"loops": answer["compiled"]})
             await worker.restart()
             await worker.ask(request)
-
-    async def _warm_all(self, model: StoredModel) -> None:
-        first, *others = self._workers
-        try:
-            await self._warm(first, model)
-            await asyncio.gather(*(self._warm(worker, model) for worker in others))
-        except RendezviewError:
-            self._warm_with = self._warming = None
-            raise
-        except (WorkerGone, TimeoutError, OSError):
-            pass  # its replacement warms up
 
     def _gone(self, worker: WorkerHandle) -> None:
         known = worker is self._spare or worker in self._workers
@@ -257,10 +225,8 @@ class WorkerPool:
             try:
                 await self._start_one(fresh)
                 break
-            except RendezviewError as error:
-                # It runs, but its model for the warm-up is gone; the next model warms it up.
+            except RendezviewError as error:  # it runs
                 log.warning("not warmed up", extra={"reason": str(error)})
-                self._warm_with = self._warming = None
                 break
             except (WorkerGone, TimeoutError, OSError):
                 await asyncio.sleep(_RESTART_PAUSE_S)

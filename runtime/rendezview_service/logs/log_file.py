@@ -36,7 +36,7 @@ from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 from rendezview.errors import RendezviewError
 from rendezview.io.files import StrPath
 from rendezview.io.sequences.mcap_messages import MOST_RECORD
-from rendezview_service.logs.log_index import MAGIC
+from rendezview_service.logs.log_index import MAGIC, Scan
 
 WRITER = "rendezview"  # in the header of the service's own logs
 SESSION_METADATA, MODEL_ATTACHMENT = "rendezview.session", "model.rvm"
@@ -64,21 +64,6 @@ _CHUNK_START = 57  # bytes that the pattern may need. Source: its own length
 _MOST_EXTRA = 1024  # bytes in a record, of fields of later versions. Source: a chosen limit
 
 
-class ChannelKinds:
-    """The name of each channel's schema, from the records before the messages."""
-
-    def __init__(self) -> None:
-        self.kinds: dict[int, str] = {}  # by channel
-        self._schemas: dict[int, str] = {}
-
-    def note(self, record: McapRecord) -> None:
-        """Take a schema or a channel over; other records change nothing."""
-        if isinstance(record, Schema):
-            self._schemas[record.id] = record.name
-        elif isinstance(record, Channel):
-            self.kinds[record.id] = self._schemas.get(record.schema_id, "")
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class LogHead:
     """What a log says before its messages."""
@@ -94,16 +79,16 @@ def head_of(path: StrPath, *, with_model: bool = False) -> LogHead:
     Raises:
         RendezviewError: it is missing or not an MCAP file.
     """
-    channels, notes, model = ChannelKinds(), dict[str, str](), None
-    for record, _, _ in records(path):
-        channels.note(record)
+    found, notes, model = Scan(), dict[str, str](), None
+    for record, offset, length in records(path):
+        found.add(record, offset, length)
         if isinstance(record, Metadata) and record.name == SESSION_METADATA:
             notes = dict(record.metadata)
         elif isinstance(record, Attachment) and record.name == MODEL_ATTACHMENT:
             model = record.data
         if isinstance(record, Chunk) or (notes and not with_model):
             break
-    return LogHead(notes, model, channels.kinds)
+    return LogHead(notes, model, found.kinds)
 
 
 def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord, int, int]]:

@@ -88,6 +88,12 @@ class Scan:
             self.attachments.append(index)
         self.end = offset + length
 
+    @property
+    def kinds(self) -> dict[int, str]:
+        """The name of each channel's schema."""
+        names = {number: schema.name for number, schema in self.schemas.items()}
+        return {channel.id: names.get(channel.schema_id, "") for channel in self.channels.values()}
+
 
 def chunk_index(chunk: Chunk, offset: int, length: int) -> ChunkIndex:
     """The index of a chunk, without the indexes of its messages."""

@@ -82,23 +82,29 @@ def stamp(time_s: float) -> Timestamp:
     return Timestamp(seconds=whole, nanos=min(int((time_s - whole) * 1e9), 999_999_999))
 
 
-def pose_bytes(time_s: float, pose: dict[str, list[float]]) -> bytes:
+def pose_in_frame(
+    time_s: float, pose: dict[str, list[float]], frame: str = CAMERA_FRAME
+) -> PoseInFrame:
     """foxglove.PoseInFrame: the target in the camera frame."""
-    message = PoseInFrame(timestamp=stamp(time_s), frame_id=CAMERA_FRAME)
+    message = PoseInFrame(timestamp=stamp(time_s), frame_id=frame)
     _set(message.pose.position, message.pose.orientation, pose)
-    return bytes(message.SerializeToString())
+    return message
 
 
-def transform_bytes(time_s: float, pose: dict[str, list[float]]) -> bytes:
+def frame_transform(
+    time_s: float,
+    pose: dict[str, list[float]],
+    parent: str = CAMERA_FRAME,
+    child: str = TARGET_FRAME,
+) -> FrameTransform:
     """foxglove.FrameTransform: the target in the camera frame."""
-    message = FrameTransform(
-        timestamp=stamp(time_s), parent_frame_id=CAMERA_FRAME, child_frame_id=TARGET_FRAME
-    )
+    at = stamp(time_s)
+    message = FrameTransform(timestamp=at, parent_frame_id=parent, child_frame_id=child)
     _set(message.translation, message.rotation, pose)
-    return bytes(message.SerializeToString())
+    return message
 
 
-def calibration_bytes(time_s: float, camera: Camera) -> bytes:
+def _calibration(time_s: float, camera: Camera) -> CameraCalibration:
     """foxglove.CameraCalibration."""
     matrix = camera.matrix
     fisheye = camera.lens_model is LensModel.FISHEYE
@@ -107,7 +113,7 @@ def calibration_bytes(time_s: float, camera: Camera) -> bytes:
         distortion.append(0.0)
     polynomial = "plumb_bob" if len(distortion) == 5 else "rational_polynomial"
     projection = [*matrix[0], 0.0, *matrix[1], 0.0, *matrix[2], 0.0]
-    message = CameraCalibration(
+    return CameraCalibration(
         timestamp=stamp(time_s),
         frame_id=CAMERA_FRAME,
         width=camera.width,
@@ -118,28 +124,26 @@ def calibration_bytes(time_s: float, camera: Camera) -> bytes:
         R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         P=projection,
     )
-    return bytes(message.SerializeToString())
 
 
-def image_bytes(
+def _image(
     time_s: float, content: Bytes, kind: FrameKind, camera: Camera
-) -> tuple[int, bytes]:
+) -> tuple[int, RawImage | CompressedImage]:
     """Channel and message of a frame, with its bytes as they arrived."""
-    if kind is FrameKind.RAW:
-        raw = RawImage(
-            timestamp=stamp(time_s),
-            frame_id=CAMERA_FRAME,
-            width=camera.width,
-            height=camera.height,
-            encoding="mono8",
-            step=camera.width,
-            data=bytes(content),
-        )
-        return RAW, bytes(raw.SerializeToString())
-    compressed = CompressedImage(
-        timestamp=stamp(time_s), frame_id=CAMERA_FRAME, data=bytes(content), format=str(kind)
+    at, data = stamp(time_s), bytes(content)
+    if kind is not FrameKind.RAW:
+        named = {"frame_id": CAMERA_FRAME, "format": str(kind)}
+        return COMPRESSED, CompressedImage(timestamp=at, data=data, **named)
+    raw = RawImage(
+        timestamp=at,
+        frame_id=CAMERA_FRAME,
+        width=camera.width,
+        height=camera.height,
+        encoding="mono8",
+        step=camera.width,
+        data=data,
     )
-    return COMPRESSED, bytes(compressed.SerializeToString())
+    return RAW, raw
 
 
 def of_frame(
@@ -147,18 +151,19 @@ def of_frame(
 ) -> list[Logged]:
     """The messages of one frame; ``content``: its bytes as they arrived, if they are recorded."""
     time_s, pose, fused = state["time_s"], state["pose"], state.get("fused")
-    parts: list[tuple[int, bytes]] = [(STATE, state_json)]
+    parts: list[tuple[int, Any]] = []
     if pose is not None:
-        parts.append((POSE, pose_bytes(time_s, pose)))
-        parts.append((TRANSFORM, transform_bytes(time_s, pose)))
+        parts.append((POSE, pose_in_frame(time_s, pose)))
+        parts.append((TRANSFORM, frame_transform(time_s, pose)))
     if fused is not None and fused["pose"] is not None:
-        parts.append((FUSED, pose_bytes(time_s, fused["pose"])))
+        parts.append((FUSED, pose_in_frame(time_s, fused["pose"])))
     if content is not None:
-        parts.append(image_bytes(time_s, content, kind_of(content), camera))
+        parts.append(_image(time_s, content, kind_of(content), camera))
     if calibrates:
-        parts.append((CALIBRATION, calibration_bytes(time_s, camera)))
-    frame_ns, sequence = nanoseconds(time_s), state["frame"] & 0xFFFFFFFF
-    return [(channel, data, frame_ns, sequence) for channel, data in parts]
+        parts.append((CALIBRATION, _calibration(time_s, camera)))
+    at = nanoseconds(time_s), state["frame"] & 0xFFFFFFFF
+    packed = [(channel, message.SerializeToString(), *at) for channel, message in parts]
+    return [(STATE, state_json, *at), *packed]
 
 
 def of_measurements(lines: list[dict[str, Any]]) -> list[Logged]:
@@ -171,7 +176,7 @@ def of_measurements(lines: list[dict[str, Any]]) -> list[Logged]:
         text = to_json(line, inf_nan_mode="null")
         parts.append((MEASUREMENT, text, nanoseconds(at_s), sequence))
         if fused is not None and fused["pose"] is not None:
-            pose = pose_bytes(fused["time_s"], fused["pose"])
+            pose = pose_in_frame(fused["time_s"], fused["pose"]).SerializeToString()
             parts.append((FUSED, pose, nanoseconds(fused["time_s"]), sequence))
     return parts
 

@@ -23,12 +23,12 @@ from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import ViewModel
 from rendezview_service.logs.log_file import (
     SESSION_METADATA,
-    ChannelKinds,
     head_of,
     messages,
     records,
 )
 from rendezview_service.logs.log_folder import parts_from
+from rendezview_service.logs.log_index import Scan
 from rendezview_service.messages.frames import read_frame
 from rendezview_service.messages.fusion_messages import LoggedMeasurement
 from rendezview_service.messages.messages import SessionRequest
@@ -115,15 +115,15 @@ class Log:
 
 
 def _entries(path: Path) -> Iterator[LogEntry]:
-    channels = ChannelKinds()
-    for record, _, _ in records(path):
-        channels.note(record)
+    found = Scan()
+    for record, offset, length in records(path):
+        found.add(record, offset, length)
         if isinstance(record, Metadata) and record.name == SESSION_METADATA:
             yield LoggedStart(dict(record.metadata))
         elif isinstance(record, Chunk):
             parts = messages(record) or []
-            yield from _lines(path, parts, channels.kinds)
-            yield from frames_of(path, parts, channels.kinds)
+            yield from _lines(path, parts, found.kinds)
+            yield from frames_of(path, parts, found.kinds)
 
 
 def read_log(path: Path) -> Log:

@@ -49,6 +49,11 @@ class FrameSensorsRequest(Message):
         "read. If not, it starts with the first line of another sensor",
     )
 
+    @property
+    def any(self) -> bool:
+        """Whether a sensor runs, or a path is fitted: with loops of their own."""
+        return bool(self.ring or self.trajectory) or self.reflectors != "off"
+
 
 # The answers
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
@@ -92,3 +92,21 @@ class Fault(Message):
 
     error: str = Field(description="what is wrong, where, and what to do")
     status: int
+
+
+class Health(Message):
+    """``/healthz`` and ``/readyz``."""
+
+    status: Literal["ok", "degraded", "not ready", "stopping"] = Field(
+        description="degraded: it tracks, but not for every session, or cannot record"
+    )
+    reasons: list[str] = Field(default=[])
+    version: str
+    uptime_s: float
+    sessions: int
+    recording_failures: int
+    budgets: dict[str, BudgetUse] = Field(
+        default={},
+        description="bodies_bytes, uploads_bytes, unread_bytes, history_bytes, connections, "
+        "requests, websockets, downloads, watchers, sessions, barred_sessions",
+    )

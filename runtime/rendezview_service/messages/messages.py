@@ -13,8 +13,13 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, FiniteFloat, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
 from rendezview.geometry.camera import LensModel
-from rendezview_service.messages.approach_messages import Approach, ApproachRequest, Level, Motion
-from rendezview_service.messages.flight_messages import Flight
+from rendezview_service.messages.approach_messages import (
+    Approach,
+    ApproachRequest,
+    Flight,
+    Level,
+    Motion,
+)
 from rendezview_service.messages.frame_sensor_messages import (
     FrameSensorsRequest,
     ReflectorReading,
@@ -23,7 +28,6 @@ from rendezview_service.messages.frame_sensor_messages import (
 )
 from rendezview_service.messages.fusion_messages import Fused, FusionRequest, Marks
 from rendezview_service.messages.message_parts import (
-    BudgetUse,
     Direction,
     Matrix6,
     Message,
@@ -377,24 +381,3 @@ class EventList(Message):
     """The events of a session, oldest first; the oldest are forgotten first."""
 
     events: list[Event]
-
-
-# Operations
-
-
-class Health(Message):
-    """``/healthz`` and ``/readyz``."""
-
-    status: Literal["ok", "degraded", "not ready", "stopping"] = Field(
-        description="degraded: it tracks, but not for every session, or cannot record"
-    )
-    reasons: list[str] = Field(default=[])
-    version: str
-    uptime_s: float
-    sessions: int
-    recording_failures: int
-    budgets: dict[str, BudgetUse] = Field(
-        default={},
-        description="bodies_bytes, uploads_bytes, unread_bytes, history_bytes, connections, "
-        "requests, websockets, downloads, watchers, sessions, barred_sessions",
-    )

@@ -7,7 +7,6 @@ fused. What a sensor measures goes to the filter as from the command's log.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from rendezview.geometry.camera import Camera
@@ -149,38 +148,3 @@ def _target(known: FusionRequest) -> Target:
         sigma_m = one.position_sigma_m
         reflectors.append(Reflector(one.name, one.group, place, normal, one.diameter_m, sigma_m))
     return Target("session", "", None, None, reflectors=tuple(reflectors))
-
-
-def warm_up(camera: Camera, rng: np.random.Generator) -> None:
-    """Compile the loops of both sensors, or read them from their cache: see `warming.warm_up`."""
-    rings = RingSensor(camera, 0.5, circles=((0.0, 0.4), (-0.1, 0.7)))
-    lights = [ReflectorSensor(camera, patterns_of(_target(_LIGHTS))) for _ in range(2)]
-    radius_px = camera.fx / 4.0  # of a ring of 0.5 m at 2 m
-    for k in range(6):
-        dark = rng.integers(0, 12, size=(camera.height, camera.width), dtype=np.uint8)
-        ring = dark.copy()
-        for share, grey in ((1.3, 90), (1.0, 200), (0.8, 60)):
-            size = tuple(16 * round(share * radius_px * squeeze) for squeeze in (1.0, 0.9))
-            middle = 16 * (camera.width // 2 + k), 16 * (camera.height // 2)
-            cv2.ellipse(ring, middle, size, 20.0, 0.0, 360.0, grey, -1, cv2.LINE_AA, 4)
-        place = np.array([0.0, 0.0, 2.0])
-        prior = RingPrior(place, np.array([0.0, 0.0, -1.0]), range_sigma_m=0.02) if k % 2 else None
-        rings.update(float(k), ring + dark, prior).record()
-        lit = dark.copy()
-        for spot in np.array([one.position_m for one in _LIGHTS.reflectors]):
-            u, v = camera.fx * spot[:2] / 2.0 + (camera.cx + k, camera.cy)
-            cv2.circle(lit, (round(16 * u), round(16 * v)), 40, 230, -1, cv2.LINE_AA, 4)
-        lit = np.asarray(cv2.GaussianBlur(lit, (0, 0), 0.8), dtype=np.uint8)
-        for sensor, frames in zip(lights, (LitDark(lit), LitDark(lit, dark)), strict=True):
-            sensor.update(float(k), frames).record()
-
-
-_LIGHTS = FusionRequest.model_validate(
-    {
-        "reflectors": [
-            {"name": str(k), "group": "g", "position_m": place, "normal": [0.0, 0.0, -1.0],
-             "diameter_m": 0.02}
-            for k, place in enumerate(([-0.2, 0.0, 0.0], [0.0, 0.05, -0.15], [0.2, 0.0, 0.0]))
-        ]
-    }
-)  # fmt: skip

@@ -70,18 +70,13 @@ class OtherSensors:
         self._arrivals.setdefault(sensor, Arrivals()).add(now_s, unix_s)
         if header["marks"] is not None:
             self._marks[sensor] = now_s, header["marks"]
-        self.update(header)
+        self._by_filter = header["sensors"]
 
     def tracked(self, now_s: float, unix_s: float, header: Header) -> None:
         """The worker has tracked a frame, and read the session's own sensors in it."""
         for sensor in header.get("own", ()):
             self._arrivals.setdefault(sensor, Arrivals()).add(now_s, unix_s)
-        self.update(header)
-
-    def update(self, header: Header) -> None:
-        """Take the filter's opinion from a message of the worker, if it has one."""
-        if "sensors" in header:
-            self._by_filter = header["sensors"]
+        self._by_filter = header.get("sensors", self._by_filter)
 
     def forget(self, reason: str) -> None:
         """The filter ended with its process."""
@@ -94,13 +89,6 @@ class OtherSensors:
         recent = [marks for at, marks in self._marks.values() if now_s - at <= _SHOWN_S]
         return json.dumps(recent).encode() if recent else b"[]"
 
-    def trust_of(self, sensor: str) -> SensorTrust | None:
-        """The filter's opinion of a sensor."""
-        known = self._by_filter.get(sensor)
-        if known is None:
-            return None
-        return SensorTrust(**{name: known[name] for name in SensorTrust.model_fields})
-
     def health(
         self, now_s: float, frames: Arrivals, reason: str | None, tracked: int, drops: int
     ) -> list[SensorHealth]:
@@ -112,43 +100,38 @@ class OtherSensors:
             tracked: number of tracked frames.
             drops: number of frames that newer ones replaced.
         """
-        found = [
-            SensorHealth(
-                name=CAMERA,
-                kind="camera",
-                healthy=reason is None,
-                reason=reason,
-                frames=tracked,
-                drops=drops,
-                rate_hz=frames.rate_hz(now_s),
-                last_unix_s=frames.last_unix_s,
-                trust=self.trust_of(CAMERA),
-            )
-        ]
+        found = [self._health(CAMERA, "camera", now_s, frames, tracked, drops, reason)]
         for name, arrivals in self._arrivals.items():
             if name == CAMERA:
                 continue
-            known = self._by_filter.get(name, {"kind": "pose", "lines": 0})
-            trust = self.trust_of(name)
+            known = self._by_filter.get(name)
             silent_s = now_s - arrivals.times_s[-1]
-            reason = None
+            why = None
             if silent_s > _SILENT_S:
-                reason = f"no line for {silent_s:.0f} s"
-            elif trust is None:
-                reason = self._lost_filter
-            elif trust.locked_out:
-                reason = f"locked out: {trust.reason}"
-            found.append(
-                SensorHealth(
-                    name=name,
-                    kind=known["kind"],
-                    healthy=reason is None,
-                    reason=reason,
-                    frames=known["lines"],
-                    drops=0,
-                    rate_hz=arrivals.rate_hz(now_s),
-                    last_unix_s=arrivals.last_unix_s,
-                    trust=trust,
-                )
-            )
+                why = f"no line for {silent_s:.0f} s"
+            elif known is None:
+                why = self._lost_filter
+            elif known["locked_out"]:
+                why = f"locked out: {known['reason']}"
+            kind, lines = ("pose", 0) if known is None else (known["kind"], known["lines"])
+            found.append(self._health(name, kind, now_s, arrivals, lines, 0, why))
         return found
+
+    def _health(
+        self, name: str, kind: Any, now_s: float, arrivals: Arrivals, count: int, drops: int,
+        reason: str | None,
+    ) -> SensorHealth:  # fmt: skip
+        """With the filter's opinion of the sensor."""
+        known = self._by_filter.get(name)
+        names = SensorTrust.model_fields
+        return SensorHealth(
+            name=name,
+            kind=kind,
+            healthy=reason is None,
+            reason=reason,
+            frames=count,
+            drops=drops,
+            rate_hz=arrivals.rate_hz(now_s),
+            last_unix_s=arrivals.last_unix_s,
+            trust=None if known is None else SensorTrust(**{n: known[n] for n in names}),
+        )

@@ -160,15 +160,9 @@ class SessionFilter:
 
     def take(self, sensor: str, line: SensorLine) -> tuple[Json | None, Json | None]:
         """Give a checked line to the filter: the `Verdict`, and the `Fused` state afterwards."""
-        counts = self._counts.setdefault(sensor, SensorCounts(line.kind))
-        counts.lines += 1
         self.lines += 1
-        verdict = None
-        if line.measurement is None:
-            counts.silent += 1
-        else:
-            self.fuses = True
-            verdict = self._add(line.measurement, counts)
+        self.fuses = self.fuses or line.measurement is not None
+        verdict = self.add(sensor, line.kind, line.measurement)
         return verdict, self.state_at(self._newest_s) if self.fuses else None
 
     # The camera
@@ -188,23 +182,22 @@ class SessionFilter:
         """camera_from_target at a time and its covariance (6, 6); None where it is not known."""
         return pose_of_fused(self.state_at(time_s)) if self.fuses else None
 
-    def add(self, sensor: str, kind: str, measurement: Measurement | None) -> Json | None:
-        """Give a reading of the session's own sensor to the filter: the `Verdict`.
-
-        None: nothing was measured.
-        """
+    def add(
+        self, sensor: str, kind: str, measurement: Measurement | None, why: str | None = None
+    ) -> Json | None:
+        """Give a reading to the filter: the `Verdict`; None: nothing was measured, for a reason."""
         counts = self._counts.setdefault(sensor, SensorCounts(kind))
         counts.lines += 1
-        if measurement is None:
-            counts.silent += 1
-            return None
         try:
-            check_size(measurement, sensor)
+            if measurement is not None:
+                check_size(measurement, sensor)
         except RendezviewError as error:
-            counts.silent += 1
-            counts.reason = str(error)
-            return None
-        return self._add(measurement, counts)
+            measurement, why = None, str(error)
+        if measurement is not None:
+            return self._add(measurement, counts)
+        counts.silent += 1
+        counts.reason = why or counts.reason
+        return None
 
     def health(self) -> dict[str, Json]:
         """Counts and trust of each sensor, by name: a `SensorTrust` and more."""
@@ -232,22 +225,15 @@ class SessionFilter:
 
     def _see(self, observation: Observation, time_s: float) -> None:
         """Give a frame's pose to the filter."""
-        if observation.pose is None or observation.covariance is None:
-            self._newest_s = max(self._newest_s, time_s)
-            return
-        counts = self._counts.setdefault(CAMERA, SensorCounts("pose"))
-        counts.lines += 1
-        try:
-            measurement = observation.measurement(CAMERA)
-            if measurement is None:
-                raise ValueError("the pose has an alarm of its integrity")
-            check_size(measurement, CAMERA)
-        except (ValueError, RendezviewError) as error:
-            counts.silent += 1
-            counts.reason = str(error)
-            self._newest_s = max(self._newest_s, time_s)
-        else:
-            self._add(measurement, counts)
+        if observation.pose is not None and observation.covariance is not None:
+            measurement, why = None, "the pose has an alarm of its integrity"
+            try:
+                measurement = observation.measurement(CAMERA)
+            except ValueError as error:
+                why = str(error)
+            if self.add(CAMERA, "pose", measurement, why) is not None:
+                return
+        self._newest_s = max(self._newest_s, time_s)
 
     def _add(self, measurement: Measurement, counts: SensorCounts) -> Json:
         counts.measurements += 1
@@ -336,39 +322,3 @@ def _listed(matrix: Array | None) -> Json | None:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def warm_up() -> None:
-    """Compile the filter's loops, or read them from their cache: one line of each kind."""
-    ring = {"centre_m": [0.0, 0.0, 0.5], "axis": [0.0, 0.0, 1.0], "radius_m": 0.5}
-    asked = {"ring": ring, "options": {"ring_radius_sigma": 1e-3}}
-    wall = BeamMesh(
-        np.array([[-9.0, -9.0, 0.5], [9.0, -9.0, 0.5], [0.0, 9.0, 0.5]]), np.array([[0, 1, 2]])
-    )
-    filter_ = SessionFilter(FusionRequest.model_validate(asked), mesh=wall)
-    seen = {
-        "centre_m": [0.0, 0.0, 10.5],
-        "axis": [0.0, 0.0, 1.0],
-        "covariance": (1e-4 * np.eye(5)).tolist(),
-    }
-    tilted = seen | {"axis": [0.0, 0.1, math.sqrt(0.99)]}
-    pose = {"quat_wxyz": [1.0, 0.0, 0.0, 0.0], "translation_m": [0.0, 0.0, 10.0]}
-    lines: Sequence[tuple[str, Json]] = [
-        ("pose", {"pose": pose, "covariance": (1e-4 * np.eye(6)).tolist()}),
-        ("ring", {"ellipses": [], "poses": [seen, tilted]}),
-        ("ring", {"ellipses": [], "poses": [seen]}),
-        ("range", {"range_m": 10.5, "sigma_m": 0.02}),
-    ]
-    start = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
-    for k in range(3):
-        for sensor, record in lines:
-            timed = record | {"time_s": float(k)}
-            kind = kind_of(timed, sensor)
-            filter_.take(sensor, read_line(timed, kind, sensor, filter_._context, sensor))
-        filter_.track(
-            Observation(
-                Status.OK, time_s=k + 0.5, pose=start, covariance=0.1 ** (4 + k) * np.eye(6)
-            )
-        )
-    far = {"time_s": 2.9, "range_m": 30.0, "sigma_m": 0.02}
-    filter_.take("range", read_line(far, "range", "range", filter_._context, "range"))

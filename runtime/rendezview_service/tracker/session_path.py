@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.pose import Array
 from rendezview.io.results import json_value
 from rendezview.sensors.appearance import AppearanceObservation
-from rendezview.trajectory import FollowerOptions, PathFollower, Shape, plan_of
+from rendezview.trajectory import FollowerOptions, PathFollower, plan_of
 from rendezview.trajectory.follower import record
 from rendezview_service.messages.frame_sensor_messages import TrajectoryRequest
 from rendezview_service.messages.messages import SessionRequest
@@ -87,21 +87,3 @@ def trajectory_of(request: SessionRequest) -> TrajectoryRequest | None:
     if asked is True or (asked.shape is None and asked.plan is None):
         raise RendezviewError("sensors: trajectory: what path is flown? Give a shape or a plan")
     return asked
-
-
-def warm_up(rng: np.random.Generator) -> None:
-    """Compile the loops, or read them from their cache, with as few points as run them all."""
-    for shape in (Shape.CIRCULAR, Shape.VBAR):
-        follower = PathFollower(np.zeros(3), shape)
-        for k in range(8):
-            turn = 0.03 * k
-            rotation = np.array(
-                [[math.cos(turn), 0.0, math.sin(turn)], [0.0, 1.0, 0.0],
-                 [-math.sin(turn), 0.0, math.cos(turn)]]
-            )  # fmt: skip
-            hop = 3.0 * abs(math.sin(0.4 * k)) if shape is Shape.VBAR else 0.0
-            place = np.array([0.1 * k, hop, 30.0 - 0.5 * k])
-            wrong = np.eye(6)[3] * (5.0 if k % 4 == 3 else 0.0)
-            noise = 1e-3 * rng.normal(size=6) + wrong
-            seen = Pose(rotation, place).perturbed(noise)
-            follower.update(4.0 * k, seen, 1e-6 * np.eye(6), place[None], np.ones(1))

@@ -24,7 +24,6 @@ from rendezview_service.messages.messages import (
     CameraMessage,
     Contour,
     Fit,
-    IntegrityRequest,
     Phase,
     SessionRequest,
 )
@@ -58,11 +57,6 @@ def camera_message(camera: Camera, *, checked: bool = False) -> CameraMessage:
     """A camera as a message; ``checked``: what is odd about it is known."""
     keys = {name: getattr(camera, name) for name in CameraMessage.model_fields if name != "checked"}
     return CameraMessage.model_validate(keys | {"checked": checked})
-
-
-def integrity_of(message: IntegrityRequest | None) -> IntegrityOptions | None:
-    """The integrity of a message."""
-    return None if message is None else IntegrityOptions(**message.model_dump(exclude_none=True))
 
 
 class SessionTracker:
@@ -104,7 +98,10 @@ class SessionTracker:
             Region.of(self._roi, self.camera)  # a wrong one is said at once
         prior = None if request.prior is None else request.prior.pose
         recognizer = recognizer or Recognizer(model, self.camera, trees=request.trees)
-        self.tracker = Tracker(recognizer, prior, integrity=integrity_of(request.integrity))
+        asked, integrity = request.integrity, None
+        if asked is not None:
+            integrity = IntegrityOptions(**asked.model_dump(exclude_none=True))
+        self.tracker = Tracker(recognizer, prior, integrity=integrity)
         self._nodes = model.geodesic.nodes.tolist()
         self._sensors = FrameSensors(request, self.camera)
         fuses = request.sensors is not None and bool(request.sensors.fusion)

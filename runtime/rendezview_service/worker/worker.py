@@ -120,10 +120,11 @@ class WorkerProcess:
             elif request["kind"] == "open":
                 self._send({"kind": "opened", "session": request["session"], **self._open(request)})
             elif request["kind"] == "warm":
-                self._models.model(Path(request["model_path"]))
-                if request["sensors"]:
-                    self._models.warm_sensors()
+                self._models.load_loops(sensors=request["sensors"])
                 self._send({"kind": "opened", "session": "", "compiled": self._models.compiled})
+            elif request["kind"] == "read":
+                self._models.model(Path(request["model_path"]))
+                self._send({"kind": "opened", "session": ""})
             elif request["kind"] == "prepare":
                 self._models.prepare([Sight.of(one) for one in request["sights"]])
                 self._drop_unused()
@@ -159,8 +160,7 @@ class WorkerProcess:
 
     def _opened(self, request: Header, asked: SessionRequest, sight: Sight) -> _WorkerSession:
         model = self._models.model(sight.model)
-        if asked.sensors is not None:
-            self._models.warm_sensors()
+        self._models.load_loops(sensors=asked.sensors is not None and asked.sensors.any)
         tracker = SessionTracker(
             request["session"],
             model,

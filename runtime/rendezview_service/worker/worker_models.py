@@ -1,4 +1,4 @@
-"""The models of a worker process, and what is made of them for a camera."""
+"""The compiled loops and the models of a worker process, and what is made of these for a camera."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import NamedTuple
 
+from numba.core.event import Event, Listener, install_listener
+
+from rendezview.cli.compiling import load_ahead
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview_service.messages.messages import CameraMessage
 from rendezview_service.messages.wire import Header
 from rendezview_service.tracker.tracking import camera_of
-from rendezview_service.tracker.warming import warm_up, warm_up_sensors
 
 _SPARE_MODELS = 2  # that stay in memory without a session. Source: chosen
+LOOPS, SENSOR_LOOPS = ("track", "hard"), ("sensors",)  # groups, as `load_ahead` has them
 
 
 class Sight(NamedTuple):
@@ -47,27 +50,27 @@ class WorkerModels:
         """
         self.compiled = 0  # number of loops; see `warm_up`
         self._tell = tell
+        self._loaded: set[tuple[str, ...]] = set()  # groups of loops
         self._models: dict[Path, ViewModel] = {}
         self._recognizers: dict[Sight, Recognizer] = {}
         self._prepared: list[Sight] = []
-        self._reads_sensors = False  # their loops are compiled
+
+    def load_loops(self, *, sensors: bool) -> None:
+        """Load the loops of trackers, or compile them, once; and those of sessions' own sensors."""
+        for groups in (LOOPS, SENSOR_LOOPS) if sensors else (LOOPS,):
+            if groups not in self._loaded:
+                self._loaded.add(groups)
+                self.compiled += warm_up(groups, self._tell)
 
     def model(self, path: Path) -> ViewModel:
-        """A model, read once, with its loops compiled; the file is named by its content."""
+        """A model, read once; the file is named by its content."""
         if path not in self._models:
             used = {sight.model for sight in self._recognizers}
             for other in [p for p in self._models if p not in used][:-_SPARE_MODELS]:
                 del self._models[other]
             self._models[path] = ViewModel.load(path)
-            self.compiled += warm_up(self._models[path], self._tell)
             _give_back()
         return self._models[path]
-
-    def warm_sensors(self) -> None:
-        """Compile the loops of the sensors of a session, or read them, once."""
-        if not self._reads_sensors:
-            self._reads_sensors = True
-            self.compiled += warm_up_sensors(self._tell)
 
     def recognizer(self, sight: Sight) -> Recognizer:
         """The recognizer of a model and a camera."""
@@ -99,3 +102,34 @@ def _give_back() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # absent without glibc
     if trim is not None:
         trim(0)
+
+
+class _Counted(Listener):
+    """Counts the loops that are compiled."""
+
+    def __init__(self, tell: Callable[[int], None]) -> None:
+        self.count = 0
+        self._tell = tell
+
+    def on_start(self, event: Event) -> None:
+        """A loop is being compiled."""
+
+    def on_end(self, event: Event) -> None:
+        """A loop is compiled."""
+        self.count += 1
+        self._tell(self.count)
+
+
+def warm_up(groups: tuple[str, ...], tell: Callable[[int], None] = lambda count: None) -> int:
+    """Load groups of loops from the cache; the number of those that it lacked and were compiled.
+
+    Fresh loops may round differently from those of the cache: restart a process that had to
+    compile before you record its poses.
+
+    Args:
+        tell: receives the number of loops compiled so far, after each.
+    """
+    counted = _Counted(tell)
+    with install_listener("numba:compile", counted):
+        load_ahead(*groups)
+    return counted.count

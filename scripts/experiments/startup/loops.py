@@ -16,6 +16,7 @@ import numpy as np
 
 import rendezview as rv
 from experiments.frame import ROOT, mesh_of
+from experiments.startup import session
 from experiments.startup.recorded import recorded
 from experiments.stereo.accuracy import leds_of, spots_of
 from rendezview.calibration.laboratory import calibrate_laboratory
@@ -33,7 +34,6 @@ from rendezview_ground.simulate.ranger import Ranger, write_echoes
 from rendezview_ground.simulate.reflector_scene import simulate_reflectors, without_mesh
 from rendezview_ground.simulate.scene import SceneOptions
 from rendezview_ground.simulate.trajectories import TrajectoryOptions, trajectory
-from rendezview_service.tracker.warming import warm_up, warm_up_sensors
 
 # Few nodes, but views enough that lists of shown faces are made. Source: by construction
 _SMALL = rv.TrainingOptions(order=1, perturbed_views=6000, held_out_views=100, contour_radii=(1.0,))
@@ -145,11 +145,11 @@ def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
 
 
 def sensors(model: Path, scene: Path) -> list[dict[str, Any]]:
-    """The loops of a session of the service beside those of `track`; the scene is not used."""
+    """The loops of a session of the service beside those of `track`; nothing given is used."""
 
     def work() -> None:
-        warm_up(rv.ViewModel.load(model))
-        warm_up_sensors()
+        session.fuse()
+        session.sense()
 
     return recorded(work)
 
