@@ -120,11 +120,11 @@ def demo(
             overwrite=True,
         )
         write_echoes(output / "laser.jsonl", mesh, path[last:], _RANGER, seed)
+        compiled.wait()  # else the first frame compiles, and its time says so
         console.print("3. Finding the first pose without a prior, and tracking …")
         sequence = open_sequence(output / "scene")
         observations: list[AppearanceObservation] = []
         tracked = _track(model, sequence, output, observations, progress)
-        compiled.wait()
         console.print("4. Finding the ring, and fusing camera, ring and laser ranger …")
         contact = fuse_to_contact(
             sequence.frames[last:],

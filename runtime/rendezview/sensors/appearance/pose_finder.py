@@ -58,7 +58,7 @@ _HELD_FOR_WRONG = 0.5
 # Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
 # Bodies of a frame that are looked at closely. Source: Mitsuba frames before the Earth: of 120 with
-# two bodies 97 are right, with four 102 (docs/notes/refinement.md)
+# two bodies 97 are right, with four 102 (docs/notes/photographs.md)
 _BODIES = 4
 
 

@@ -42,8 +42,7 @@ _CUT_SIZES = (1.0, 1.2, 1.45, 1.75, 2.1)
 _CUT_SHIFTS = (0.3, 0.7, 1.1)  # Source: experiment photo-accuracy
 # A box that is known roughly: sizes of covers, of the root of its area; places of their centres, of
 # its sides, off its middle; and how much of a view's box and the given one is common. Source:
-# Mitsuba frames before the Earth (docs/notes/refinement.md), drawn rooms; with a third fewer places
-# a quarter of the truths is not proposed
+# docs/notes/photographs.md
 _BOX_SIZES = (0.5, 0.6, 0.72, 0.86, 1.04, 1.25)
 _BOX_SHIFTS = [(x, y) for x in (-0.3, -0.15, 0.0, 0.15, 0.3) for y in (-0.3, -0.15, 0.0, 0.15, 0.3)]
 _LEAST_OVERLAP = 0.35  # Source: the same
