@@ -8,7 +8,6 @@ from functools import cache, cached_property
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.geometry.boxes import overlaps
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import exp
@@ -29,6 +28,7 @@ from rendezview.sensors.appearance.search.partial_views import (
     WEIGHTS,
     PartialViews,
     coarse_grids,
+    coarser,
     extents,
 )
 
@@ -44,8 +44,9 @@ _CUT_SHIFTS = (0.3, 0.7, 1.1)  # Source: experiment photo-accuracy
 # its sides, off its middle; and how much of a view's box and the given one is common. Source:
 # docs/notes/photographs.md
 _BOX_SIZES = (0.5, 0.6, 0.72, 0.86, 1.04, 1.25)
-_BOX_SHIFTS = [(x, y) for x in (-0.3, -0.15, 0.0, 0.15, 0.3) for y in (-0.3, -0.15, 0.0, 0.15, 0.3)]
+_BOX_SHIFTS = (-0.3, -0.15, 0.0, 0.15, 0.3)  # Source: the same
 _LEAST_OVERLAP = 0.35  # Source: the same
+_COMPARED = 600  # of 6000 placements and rolls, in finer cells. Source: the same; 480 find the same
 _SORTED = 16384  # likeliest views and rolls that are looked through. Source: by construction
 _BLOCK = 512  # of them are compared with each other at once. Source: its cost
 
@@ -65,6 +66,11 @@ class _Tables:
     def alone(self) -> PartialViews:
         """Beside targets whose box is known."""
         return PartialViews(self._sketches.decoded(), AMONG_OTHERS, alone=True)
+
+    @cached_property
+    def rough(self) -> PartialViews:
+        """The same in coarser cells."""
+        return PartialViews(coarser(self._sketches.decoded()), AMONG_OTHERS, alone=True)
 
     @cached_property
     def extents(self) -> Array:
@@ -112,28 +118,27 @@ class SketchRetrieval:
 
         What else stands in the box does not count.
         """
-        views, reach = self._tables.alone, self._tables.extents
         turns, _ = _rolls()
         place = sketch.scale * np.array(box) + np.tile([sketch.left_px, sketch.top_px], 2)
         middle, sides = 0.5 * (place[:2] + place[2:]), place[2:] - place[:2]
-        centres = [middle + np.array(shift) * sides for shift in _BOX_SHIFTS]
-        placements, alike = [], []
-        for share in _BOX_SIZES:
-            size = share * float(np.sqrt(sides.prod()))
-            there = [(centre, size) for centre in centres]
-            boxes = size * reach + np.tile(np.array(centres), 2)[:, None, None]
-            fits = overlaps(boxes, place) >= _LEAST_OVERLAP
-            some = np.flatnonzero(fits.any((0, 1)))
-            grids = coarse_grids(sketch.maps, there, turns)
-            if not sketch.is_cut:  # nothing of the target lies beyond
-                grids[:, -1] = 1.0
-            found = np.full(fits.shape, -np.inf)
-            seen = views.alike(grids[:, :-1], grids[:, -1], some)
-            found[:, :, some] = seen.reshape(len(there), len(turns), -1)
-            found[~fits] = -np.inf
-            placements += there
-            alike.append(found)
-        return self._likeliest(sketch, placements, np.concatenate(alike), most, SAME_VIEW_RAD)
+        sizes = np.array(_BOX_SIZES) * float(np.sqrt(sides.prod()))
+        off = np.array(_BOX_SHIFTS)
+        placements = [
+            (middle + sides * (x, y), float(size)) for size in sizes for y in off for x in off
+        ]
+        grids = coarse_grids(sketch.maps, placements, turns)
+        if not sketch.is_cut:  # nothing of the target lies beyond
+            grids[:, -1] = 1.0
+        fits = _fit(self._tables.extents, sizes, off, sides).reshape(len(grids), -1)
+        # Those of low correlation in coarser cells are not compared in finer ones.
+        rough = coarser(grids)
+        likely = np.where(fits, self._tables.rough.alike(rough[:, :-1], rough[:, -1]), -np.inf)
+        rows = np.argpartition(-likely.max(1), _COMPARED)[:_COMPARED]
+        alike: Array = np.full(fits.shape, -np.inf, np.float32)
+        alike[rows] = self._tables.alone.alike(grids[rows, :-1], grids[rows, -1])
+        alike[~fits] = -np.inf
+        each = alike.reshape(len(placements), len(turns), -1)
+        return self._likeliest(sketch, placements, each, most, SAME_VIEW_RAD)
 
     def _likeliest(
         self, sketch: Sketch, placements: list[tuple[Array, float]], alike: Array, most: int,
@@ -226,6 +231,26 @@ class SketchRetrieval:
         in_frame = (places_px - np.array([sketch.left_px, sketch.top_px])) / sketch.scale
         rays = np.asarray(self._camera.rays(in_frame)).reshape(-1, 3)
         return np.asarray(rays / np.linalg.norm(rays, axis=1)[:, None])
+
+
+def _fit(extents: Array, sizes: Array, off: Array, sides: Array) -> Bools:
+    """(sizes, off y, off x, rolls, V) whether the box of a view has enough in common with a box.
+
+    Args:
+        extents: (rolls, V, 4) of covers of size 1; ``sizes``: (S,) that they have.
+        off: (P,) of the sides (2,) of the box, from its middle to the centre of a cover.
+    """
+    boxes = (sizes[:, None, None, None] * extents).astype(np.float32)
+    common = np.float32(1.0)
+    for axis in (0, 1):
+        first, last = boxes[:, None, ..., axis], boxes[:, None, ..., axis + 2]
+        moved, half = (off * sides[axis]).astype(np.float32)[:, None, None], 0.5 * sides[axis]
+        along = np.minimum(last + moved, half) - np.maximum(first + moved, -half)
+        along = np.maximum(along, np.float32(0.0))
+        common = common * (along[:, None] if axis == 0 else along[:, :, None])
+    areas = (boxes[..., 2] - boxes[..., 0]) * (boxes[..., 3] - boxes[..., 1])
+    least = _LEAST_OVERLAP / (1.0 + _LEAST_OVERLAP) * (areas + sides.prod())
+    return np.asarray(common >= least[:, None, None].astype(np.float32))
 
 
 @cache

@@ -41,7 +41,7 @@ class PartialViews:
 
     def __init__(self, maps: Float32s, weights: dict[int, float], *, alone: bool) -> None:
         """``maps``: (V, MAPS, GRID, GRID)."""
-        coarse, self._weights = _coarser(maps), weights
+        coarse, self._weights = coarser(maps), weights
         # (cells, views), or (cells, 1) where it is the same of all views.
         self._area = np.ones((coarse[0, COVER].size, 1), np.float32)
         if alone:
@@ -136,9 +136,8 @@ def _as_columns(planes: npt.NDArray[np.float32]) -> Float32s:
     return np.ascontiguousarray(planes.reshape(len(planes), -1).T, dtype=np.float32)
 
 
-def _coarser(maps: Float32s) -> Float32s:
+def coarser(maps: Float32s) -> Float32s:
     """(…, GRID / n, GRID / n) means of n × n cells."""
     n = _COARSER
-    *many, height, width = maps.shape
-    cells = maps.reshape(*many, height // n, n, width // n, n)
-    return np.asarray(cells.mean((-3, -1)), dtype=np.float32)
+    parts = (maps[..., i::n, j::n] for i in range(n) for j in range(n))
+    return np.asarray(sum(parts) / np.float32(n * n), dtype=np.float32)
