@@ -236,39 +236,34 @@ def minimal_rotation(from_direction: npt.ArrayLike, to_direction: npt.ArrayLike)
     for direction in (a, b):
         if direction.shape != (3,):
             raise ValueError(f"a direction must be (3,), not {direction.shape}")
-    rotation = np.empty((3, 3))
-    if not _minimal_rotation(a, b, rotation):
+    one, other = _unit(a.tolist()), _unit(b.tolist())
+    if one is None or other is None:
         raise ValueError(f"directions must be finite and not zero: {a}, {b}")
-    return rotation
+    return _turn_between(one, other)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _make_unit(v: Array) -> bool:
-    """Divide a vector (3,) by its length, without overflow; False if it has none."""
-    largest = max(abs(v[0]), abs(v[1]), abs(v[2]))
-    if not 0.0 < largest < np.inf:
-        return False
+_Direction = tuple[float, float, float]
+
+
+def _unit(v: list[float]) -> _Direction | None:
+    """A vector (3,) divided by its length, without overflow; None if it has none."""
+    largest = max(map(abs, v))
+    if not (largest > 0.0 and all(map(math.isfinite, v))):
+        return None
     x, y, z = v[0] / largest, v[1] / largest, v[2] / largest
     length = math.sqrt(x * x + y * y + z * z)
-    v[0], v[1], v[2] = x / length, y / length, z / length
-    return True
+    return x / length, y / length, z / length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _minimal_rotation(a: Array, b: Array, rotation: Array) -> bool:
-    # Plain numbers, no array expressions: they take numba seconds to compile.
-    if not (_make_unit(a) and _make_unit(b)):
-        return False
-    p, q, r = a[0], a[1], a[2]
+def _turn_between(a: _Direction, b: _Direction) -> Array:
+    """(3, 3) the rotation of least angle between two unit vectors."""
+    p, q, r = a
     x, y, z = q * b[2] - r * b[1], r * b[0] - p * b[2], p * b[1] - q * b[0]
     cosine = p * b[0] + q * b[1] + r * b[2]
     sine = math.sqrt(x * x + y * y + z * z)
     if sine < 1e-14:
         if cosine > 0.0:
-            for i in range(3):
-                for j in range(3):
-                    rotation[i, j] = 1.0 if i == j else 0.0
-            return True
+            return np.eye(3)
         least = min(abs(p), abs(q), abs(r))  # any axis across: towards the least component of a
         x = 1.0 if abs(p) == least else 0.0
         y = 1.0 if x == 0.0 and abs(q) == least else 0.0
@@ -284,13 +279,13 @@ def _minimal_rotation(a: Array, b: Array, rotation: Array) -> bool:
     sine, cosine = sine / size, cosine / size
     # 1 - cos without cancellation for small angles
     rest = sine * sine / (1.0 + cosine) if cosine > 0.0 else 1.0 - cosine
-    rotation[0, 0] = 1.0 - rest * (y * y + z * z)
-    rotation[1, 1] = 1.0 - rest * (x * x + z * z)
-    rotation[2, 2] = 1.0 - rest * (x * x + y * y)
-    rotation[0, 1], rotation[1, 0] = rest * x * y - sine * z, rest * x * y + sine * z
-    rotation[0, 2], rotation[2, 0] = rest * x * z + sine * y, rest * x * z - sine * y
-    rotation[1, 2], rotation[2, 1] = rest * y * z - sine * x, rest * y * z + sine * x
-    return True
+    return np.array(
+        [
+            [1.0 - rest * (y * y + z * z), rest * x * y - sine * z, rest * x * z + sine * y],
+            [rest * x * y + sine * z, 1.0 - rest * (x * x + z * z), rest * y * z - sine * x],
+            [rest * x * z - sine * y, rest * y * z + sine * x, 1.0 - rest * (x * x + y * y)],
+        ]
+    )
 
 
 def nearest_rotation(matrix: npt.ArrayLike) -> Array:

@@ -148,7 +148,7 @@ class Recognizer:
                 mask (H, W), not 0 on the target; a place on it (2,) x, y, px, or that and its
                 range (3,) x, y, m, right to a quarter; or of ``place_of``. ``None``: anywhere.
             thorough: without a prior or a region, search a frame that shows other things in
-                windows, too, where nothing else finds a pose. It takes half a second or more.
+                windows, too, where nothing else finds a pose. It takes a second or two.
 
         Raises:
             ValueError: the direction to the Sun is zero or not finite.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
@@ -70,13 +69,7 @@ def _axes(model: ViewModel) -> Array:
     return np.asarray(axes.T)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def second_moments(points: npt.NDArray[np.int16], kinds: npt.NDArray[np.uint8]) -> Array:
     """(3, 3) Σ p pᵀ of the points (N, 3) int16 that are any; whole numbers, so it is exact."""
-    moments = np.zeros((3, 3))
-    for k in range(points.shape[0]):
-        if kinds[k] != NO_POINT:
-            for i in range(3):
-                for j in range(3):
-                    moments[i, j] += float(points[k, i]) * float(points[k, j])
-    return moments
+    found = points[kinds != NO_POINT].astype(np.float64)
+    return np.asarray(found.T @ found)
