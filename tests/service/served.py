@@ -100,9 +100,9 @@ class Served:
         return self.pids()[1:]
 
     def pids(self) -> list[int]:
-        """Of the service and its workers."""
-        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        return [self.process.pid, *map(int, children.read_text().split())]
+        """Of the service and its workers; what compiles loops beside them ends by itself."""
+        children = psutil.Process(self.process.pid).children()
+        return [self.process.pid, *(one.pid for one in children if not _compiles(one))]
 
     def processor_s(self) -> float:
         """Processor time of the service and its workers."""
@@ -131,3 +131,11 @@ class Served:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
             self.process.wait(MOST_S)
+
+
+def _compiles(process: psutil.Process) -> bool:
+    """Whether a process compiles loops; one that has ended does not count either."""
+    try:
+        return "rendezview.cli.compiling" in process.cmdline()
+    except psutil.NoSuchProcess:
+        return True
