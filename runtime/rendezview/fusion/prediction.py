@@ -156,7 +156,7 @@ def predicted(
     )  # fmt: skip
     entries = np.arange(MOTION, p.shape[1])
     p[:, entries, entries] += 1.0 - fade**2
-    return new_rotation, new_place, rate.copy(), new_velocity, x, p, later
+    return new_rotation, new_place, rate, new_velocity, x, p, later
 
 
 def moments(

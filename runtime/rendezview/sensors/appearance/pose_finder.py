@@ -61,7 +61,7 @@ _LEAST_MARGIN = 0.01
 # two bodies 97 are right, with four 102 (docs/notes/photographs.md)
 _BODIES = 4
 # Of the risk that a pose is wrong: each of them is one more chance of it. Source: drawn walls with
-# a hidden box, at 1 two wrong poses of 24; photographs of objects, one right pose of 14 lost
+# a hidden box, at 1 two wrong poses of 24; of 14 right photographs of objects none is lost
 _RISK_OF_EACH = 0.75
 
 

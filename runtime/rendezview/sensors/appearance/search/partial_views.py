@@ -29,8 +29,6 @@ _COVERED = 0.25  # share of a coarse cell that makes it the target's. Source: by
 _FAINT = 0.05  # probability; a fainter contrast in a sketch is none. Source: by construction
 NOTHING = 1e-6  # keeps quotients finite. Source: by construction
 
-Ints = npt.NDArray[np.intp]
-
 
 class PartialViews:
     """All views, for correlation with the part of a sketch that the frame shows.
@@ -56,25 +54,21 @@ class PartialViews:
             for planes, squares in zip(self._planes, self._squares, strict=True)
         ]
 
-    def alike(self, maps: Float32s, within: Float32s, some: Ints | None = None) -> Float32s:
+    def alike(self, maps: Float32s, within: Float32s) -> Float32s:
         """(R, V) weighted correlations over what lies within the frame.
 
         Args:
             maps: (R, MAPS, h, w) of the sketch at each roll, coarse.
             within: (R, h, w) share of the cells in the frame.
-            some: (V,) of the views; ``None``: all.
         """
-        chosen = slice(None) if some is None else some
         mask = np.clip(within, 0.0, 1.0).reshape(len(within), -1)
         if mask.min() == 1.0:
             mask = mask[:1]  # all sums of the views are the same then
-        area = self._area if some is None else np.ascontiguousarray(self._area[:, some])
+        area = self._area
         count = mask @ area + NOTHING
-        alike = np.zeros((len(maps), self._whole[0][chosen].size), np.float32)
+        alike = np.zeros((len(maps), self._whole[0].size), np.float32)
         parts = zip(self._weights.items(), self._planes, self._squares, self._whole, strict=True)
-        for (k, weight), *tables, whole_of_all in parts:
-            planes, squares = (np.ascontiguousarray(table[:, chosen]) for table in tables)
-            whole = whole_of_all[chosen]
+        for (k, weight), planes, squares, whole in parts:
             plain = maps[:, k].reshape(len(maps), -1)
             seen = mask * plain
             seen_sum, sums = seen @ area, mask @ planes
