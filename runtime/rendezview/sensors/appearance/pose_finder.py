@@ -350,7 +350,7 @@ class PoseFinder:
             reason=None,
             pose=best.pose,
             covariance=best.covariance,
-            confidence=found.confidence,
+            confidence=min(found.confidence, found.posterior),
             joints=joints,
             found=found,
         )

@@ -212,6 +212,22 @@ class Recognizer:
             return None
         return Region.at_place(self.model, self.camera, pose)
 
+    def posterior(
+        self, image: npt.ArrayLike, pose: Pose, sun_camera: npt.ArrayLike | None = None
+    ) -> float:
+        """Probability 0 … 1 of a pose among its look-alikes, wherever they are; 1 without any.
+
+        Args:
+            image: as for ``recognize``.
+            pose: camera_from_target of the frame, refined.
+            sun_camera: (3,) towards the Sun, camera frame, if it is known.
+        """
+        frame, search = check_frame(image, self.camera), self.search
+        if search is None or self.model.joints:
+            return 1.0
+        with self._lock:
+            return search.posterior(frame, Sky.of(frame, sun_camera), pose)
+
     def second_estimate(self, image: npt.ArrayLike, pose: Pose) -> Second | None:
         """The pose that the sketch of a frame shows, searched without a prior, beside another one.
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import expit, logit
 
 from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
@@ -18,11 +19,15 @@ from rendezview.sensors.appearance.joints import JointFilter
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.region import Region
-from rendezview.sensors.appearance.verdict import unconfirmed
+from rendezview.sensors.appearance.verdict import LEAST_POSTERIOR, doubted, unconfirmed
 from rendezview.sensors.arguments import check_prior, check_recognizer, check_time
 
 # rad; poses nearer than this are the same answer. Source: by hand; pose-trials (0.1) sequences
 _SAME_RAD = np.deg2rad(3.0)
+# Of a track's pose among its look-alikes: then they are not asked again. Source: by construction,
+# the risk of a protection level
+_SETTLED = 0.999
+_NOTHING = 1e-9  # a probability. Source: by construction, no infinity
 # target radii; a centre predicted nearer than this is not used. Source: by construction, inside the
 # target
 _NEAREST_RADII = 0.1
@@ -72,6 +77,8 @@ class _Motion:
     time_s: float | None  # None: a first prior, before the first frame
     turn_rad_s: Array  # (3,) camera frame
     move_m_s: Array  # (3,) of the view centre, camera frame
+    posterior: float = 1.0  # of the poses among their look-alikes, by the frames until here …
+    weighed: Pose | None = None  # … the last of which showed this pose
 
     @property
     def moves(self) -> bool:
@@ -210,10 +217,11 @@ class Tracker:
             else:
                 observation = self._look(frame)
             observation = self._with_joints(observation, time_s)
+            if observation.pose is not None:
+                self._follow(observation, observation.pose, time_s)
+                observation = self._beside_look_alikes(observation, frame)
             if observation.pose is None:
                 self._misses += 1
-            else:
-                self._follow(observation, observation.pose, time_s)
             if self._monitor is None:
                 return observation
             look = partial(self.recognizer.second_estimate, image)
@@ -331,6 +339,31 @@ class Tracker:
         there = self._seen(frame, same)
         return again if there.pose is None else there
 
+    def _beside_look_alikes(
+        self, observation: AppearanceObservation, frame: _Frame
+    ) -> AppearanceObservation:
+        """The observation with what all frames of the track say of its look-alikes.
+
+        A search near a prediction sees none of them: its pose is no surer than the first one. As
+        long as look-alikes of that are possible, new views are asked: odds of frames multiply.
+        """
+        motion, pose = self._motion, observation.pose
+        if motion is None or motion.weighed is None or pose is None:
+            return observation
+        if motion.posterior >= _SETTLED:
+            return observation
+        posterior = motion.posterior
+        if motion.weighed.angle_to(pose) > _SAME_RAD:
+            share = self.recognizer.posterior(frame.image, pose, frame.sun_camera)
+            odds = logit(np.clip([posterior, share], _NOTHING, 1.0 - _NOTHING)).sum()
+            posterior = float(expit(odds))
+            self._motion = replace(motion, posterior=posterior, weighed=pose)
+        if posterior < LEAST_POSTERIOR:
+            self._motion = None  # the next frame is searched as the first one was
+            return doubted(observation, posterior)
+        confidence = min(observation.confidence or 0.0, posterior)
+        return replace(observation, confidence=confidence)
+
     def _enough_inliers(self) -> float:
         """Inlier ratio that the pose next to the prediction needs: less after a confirmation."""
         inliers, frames = self._confirmed
@@ -341,13 +374,16 @@ class Tracker:
     def _follow(self, observation: AppearanceObservation, pose: Pose, time_s: float) -> None:
         """Take a pose over, the rates since the last one, and how well it is confirmed."""
         last, turn_rad_s, move_m_s = self._motion, np.zeros(3), np.zeros(3)
+        found = observation.found
+        posterior, weighed = (1.0, None) if last is None else (last.posterior, last.weighed)
+        if found is not None and not found.prior:
+            posterior, weighed = found.posterior, pose
         if last is not None and last.time_s is not None and time_s > last.time_s:
             centre_m: Array = self.recognizer.model.centre_m
             rates = rates_between(last.pose, pose, time_s - last.time_s, centre_m)
             turn_rad_s, move_m_s = rates[:3], rates[3:]
-        self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s)
+        self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s, posterior, weighed)
         self._misses, self._jump = 0, None
-        found = observation.found
         if found is None or found.on_sketch:  # its inlier ratio is another
             self._confirmed = (0.0, 0)
         elif found.single:  # no search: the confirmation grows older

@@ -143,3 +143,17 @@ def unconfirmed(seen: AppearanceObservation) -> AppearanceObservation:
         covariance=None,
         joints=None,
     )
+
+
+def doubted(seen: AppearanceObservation, posterior: float) -> AppearanceObservation:
+    """The observation of a tracked pose that another view has made doubtful."""
+    return replace(
+        seen,
+        status=Status.AMBIGUOUS,
+        reason=f"the tracked pose has a probability of {posterior:.2f} beside its look-alikes: "
+        "the next frame is searched anew; a prior or the Sun's direction would decide",
+        pose=None,
+        covariance=None,
+        confidence=posterior,
+        joints=None,
+    )

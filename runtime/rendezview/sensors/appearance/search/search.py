@@ -16,12 +16,14 @@ import numpy as np
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.hypothesis import Bound, Hypothesis
 from rendezview.sensors.appearance.judge.candidates import CLOSE_RAD, Candidates
 from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.near import Near
+from rendezview.sensors.appearance.judge.rivals import RIVAL_RAD
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
@@ -265,6 +267,19 @@ class PoseSearch:
         if found.best.pose.angle_to(prior) > CLOSE_RAD:  # else the prior speaks for it
             found = self._beside_look_alikes(single, found) or found
         return self.levels.finished(replace(found, single=True), image, sky)
+
+    def posterior(self, image: Picture, sky: Sky, pose: Pose) -> float:
+        """Probability of a pose among its look-alikes, by their edges and drawings."""
+        candidates = self._candidates(image, sky, pose, None)
+        candidates.refine_closely([pose])
+        found = self._beside_look_alikes(candidates, candidates.choose())
+        if found is None or not found.weighed:
+            return 1.0
+        symmetries = self.model.symmetries
+        same = [
+            one for one in found.weighed if angle_between(one.pose, pose, symmetries) < RIVAL_RAD
+        ]
+        return sum(one.probability for one in same)
 
     def proposed(
         self, image: Picture, sky: Sky, proposals: list[Pose], outlines: Outlines | None, *,
