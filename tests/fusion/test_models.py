@@ -17,7 +17,8 @@ from rendezview.fusion import (
     SensorOptions,
 )
 from rendezview.fusion.models import forecasts
-from rendezview.fusion.state import RING_GEOMETRY, begin, estimate_of, with_slot
+from rendezview.fusion.prediction import estimate_of
+from rendezview.fusion.state import RING_GEOMETRY, begin, with_slot
 from rendezview.geometry.pose import Pose
 
 # One large face, aslant, where the beam of the scenes meets the target.

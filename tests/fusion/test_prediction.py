@@ -8,14 +8,14 @@ from scipy.linalg import block_diag, expm
 from scipy.spatial.transform import Rotation
 
 from rendezview.fusion.prediction import (
-    MOTION,
     changes,
+    estimate_of,
     mixed,
-    moments,
     noise_of,
     predicted,
     transition,
 )
+from rendezview.fusion.state import MOTION, FilterState
 from rendezview.geometry import so3
 
 ACCELERATIONS = np.array(
@@ -52,6 +52,13 @@ def models(rng, count, n):
     weights = rng.uniform(0.1, 1.0, count)
     covariances = np.array([covariance_of(rng, n) for _ in range(count)])
     return 0.1 * rng.standard_normal((count, n)), covariances, weights / weights.sum()
+
+
+def state_of(motion, of_models, fading=None):
+    """A state with this nominal motion and these models."""
+    biases = of_models[0].shape[1] - MOTION
+    fading = np.zeros((biases, 2)) if fading is None else fading
+    return FilterState(0.0, *motion, *of_models, {}, fading, {}, {}, {}, 0.0)
 
 
 def design_of_step(dt, jitter, lasting, after, fade):
@@ -214,16 +221,17 @@ def test_a_prediction_is_that_of_dense_matrices(dt):
     x, p, weights = models(rng, 6, n)
     fading, angular, slew = rng.uniform(0.01, 0.1, (n - MOTION, 2)), 0.01, 2e-4
     rest = ACCELERATIONS, JITTERS, slew, 300.0
-    found = predicted(*state, x, p, weights, fading, dt, angular, *rest)
+    found = predicted(state_of(state, (x, p, weights), fading), dt, angular, *rest)
     after = after_step(state, dt)
-    for one, expected in zip(found[:4], after, strict=True):
+    assert found.time_s == dt
+    for one, expected in zip(found.nominal, after, strict=True):
         assert one == pytest.approx(expected, abs=1e-12)
     squares = after[1] @ after[1] + 1e-6, state[1] @ state[1] + 1e-6  # m²: a place may be zero
     neared = 0.5 * abs(math.log(squares[0] / squares[1]))
     fade = np.exp(-dt * fading[:, 0] - neared * fading[:, 1])
     moves = np.kron(changes(ACCELERATIONS[:, 3], dt), changes(np.full(2, 300.0), dt))
     mixed_x, mixed_p, later = mixed(x, p, weights, moves)
-    assert found[6] == pytest.approx(later)
+    assert found.weights == pytest.approx(later)
     assert later.sum() == pytest.approx(1.0)
     for m in range(6):
         white, sigma, tau, _ = ACCELERATIONS[m // 2]
@@ -236,26 +244,26 @@ def test_a_prediction_is_that_of_dense_matrices(dt):
             dt, after[0], after[1], after[3], angular**2, *np.array([gained]).T, slew**2
         )[0]
         expected[range(MOTION, n), range(MOTION, n)] += 1.0 - fade**2
-        assert found[4][m] == pytest.approx(step @ mixed_x[m], abs=1e-12)
-        assert found[5][m] == pytest.approx(expected, abs=1e-11)
-        assert found[5][m] == pytest.approx(found[5][m].T, abs=1e-13)
-        assert np.linalg.eigvalsh(found[5][m])[0] > 0.0
+        p_m = found.covariances[m]
+        assert found.deviations[m] == pytest.approx(step @ mixed_x[m], abs=1e-12)
+        assert p_m == pytest.approx(expected, abs=1e-11)
+        assert p_m == pytest.approx(p_m.T, abs=1e-13)
+        assert np.linalg.eigvalsh(p_m)[0] > 0.0
 
 
 def test_two_halves_of_a_step_are_nearly_the_whole():
     rng = np.random.default_rng(6)
     rotation, place, rate, velocity = nominal(rng)
-    state = rotation, 30.0 * place, 0.1 * rate, 0.1 * velocity
     x, p, weights = models(rng, 6, 24)
-    fading = np.full((6, 2), 0.01)
-    rest = 1e-4, ACCELERATIONS, JITTERS, 2e-4, 300.0
     x[:], p[:] = x[0], p[0]  # of models that are alike: else the mixing differs
-    whole = predicted(*state, x, p, weights, fading, 0.1, *rest)
-    half = predicted(*state, x, p, weights, fading, 0.05, *rest)
-    twice = predicted(*half, fading, 0.05, *rest)
-    for one, other in zip(whole[:4], twice[:4], strict=True):
+    motion = rotation, 30.0 * place, 0.1 * rate, 0.1 * velocity
+    state = state_of(motion, (x, p, weights), np.full((6, 2), 0.01))
+    rest = 1e-4, ACCELERATIONS, JITTERS, 2e-4, 300.0
+    whole = predicted(state, 0.1, *rest)
+    twice = predicted(predicted(state, 0.05, *rest), 0.05, *rest)
+    for one, other in zip(whole.nominal, twice.nominal, strict=True):
         assert one == pytest.approx(other, abs=1e-9)
-    for one, other in zip(whole[5], twice[5], strict=True):
+    for one, other in zip(whole.covariances, twice.covariances, strict=True):
         assert np.abs(one - other).max() < 5e-3 * np.abs(one).max()
 
 
@@ -267,7 +275,7 @@ def test_moments_are_a_numerical_transformation_to_the_camera():
     rng = np.random.default_rng(15)
     state = nominal(rng)
     x, p, weights = models(rng, 5, 22)
-    rotation, translation, rates, covariance = moments(*state, x, p, weights)
+    pose, rates, covariance = estimate_of(state_of(state, (x, p, weights)))
     mean = weights @ x[:, :12]
     off = x[:, :12] - mean
     spread = np.einsum("m,mij->ij", weights, p[:, :12, :12])
@@ -283,8 +291,8 @@ def test_moments_are_a_numerical_transformation_to_the_camera():
         )  # fmt: skip
 
     here = at(np.zeros(12))
-    assert rotation == pytest.approx(here[0], abs=1e-12)
-    assert translation == pytest.approx(here[1], abs=1e-12)
+    assert pose.rotation == pytest.approx(here[0], abs=1e-12)
+    assert pose.translation_m == pytest.approx(here[1], abs=1e-12)
     assert rates == pytest.approx(np.concatenate(here[2:]), abs=1e-12)
     into = np.empty((12, 12))
     for entry, tip in enumerate(1e-6 * np.eye(12)):
@@ -296,12 +304,11 @@ def test_moments_are_a_numerical_transformation_to_the_camera():
 def test_a_rotation_stays_one_over_thousands_of_steps():
     rng = np.random.default_rng(16)
     rotation, place, _, velocity = nominal(rng)
-    now = (rotation, place, np.array([0.1, -0.2, 0.3]), 0.0 * velocity, *models(rng, 1, MOTION))
+    motion = rotation, place, np.array([0.1, -0.2, 0.3]), 0.0 * velocity
+    now = state_of(motion, models(rng, 1, MOTION))
     for _ in range(3000):
-        now = predicted(
-            *now, np.zeros((0, 2)), 0.1, 0.0, ACCELERATIONS[:1], JITTERS[:1], 0.0, 300.0
-        )  # fmt: skip
-    assert np.abs(now[0] @ now[0].T - np.eye(3)).max() < 1e-14
-    assert so3.between(now[0], rotation @ exp([30.0, -60.0, 90.0])) == pytest.approx(
+        now = predicted(now, 0.1, 0.0, ACCELERATIONS[:1], JITTERS[:1], 0.0, 300.0)
+    assert np.abs(now.rotation @ now.rotation.T - np.eye(3)).max() < 1e-14
+    assert so3.between(now.rotation, rotation @ exp([30.0, -60.0, 90.0])) == pytest.approx(
         np.zeros(3), abs=1e-9
     )

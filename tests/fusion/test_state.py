@@ -19,7 +19,8 @@ from rendezview.fusion import (
     predict,
 )
 from rendezview.fusion.hypothesis import look
-from rendezview.fusion.state import RING_GEOMETRY, begin, estimate_of
+from rendezview.fusion.prediction import estimate_of
+from rendezview.fusion.state import RING_GEOMETRY, begin
 from rendezview.geometry.pose import Pose
 
 BIASED = SensorOptions(bias_share=0.9, bias_s=1e9, bias_range=1e9)

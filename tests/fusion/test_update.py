@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from tests.fusion.test_prediction import covariance_of, exp, models, nominal
+from tests.fusion.test_prediction import covariance_of, exp, models, nominal, state_of
 
 from rendezview.fusion.update import (
     Comparison,
@@ -17,6 +17,11 @@ from rendezview.fusion.update import (
 )
 
 
+def beside(of_models):
+    """A state with these models; its nominal motion does not count."""
+    return state_of(nominal(np.random.default_rng(0)), of_models)
+
+
 def a_measurement(seed, k=5, n=24, count=4):
     """Models, design, noise and residual."""
     rng = np.random.default_rng(seed)
@@ -27,7 +32,7 @@ def a_measurement(seed, k=5, n=24, count=4):
 
 def test_a_measurement_beside_each_model_is_that_of_numpy():
     (x, p, weights), design, noise, residual = a_measurement(7)
-    found = compared(x, p, weights, design, noise, residual)
+    found = compared(beside((x, p, weights)), design, noise, residual)
     assert found is not None
     offs = residual - x @ design.T
     spreads = design @ p @ design.T + noise
@@ -50,49 +55,49 @@ def test_biases_that_lose_memory_are_those_of_numpy():
     (x, p, _), kept = a_measurement(9)[0], np.array([0.3, 1.0, 0.8])
     fade = np.ones(24)
     fade[19:22] = kept
-    deviations, covariances = renewed(x, p, 19, kept)
-    assert deviations == pytest.approx(x * fade)
-    assert covariances == pytest.approx(p * np.outer(fade, fade) + np.diag(1.0 - fade**2))
+    after = renewed(beside((x, p, np.ones(4))), 19, kept)
+    assert after.deviations == pytest.approx(x * fade)
+    assert after.covariances == pytest.approx(p * np.outer(fade, fade) + np.diag(1.0 - fade**2))
 
 
 def test_a_covariance_that_is_not_one_fits_nothing():
     (x, p, weights), design, noise, residual = a_measurement(8)
-    assert compared(x, p, weights, design, noise - 1e3 * np.eye(5), residual) is None
+    assert compared(beside((x, p, weights)), design, noise - 1e3 * np.eye(5), residual) is None
 
 
 def test_a_correction_is_that_of_the_textbook_in_each_model():
     (x, p, weights), design, noise, residual = a_measurement(9)
     x *= 0.01  # so that a rotation vector is nearly a vector
     state = nominal(np.random.default_rng(9))
-    seen = compared(x, p, weights, design, noise, 0.01 * residual)
-    found = corrected(*state, x, p, weights, seen)
+    seen = compared(beside((x, p, weights)), design, noise, 0.01 * residual)
+    found = corrected(state_of(state, (x, p, weights)), seen)
     likely = weights * np.exp(seen.logs)
     likely /= likely.sum()
-    assert found[6] == pytest.approx(likely)
+    assert found.weights == pytest.approx(likely)
     after = np.empty_like(x)
     for m in range(4):
         spread = design @ p[m] @ design.T + noise
         gain = np.linalg.solve(spread, design @ p[m]).T
         after[m] = x[m] + gain @ (0.01 * residual - design @ x[m])
-        assert found[5][m] == pytest.approx((np.eye(24) - gain @ design) @ p[m], abs=1e-12)
-        assert np.array_equal(found[5][m], found[5][m].T)
+        assert found.covariances[m] == pytest.approx((np.eye(24) - gain @ design) @ p[m], abs=1e-12)
+        assert np.array_equal(found.covariances[m], found.covariances[m].T)
     mean = likely @ after
-    assert found[0] == pytest.approx(exp(mean[:3]) @ state[0], abs=1e-12)
+    assert found.rotation == pytest.approx(exp(mean[:3]) @ state[0], abs=1e-12)
     for k in range(1, 4):
-        assert found[k] == pytest.approx(state[k] + mean[3 * k : 3 * k + 3])
+        assert found.nominal[k] == pytest.approx(state[k] + mean[3 * k : 3 * k + 3])
     # The motion's mean is in the nominal state now; jitter, acceleration, biases stay.
-    assert likely @ found[4][:, :12] == pytest.approx(np.zeros(12), abs=1e-12)
-    assert found[4][:, 12:] == pytest.approx(after[:, 12:], abs=1e-12)
-    assert found[4][:, :12] == pytest.approx(after[:, :12] - mean[:12], abs=1e-12)
+    assert likely @ found.deviations[:, :12] == pytest.approx(np.zeros(12), abs=1e-12)
+    assert found.deviations[:, 12:] == pytest.approx(after[:, 12:], abs=1e-12)
+    assert found.deviations[:, :12] == pytest.approx(after[:, :12] - mean[:12], abs=1e-12)
 
 
 def test_a_model_never_dies_out():
     (x, p, weights), design, noise, residual = a_measurement(10)
     logs = np.array([0.0, -1e4, -1e4, -1.0])
-    seen = compared(x, p, weights, design, noise, residual)._replace(logs=logs)
-    after = corrected(*nominal(np.random.default_rng(0)), x, p, weights, seen)
-    assert after[6].min() > 5e-6
-    assert after[6].sum() == pytest.approx(1.0)
+    seen = compared(beside((x, p, weights)), design, noise, residual)._replace(logs=logs)
+    after = corrected(beside((x, p, weights)), seen)
+    assert after.weights.min() > 5e-6
+    assert after.weights.sum() == pytest.approx(1.0)
 
 
 def of_one_model(lower, white):
@@ -115,7 +120,7 @@ def test_a_step_of_the_white_share_is_that_of_numpy(k, far):
     (x, p, weights), design, noise, residual = a_measurement(11, k)
     root, shares = np.linalg.cholesky(noise), np.linspace(0.2, 0.9, k)
     residual = far * residual
-    seen = compared(x, p, weights, design, noise, residual)
+    seen = compared(beside((x, p, weights)), design, noise, residual)
     spreads, offs = design @ p @ design.T + noise, residual - x @ design.T
     found = white_share(shares, root, weights, seen)
     assert found == pytest.approx(share_by_numpy(shares, root, weights, spreads, offs))
@@ -145,7 +150,7 @@ def test_a_step_of_the_jitter_is_that_of_numpy(kinds, own):
     """By the models of the first jitter, or by all where those are unlikely."""
     (x, p, _), design, noise, residual = a_measurement(13, 6)
     weights = np.array(own)
-    seen = compared(x, p, weights, design, noise, residual)
+    seen = compared(beside((x, p, weights)), design, noise, residual)
     gained = 0.7
     found = jitter_step(design, weights, seen, gained, kinds)
     first = np.where(np.arange(4) % kinds == 0, weights, 0.0)

@@ -2,7 +2,8 @@
 
 from rendezview.fusion.fusion import Estimate, Fusion
 from rendezview.fusion.options import FusionOptions, MotionOptions, SensorOptions
-from rendezview.fusion.state import FilterState, predict
+from rendezview.fusion.prediction import predict
+from rendezview.fusion.state import FilterState
 from rendezview.fusion.trust import Trust, Verdict
 from rendezview.sensors.beam import BeamMesh, BeamSurface
 from rendezview.sensors.measurement import (

@@ -16,6 +16,7 @@ import numpy as np
 
 from rendezview.fusion.hypothesis import Found, Hypothesis, judged, look, mixture, moved
 from rendezview.fusion.options import FusionOptions
+from rendezview.fusion.prediction import estimate_of, pushed, turned
 from rendezview.fusion.rivals import (
     CONTRADICTS,
     FAST_PRIOR,
@@ -30,7 +31,7 @@ from rendezview.fusion.rivals import (
     new_rivals,
     with_doubt,
 )
-from rendezview.fusion.state import FilterState, begin, estimate_of, pushed, sensor_options, turned
+from rendezview.fusion.state import FilterState, begin, sensor_options
 from rendezview.fusion.trust import Trust, Verdict, after_reading, outlier_log
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import (

@@ -13,8 +13,9 @@ from scipy.special import chdtri, expit
 
 from rendezview.fusion.choice import Snapshot, resumed, step, useless_covariance
 from rendezview.fusion.options import FusionOptions
+from rendezview.fusion.prediction import estimate_of, predict
 from rendezview.fusion.rivals import Kind, Rival
-from rendezview.fusion.state import RING_GEOMETRY, FilterState, estimate_of, predict
+from rendezview.fusion.state import RING_GEOMETRY, FilterState
 from rendezview.fusion.trust import Trust, Verdict
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.measurement import (

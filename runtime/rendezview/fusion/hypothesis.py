@@ -14,7 +14,8 @@ import numpy as np
 
 from rendezview.fusion.models import Forecast, forecasts
 from rendezview.fusion.options import FusionOptions, MotionOptions
-from rendezview.fusion.state import FilterState, predict, sensor_options, with_slot
+from rendezview.fusion.prediction import predict
+from rendezview.fusion.state import FilterState, sensor_options, with_slot
 from rendezview.fusion.trust import Trust, after_reading, judge, lasting
 from rendezview.fusion.update import (
     Comparison,
@@ -77,10 +78,7 @@ def look(state: FilterState, measurement: Measurement, options: FusionOptions) -
     given = state
     for forecast in meanings:
         state = _with_new_bias(given, measurement.sensor, forecast)
-        comparison = compared(
-            state.deviations, state.covariances, state.weights, forecast.design, forecast.noise,
-            forecast.residual,
-        )  # fmt: skip
+        comparison = compared(state, forecast.design, forecast.noise, forecast.residual)
         if comparison is None or not math.isfinite(comparison.total):
             continue
         total = comparison.total + forecast.log_prior
@@ -101,10 +99,7 @@ def _with_new_bias(state: FilterState, sensor: str, forecast: Forecast) -> Filte
     kept = np.minimum(forecast.sigmas, last) / np.maximum(forecast.sigmas, last)
     if kept.min() > _SAME_SIGMA:
         return state
-    deviations, covariances = renewed(
-        state.deviations, state.covariances, state.slots[sensor].start, kept
-    )
-    return state._replace(deviations=deviations, covariances=covariances)
+    return renewed(state, state.slots[sensor].start, kept)
 
 
 def mixture(outliers: float, log_likelihood: float, chance: float) -> float:
@@ -143,17 +138,14 @@ def judged(
 def _taken(found: Found, measurement: Measurement, motion: MotionOptions) -> FilterState:
     """The state after a reading, and what it teaches about noise and jitter."""
     state, forecast, name = found.state, found.forecast, measurement.sensor
-    rotation, place, rate, velocity, deviations, covariances, weights = corrected(
-        state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
-        state.covariances, state.weights, found.comparison,
-    )  # fmt: skip
+    after = corrected(state, found.comparison)
     white, count = state.white, state.readings.get(name, 0)
     span = min(_LAST, _JITTER_FIRST + count)
     sigmas = state.sigmas
     if not forecast.other_edge:
         sigmas = {**sigmas, name: forecast.sigmas}
     if forecast.teaches:
-        gained = white_share(forecast.shares, forecast.root, weights, found.comparison)
+        gained = white_share(forecast.shares, forecast.root, after.weights, found.comparison)
         share = np.clip(
             forecast.shares + gained / min(_LAST, _SHARE_FIRST + count), _LEAST_SHARE, _MOST_SHARE
         )
@@ -163,12 +155,11 @@ def _taken(found: Found, measurement: Measurement, motion: MotionOptions) -> Fil
         since_s = measurement.time_s - pose_s
         known = state.turning is not None and state.turning_s >= pose_s  # nothing to learn from
         if since_s > 1e-3 and not known:
-            jitter = _learnt_jitter(state, found, weights, since_s, span, motion)
+            jitter = _learnt_jitter(state, found, after.weights, since_s, span, motion)
         pose_s = measurement.time_s
-    return state._replace(
-        rotation=rotation, place_m=place, rate=rate, velocity=velocity,
-        deviations=deviations, covariances=covariances, weights=weights, white=white,
-        readings={**state.readings, name: count}, sigmas=sigmas, jitter=jitter, pose_s=pose_s,
+    return after._replace(
+        white=white, readings={**state.readings, name: count}, sigmas=sigmas, jitter=jitter,
+        pose_s=pose_s,
     )  # fmt: skip
 
 

@@ -1,19 +1,22 @@
-"""Prediction of all models of the motion, and what they say together.
-
-All models share one nominal state; each has its own deviation x (M, n), covariance P (M, n, n) and
-probability (M,). The state's layout is in `state`.
-"""
+"""Prediction of all models of the motion, and what they say together; see `state`."""
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
+from rendezview.fusion.options import FusionOptions, MotionOptions
+from rendezview.fusion.state import MOTION, FilterState
 from rendezview.geometry import so3
-from rendezview.geometry.pose import Array
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.measurement import RateMeasurement, ThrustMeasurement
 
-MOTION = 18  # attitude, place, rate, velocity, jitter, acceleration. Source: by construction
+# Of a start until it is confirmed: σ of a rate times a step, rad and ranges. Source: linearisation
+_MOST_TURN, _MOST_WAY = 0.5, 0.4
+_MOST_STEPS = 100  # of a prediction. Source: a chosen limit; a state that old is lost
+_HOLD_S = 1.0  # s for which a rate of the camera is taken to go on. Source: chosen
 
 
 def transition(
@@ -112,32 +115,31 @@ def changes(stays: Array, dt: float) -> Array:
 
 
 def predicted(
-    rotation: Array, place: Array, rate: Array, velocity: Array, deviations: Array,
-    covariances: Array, weights: Array, fading: Array, dt: float, angular: float,
-    accelerations: Array, jitters: Array, slew: float, jitter_stay_s: float,
-) -> tuple[Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
-    """Rotation, place, rate, velocity, deviations, covariances and weights ``dt`` later.
+    state: FilterState, dt: float, angular: float, accelerations: Array, jitters: Array,
+    slew: float, jitter_stay_s: float,
+) -> FilterState:  # fmt: skip
+    """The state one step later.
 
     Args:
-        fading: (n - 18, 2) how fast each bias is forgotten: 1/s, and per ln of the range.
         angular: rad/s² √s.
         accelerations: (A, 4) m/s² √s, lasting σ, its correlation, mean stay.
         jitters: (J, 2) σ rad, correlation s. Model a J + j has both.
         slew: rad/√s, wander of the camera's attitude.
     """
+    rotation, place, rate, velocity = state.nominal
     kinds = len(jitters)
     # Accelerations and jitters change on their own.
     moves = np.einsum(
         "ab,ij->aibj", changes(accelerations[:, 3], dt), changes(np.full(kinds, jitter_stay_s), dt)
-    ).reshape(len(weights), -1)
-    x, p, later = mixed(deviations, covariances, weights, moves)
+    ).reshape(len(state.weights), -1)
+    x, p, later = mixed(state.deviations, state.covariances, state.weights, moves)
     turn = so3.exp(-dt * rate)
     new_place, new_velocity = turn @ (place + dt * velocity), turn @ velocity
     new_rotation = so3.exp(rotation @ (dt * rate)) @ rotation  # R exp(ω) = exp(R ω) R
     so3.orthonormalise(new_rotation)
     squares = place @ place + 1e-6, new_place @ new_place + 1e-6  # m²: a place may be zero
     neared = abs(0.5 * math.log(squares[1] / squares[0]))
-    fade = np.exp(-dt * fading[:, 0] - neared * fading[:, 1])
+    fade = np.exp(-state.fading @ (dt, neared))
     white, sigma, tau, _ = np.repeat(accelerations, kinds, axis=0).T
     swing, swing_s = np.tile(jitters, (len(accelerations), 1)).T
     jitter, lasting = np.exp(-dt / swing_s), np.exp(-dt / tau)
@@ -156,22 +158,126 @@ def predicted(
     )  # fmt: skip
     entries = np.arange(MOTION, p.shape[1])
     p[:, entries, entries] += 1.0 - fade**2
-    return new_rotation, new_place, rate, new_velocity, x, p, later
+    return state._replace(
+        time_s=state.time_s + dt, rotation=new_rotation, place_m=new_place, velocity=new_velocity,
+        deviations=x, covariances=p, weights=later,
+    )  # fmt: skip
 
 
-def moments(
-    rotation: Array, place: Array, rate: Array, velocity: Array, deviations: Array,
-    covariances: Array, weights: Array,
-) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+def predict(state: FilterState, dt_s: float, options: FusionOptions) -> FilterState:
+    """The state ``dt_s`` later: rates go on, accelerations and jitter widen it.
+
+    Raises:
+        ValueError: the step is negative or not finite.
+    """
+    if not 0.0 <= dt_s < math.inf:
+        raise ValueError(f"the filter goes forward only, not by {dt_s} s")
+    if dt_s == 0.0:
+        return state
+    motion = options.motion
+    time_s = state.time_s + dt_s
+    if not state.confirmed:
+        state = _with_slow_rates(state, dt_s)
+    accelerations, jitters = models_of(motion, state.jitter)
+    turning = state.turning if time_s <= state.turning_s + _HOLD_S else None
+    if turning is not None:  # the camera's swing is known: jitter keeps what it has
+        jitters[:, 0], jitters[:, 1] = 0.0, np.inf
+    # The noise of a step is exact for a short one.
+    steps = min(math.ceil(3.0 * dt_s / motion.acceleration_s), _MOST_STEPS)
+    for _ in range(steps):
+        state = predicted(
+            state, dt_s / steps, motion.angular, accelerations, jitters,
+            0.0 if turning is None else state.turning_sigma, motion.jitter_stay_s,
+        )  # fmt: skip
+    state = state._replace(time_s=time_s)  # without rounding
+    return state if turning is None else _swung(state, -dt_s * turning)
+
+
+def _swung(state: FilterState, swing_rad: Array) -> FilterState:
+    """The state after a turn of the camera (3,), on the left of its attitude."""
+    swing = so3.exp(swing_rad)
+    deviations, covariances = state.deviations.copy(), state.covariances.copy()
+    for rows in (slice(0, 3), slice(12, 15)):  # both are in the camera's axes
+        deviations[:, rows] = deviations[:, rows] @ swing.T
+        covariances[:, rows] = swing @ covariances[:, rows]
+        covariances[:, :, rows] = covariances[:, :, rows] @ swing.T
+    return state._replace(
+        rotation=swing @ state.rotation, deviations=deviations, covariances=covariances
+    )
+
+
+def models_of(motion: MotionOptions, jitter: float) -> tuple[Array, Array]:
+    """(A, 4) accelerations and (J, 2) jitters, as `prediction.predicted` takes them."""
+    accelerations, jitters = _models(motion)
+    jitters = jitters.copy()
+    jitters[0, 0] = jitter
+    return accelerations, jitters
+
+
+@lru_cache(maxsize=8)
+def _models(motion: MotionOptions) -> tuple[Array, Array]:
+    accelerations = np.column_stack(
+        [
+            motion.accelerations,
+            motion.lasting_accelerations,
+            np.full(len(motion.accelerations), motion.acceleration_s),
+            motion.stays_s,
+        ]
+    )
+    return accelerations, np.column_stack([motion.jitters, motion.jitters_s])
+
+
+def turned(state: FilterState, measurement: RateMeasurement, options: FusionOptions) -> FilterState:
+    """The state at the time of a reading of the camera's own rotation, since the one before."""
+    dt_s = max(measurement.time_s - state.time_s, 0.0)
+    since_s = max(measurement.time_s - state.turning_s, 1e-3)
+    # A reading between two of these, as of a thrust, was reached with the rate before.
+    ahead_s = state.time_s - max(state.turning_s, state.pose_s)
+    if state.turning is not None and ahead_s > 0.0 and since_s <= _HOLD_S:
+        state = _swung(state, ahead_s * (state.turning - measurement.rate_rad_s))
+    # White noise of a mean rate over an interval is a random walk of the angle.
+    sigma = measurement.sigma_rad_s * math.sqrt(min(since_s, _HOLD_S))
+    state = state._replace(
+        turning=measurement.rate_rad_s, turning_sigma=sigma, turning_s=measurement.time_s
+    )
+    return predict(state, dt_s, options)
+
+
+def pushed(state: FilterState, measurement: ThrustMeasurement) -> FilterState:
+    """The state after a known change of the camera's velocity."""
+    covariances = state.covariances.copy()
+    for i in range(9, 12):
+        covariances[:, i, i] += measurement.sigma_m_s**2
+    change = state.rotation.T @ measurement.velocity_change_m_s
+    return state._replace(velocity=state.velocity + change, covariances=covariances)
+
+
+def _with_slow_rates(state: FilterState, dt_s: float) -> FilterState:
+    """The state with rates that a step can still be linearised with."""
+    scale = np.ones(state.deviations.shape[1])
+    away = math.sqrt(state.place_m @ state.place_m)
+    for rows, most in ((slice(6, 9), _MOST_TURN), (slice(9, 12), _MOST_WAY * away)):
+        block = np.diagonal(state.covariances[:, rows, rows], axis1=1, axis2=2)
+        sigma = math.sqrt(block.max())
+        if sigma * dt_s > most:
+            scale[rows] = most / (sigma * dt_s)
+    if scale.min() == 1.0:
+        return state
+    covariances = state.covariances * scale[:, None] * scale
+    return state._replace(covariances=covariances)
+
+
+def estimate_of(state: FilterState) -> tuple[Pose, Array, Array]:
     """What the models say together, camera frame.
 
     Returns:
-        (3, 3) camera_from_target; (3,) translation; (6,) rates; (12, 12) covariance of rotation
-        vector, translation, angular rate, velocity, perturbation on the left.
+        camera_from_target; (6,) rates; (12, 12) covariance of rotation vector, translation, angular
+        rate, velocity, perturbation on the left.
     """
-    mean = weights @ deviations[:, :12]
-    off = np.sqrt(weights)[:, None] * (deviations[:, :12] - mean)
-    spread = np.tensordot(weights, covariances[:, :12, :12], 1) + off.T @ off
+    rotation, place, rate, velocity = state.nominal
+    mean = state.weights @ state.deviations[:, :12]
+    off = np.sqrt(state.weights)[:, None] * (state.deviations[:, :12] - mean)
+    spread = np.tensordot(state.weights, state.covariances[:, :12, :12], 1) + off.T @ off
     turned = so3.exp(mean[:3]) @ rotation
     translation = -turned @ (place + mean[3:6])
     rates = np.concatenate([turned @ (rate + mean[6:9]), -turned @ (velocity + mean[9:12])])
@@ -182,4 +288,4 @@ def moments(
     into[6:9, :3], into[6:9, 6:9] = -so3.hat(rates[:3]), turned
     into[9:, :3], into[9:, 9:] = -so3.hat(rates[3:]), -turned
     out = into @ spread @ into.T
-    return turned, translation, rates, 0.5 * (out + out.T)
+    return Pose(turned, translation), rates, 0.5 * (out + out.T)

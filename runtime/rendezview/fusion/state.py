@@ -14,27 +14,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from rendezview.fusion.options import FusionOptions, MotionOptions, SensorOptions
-from rendezview.fusion.prediction import MOTION, moments, predicted
+from rendezview.fusion.options import FusionOptions, SensorOptions
 from rendezview.geometry import so3
-from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.measurement import (
-    Measurement,
-    PoseMeasurement,
-    RateMeasurement,
-    ThrustMeasurement,
-)
+from rendezview.geometry.pose import Array
+from rendezview.sensors.measurement import Measurement, PoseMeasurement
+
+MOTION = 18  # attitude, place, rate, velocity, jitter, acceleration. Source: by construction
 
 # (6, 6) that every pose has at least: below it rounding counts. Source: no sensor is that good
 _LEAST_COVARIANCE = np.diag([1e-7**2] * 3 + [1e-6**2] * 3)
 RING_GEOMETRY = "ring's radius and depth"  # a block of the state, of no sensor
-# Of a start until it is confirmed: σ of a rate times a step, rad and ranges. Source: linearisation
-_MOST_TURN, _MOST_WAY = 0.5, 0.4
 
 
 class Slot(NamedTuple):
@@ -67,6 +60,11 @@ class FilterState(NamedTuple):
     turning: Array | None = None  # (3,) rad/s, of the camera, its own frame; None: not measured
     turning_sigma: float = 0.0  # rad/√s
     turning_s: float = -math.inf  # when that was measured
+
+    @property
+    def nominal(self) -> tuple[Array, Array, Array, Array]:
+        """Rotation, place, rate, velocity."""
+        return self.rotation, self.place_m, self.rate, self.velocity
 
     def mean(self, entry: int) -> float:
         """Mean deviation of one entry over all models."""
@@ -145,106 +143,6 @@ def begin(
     )  # fmt: skip
 
 
-def predict(state: FilterState, dt_s: float, options: FusionOptions) -> FilterState:
-    """The state ``dt_s`` later: rates go on, accelerations and jitter widen it.
-
-    Raises:
-        ValueError: the step is negative or not finite.
-    """
-    if not 0.0 <= dt_s < math.inf:
-        raise ValueError(f"the filter goes forward only, not by {dt_s} s")
-    if dt_s == 0.0:
-        return state
-    motion = options.motion
-    time_s = state.time_s + dt_s
-    if not state.confirmed:
-        state = _with_slow_rates(state, dt_s)
-    accelerations, jitters = models_of(motion, state.jitter)
-    turning = state.turning if time_s <= state.turning_s + _HOLD_S else None
-    if turning is not None:  # the camera's swing is known: jitter keeps what it has
-        jitters[:, 0], jitters[:, 1] = 0.0, np.inf
-    # The noise of a step is exact for a short one.
-    steps = min(math.ceil(3.0 * dt_s / motion.acceleration_s), _MOST_STEPS)
-    now = (
-        state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
-        state.covariances, state.weights,
-    )  # fmt: skip
-    for _ in range(steps):
-        now = predicted(
-            *now, state.fading, dt_s / steps, motion.angular, accelerations, jitters,
-            0.0 if turning is None else state.turning_sigma, motion.jitter_stay_s,
-        )  # fmt: skip
-    rotation, place, rate, velocity, deviations, covariances, weights = now
-    state = state._replace(
-        time_s=time_s, rotation=rotation, place_m=place, rate=rate, velocity=velocity,
-        deviations=deviations, covariances=covariances, weights=weights,
-    )  # fmt: skip
-    return state if turning is None else _swung(state, -dt_s * turning)
-
-
-def _swung(state: FilterState, swing_rad: Array) -> FilterState:
-    """The state after a turn of the camera (3,), on the left of its attitude."""
-    swing = so3.exp(swing_rad)
-    deviations, covariances = state.deviations.copy(), state.covariances.copy()
-    for rows in (slice(0, 3), slice(12, 15)):  # both are in the camera's axes
-        deviations[:, rows] = deviations[:, rows] @ swing.T
-        covariances[:, rows] = swing @ covariances[:, rows]
-        covariances[:, :, rows] = covariances[:, :, rows] @ swing.T
-    return state._replace(
-        rotation=swing @ state.rotation, deviations=deviations, covariances=covariances
-    )
-
-
-_MOST_STEPS = 100  # of a prediction. Source: a chosen limit; a state that old is lost
-_HOLD_S = 1.0  # s for which a rate of the camera is taken to go on. Source: chosen
-
-
-def models_of(motion: MotionOptions, jitter: float) -> tuple[Array, Array]:
-    """(A, 4) accelerations and (J, 2) jitters, as `prediction.predicted` takes them."""
-    accelerations, jitters = _models(motion)
-    jitters = jitters.copy()
-    jitters[0, 0] = jitter
-    return accelerations, jitters
-
-
-@lru_cache(maxsize=8)
-def _models(motion: MotionOptions) -> tuple[Array, Array]:
-    accelerations = np.column_stack(
-        [
-            motion.accelerations,
-            motion.lasting_accelerations,
-            np.full(len(motion.accelerations), motion.acceleration_s),
-            motion.stays_s,
-        ]
-    )
-    return accelerations, np.column_stack([motion.jitters, motion.jitters_s])
-
-
-def turned(state: FilterState, measurement: RateMeasurement, options: FusionOptions) -> FilterState:
-    """The state at the time of a reading of the camera's own rotation, since the one before."""
-    dt_s = max(measurement.time_s - state.time_s, 0.0)
-    since_s = max(measurement.time_s - state.turning_s, 1e-3)
-    # A reading between two of these, as of a thrust, was reached with the rate before.
-    ahead_s = state.time_s - max(state.turning_s, state.pose_s)
-    if state.turning is not None and ahead_s > 0.0 and since_s <= _HOLD_S:
-        state = _swung(state, ahead_s * (state.turning - measurement.rate_rad_s))
-    # White noise of a mean rate over an interval is a random walk of the angle.
-    sigma = measurement.sigma_rad_s * math.sqrt(min(since_s, _HOLD_S))
-    state = state._replace(
-        turning=measurement.rate_rad_s, turning_sigma=sigma, turning_s=measurement.time_s
-    )
-    return predict(state, dt_s, options)
-
-
-def pushed(state: FilterState, measurement: ThrustMeasurement) -> FilterState:
-    """The state after a known change of the camera's velocity."""
-    covariances = state.covariances.copy()
-    for i in range(9, 12):
-        covariances[:, i, i] += measurement.sigma_m_s**2
-    change = state.rotation.T @ measurement.velocity_change_m_s
-    return state._replace(velocity=state.velocity + change, covariances=covariances)
-
-
 def with_slot(state: FilterState, measurement: Measurement, sensor: SensorOptions) -> FilterState:
     """The state with room for the bias of a sensor that it has not met before."""
     name = measurement.sensor
@@ -265,15 +163,6 @@ def with_slot(state: FilterState, measurement: Measurement, sensor: SensorOption
     )
 
 
-def estimate_of(state: FilterState) -> tuple[Pose, Array, Array]:
-    """camera_from_target; (6,) rates and (12, 12) covariance, camera frame."""
-    rotation, translation, rates, covariance = moments(
-        state.rotation, state.place_m, state.rate, state.velocity, state.deviations,
-        state.covariances, state.weights,
-    )  # fmt: skip
-    return Pose(rotation, translation), rates, covariance
-
-
 def _slot(start: int, size: int, sensor: SensorOptions) -> Slot:
     return Slot(start, size, start + size if sensor.late_s > 0.0 else -1)
 
@@ -282,18 +171,3 @@ def _fading(size: int, sensor: SensorOptions) -> Array:
     """(S, 2) of a sensor's bias, and of its lateness, which is constant."""
     bias = np.tile([1.0 / sensor.bias_s, 1.0 / sensor.bias_range], (size, 1))
     return np.vstack([bias, np.zeros((1, 2))]) if sensor.late_s > 0.0 else bias
-
-
-def _with_slow_rates(state: FilterState, dt_s: float) -> FilterState:
-    """The state with rates that a step can still be linearised with."""
-    scale = np.ones(state.deviations.shape[1])
-    away = math.sqrt(state.place_m @ state.place_m)
-    for rows, most in ((slice(6, 9), _MOST_TURN), (slice(9, 12), _MOST_WAY * away)):
-        block = np.diagonal(state.covariances[:, rows, rows], axis1=1, axis2=2)
-        sigma = math.sqrt(block.max())
-        if sigma * dt_s > most:
-            scale[rows] = most / (sigma * dt_s)
-    if scale.min() == 1.0:
-        return state
-    covariances = state.covariances * scale[:, None] * scale
-    return state._replace(covariances=covariances)

@@ -1,8 +1,4 @@
-"""A measurement beside all models of the motion, and what it teaches.
-
-All models share one nominal state; each has its own deviation x (M, n), covariance P (M, n, n) and
-probability (M,). The state's layout is in `state`.
-"""
+"""A measurement beside all models of the motion, and what it teaches; see `state`."""
 
 from __future__ import annotations
 
@@ -11,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rendezview.fusion.state import FilterState
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 
@@ -30,19 +27,19 @@ def root_of(covariances: Array) -> Array | None:
     return roots if (pivots > _PIVOT * np.diagonal(covariances, 0, -2, -1)).all() else None
 
 
-def renewed(deviations: Array, covariances: Array, start: int, kept: Array) -> tuple[Array, Array]:
-    """Deviations and covariances after some biases, of variance 1, lost memory in part.
+def renewed(state: FilterState, start: int, kept: Array) -> FilterState:
+    """The state after some biases, of variance 1, lost memory in part.
 
     Args:
         start: index of the first of k biases.
         kept: (k,) correlation of each bias with what it was.
     """
     entries = np.arange(start, start + len(kept))
-    fade = np.ones(deviations.shape[1])
+    fade = np.ones(state.deviations.shape[1])
     fade[entries] = kept
-    x, p = deviations * fade, covariances * fade[:, None] * fade
+    x, p = state.deviations * fade, state.covariances * fade[:, None] * fade
     p[:, entries, entries] += 1.0 - kept**2
-    return x, p
+    return state._replace(deviations=x, covariances=p)
 
 
 class Comparison(NamedTuple):
@@ -58,10 +55,7 @@ class Comparison(NamedTuple):
     whites: Array  # (M, k) L⁻¹ innovation
 
 
-def compared(
-    deviations: Array, covariances: Array, weights: Array, design: Array, noise: Array,
-    residual: Array,
-) -> Comparison | None:  # fmt: skip
+def compared(state: FilterState, design: Array, noise: Array, residual: Array) -> Comparison | None:
     """A residual beside every model; None where an S is not positive.
 
     Args:
@@ -69,8 +63,9 @@ def compared(
         noise: (k, k) R, white.
         residual: (k,) measured − expected at the nominal state.
     """
-    across = covariances @ design.T
-    offs = residual - deviations @ design.T
+    weights = state.weights
+    across = state.covariances @ design.T
+    offs = residual - state.deviations @ design.T
     spreads = design @ across + noise
     lowers = root_of(0.5 * (spreads + spreads.transpose(0, 2, 1)))
     if lowers is None:
@@ -92,29 +87,29 @@ def log_mean(weights: Array, logs: Array) -> float:
     return best + math.log(max(float(weights @ np.exp(logs - best)), 1e-300))
 
 
-def corrected(
-    rotation: Array, place: Array, rate: Array, velocity: Array, deviations: Array,
-    covariances: Array, weights: Array, comparison: Comparison,
-) -> tuple[Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
-    """Rotation, place, rate, velocity, deviations, covariances, weights after a measurement.
+def corrected(state: FilterState, comparison: Comparison) -> FilterState:
+    """The state after a measurement.
 
     The mean deviation goes into the nominal state; jitter and acceleration stay deviations, since
     each model has its own.
     """
     logs, across, lowers, whites = comparison[4:]
-    after = np.maximum(weights * np.exp(logs - logs.max()), 1e-300)
+    after = np.maximum(state.weights * np.exp(logs - logs.max()), 1e-300)
     after = np.maximum(after / after.sum(), _LEAST_PROBABILITY)
     after /= after.sum()
     # P Hᵀ L⁻ᵀ, so that P falls by its square and stays symmetric.
     gains = np.linalg.solve(lowers, across.transpose(0, 2, 1)).transpose(0, 2, 1)
-    x = deviations + (gains @ whites[:, :, None])[:, :, 0]
-    p = covariances - gains @ gains.transpose(0, 2, 1)
+    x = state.deviations + (gains @ whites[:, :, None])[:, :, 0]
+    p = state.covariances - gains @ gains.transpose(0, 2, 1)
     p = 0.5 * (p + p.transpose(0, 2, 1))
     mean = after @ x[:, :12]
     x[:, :12] -= mean
-    turned = so3.exp(mean[:3]) @ rotation
+    turned = so3.exp(mean[:3]) @ state.rotation
     so3.orthonormalise(turned)
-    return turned, place + mean[3:6], rate + mean[6:9], velocity + mean[9:12], x, p, after
+    return state._replace(
+        rotation=turned, place_m=state.place_m + mean[3:6], rate=state.rate + mean[6:9],
+        velocity=state.velocity + mean[9:12], deviations=x, covariances=p, weights=after,
+    )  # fmt: skip
 
 
 def white_share(shares: Array, root: Array, weights: Array, comparison: Comparison) -> Array:
