@@ -1,5 +1,7 @@
 """Options of the filter, from files and by hand."""
 
+import math
+
 import pytest
 
 from rendezview.errors import RendezviewError
@@ -77,3 +79,22 @@ def test_wrong_motion_options_are_named(wrong, words):
 def test_wrong_sensor_options_are_named(wrong, words):
     with pytest.raises(ValueError, match=words):
         SensorOptions(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"risk": math.nan}, "risk must be from"),
+        ({"risk": 5.0}, "risk must be from"),
+        ({"risk": 0.0}, "risk must be from"),
+        ({"ring_other_edge": 1.0}, "must be a probability"),
+        ({"ring_depth_sigma_m": -0.1}, "ring_depth_sigma_m must be finite"),
+        ({"history_s": math.inf}, "history_s must be finite"),
+        ({"coasting_after_s": math.nan}, "coasting_after_s must be finite"),
+        ({"lost_rad": math.nan}, "lost_rad must be positive"),
+        ({"start_with": 0}, "start_with must be positive"),
+    ],
+)
+def test_wrong_options_of_the_filter_are_named(wrong, words):
+    with pytest.raises(ValueError, match=words):
+        FusionOptions(**wrong)

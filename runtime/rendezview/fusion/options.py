@@ -21,6 +21,8 @@ from pydantic import (
     model_validator,
 )
 
+from rendezview.estimation.protection import LEAST_RISK, MOST_RISK
+
 _FORBID = ConfigDict(extra="forbid")  # in files: an unknown key is an error
 
 
@@ -201,3 +203,15 @@ class FusionOptions:
     @classmethod
     def _old_keys(cls, content: Any) -> Any:
         return _without(content, ("recent_s",))
+
+    def __post_init__(self) -> None:
+        if not LEAST_RISK <= self.risk <= MOST_RISK:
+            raise ValueError(f"risk must be from {LEAST_RISK:g} to {MOST_RISK:g}, not {self.risk}")
+        if not 0.0 <= self.ring_other_edge < 1.0:
+            raise ValueError(f"ring_other_edge must be a probability, not {self.ring_other_edge}")
+        for name in ("ring_radius_sigma", "ring_depth_sigma_m", "history_s", "coasting_after_s"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} must be finite, not negative: {getattr(self, name)}")
+        for name in ("lost_range_fraction", "lost_rad", "start_with", "history_most"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive: {getattr(self, name)}")
