@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -63,6 +64,14 @@ def test_a_target_without_a_ring_needs_a_port():
     port = Port.of(find_target("hubble"), plan)
     assert port.ring is None
     np.testing.assert_allclose(port.axis, [-1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(("x_m", "refused"), [(1.5, False), (1500.0, True)])
+def test_a_port_in_millimetres_is_refused(bumpy_mesh, x_m: float, refused: bool):
+    plan = FlyPlan(port=PortOptions(centre_m=(x_m, 0.0, 0.0), axis=(1.0, 0.0, 0.0)))
+    port = Port.of(Target("bumpy", "", None, "m"), plan)
+    with pytest.raises(RendezviewError, match="in metres") if refused else nullcontext():
+        port.must_be_on(bumpy_mesh)
 
 
 def test_an_unknown_key_of_the_plan_is_an_error(tmp_path):
