@@ -143,7 +143,8 @@ def test_a_pinhole_whose_rays_are_rounded_moves_nothing() -> None:
     camera = Camera(640, 480, 617.2, 617.7, 318.48, 241.17)
     figure = camera_picture(camera)
     figure.canvas.draw()  # the arrows' scale was 0 / 0 here
-    assert [text.get_text() for text in figure.axes[0].texts] == ["no distortion", "principal point"]
+    words = [text.get_text() for text in figure.axes[0].texts]
+    assert words == ["no distortion", "principal point"]
 
 
 def test_a_track_has_the_distance_its_sigma_and_the_turn_since_the_first_pose() -> None:

@@ -83,6 +83,16 @@ def test_an_unknown_key_of_the_plan_is_an_error(tmp_path):
         load_fly_plan(path)
 
 
+@pytest.mark.parametrize(
+    "line",
+    ["port.axis = [0, 0, inf]", "sensors.laser_origin_m = [0, nan, 0]", "chaser.start_m = nan"],
+)
+def test_a_number_of_the_plan_that_is_none_is_an_error(tmp_path, line: str):
+    (tmp_path / "plan.toml").write_text(line + "\n")
+    with pytest.raises(RendezviewError, match="finite"):
+        load_fly_plan(tmp_path / "plan.toml")
+
+
 def test_a_port_without_a_ring_gets_two_spheres_of_near_views(bumpy_mesh):
     plan = FlyPlan(port=PortOptions(centre_m=(1.5, 0.0, 0.0), axis=(2.0, 0.0, 0.0)))
     port = Port.of(Target("bumpy", "", None, "m"), plan)
