@@ -86,7 +86,7 @@ def camera_doubts(camera: Camera) -> list[Doubt]:
                 "the calibration"
             )
         )
-    return [*found, *_lens_doubts(camera), *_middle_doubts(camera)]
+    return [*found, *(_middle_doubts(camera) or _lens_doubts(camera))]
 
 
 def _lens_doubts(camera: Camera) -> list[Doubt]:
