@@ -26,8 +26,8 @@ _SCALES = (0.0, 0.125, 0.25, 1.0 / 3.0, 0.5, 2.0, 3.0, 4.0)  # Source: cameras a
 _SCALE_ERROR = 0.04  # of half the picture, on both axes. Source: principal points of real cameras
 _ASPECT = 1.15  # of a pixel; PAL and NTSC have 1.09. Source: ITU-R BT.601
 # Of the pixels, which no direction reaches as the lens folds the picture: asked about, refused.
-# Source: wide lenses calibrated without their corners have up to 0.28
-_FOLDED, _MOST_FOLDED = 0.1, 0.5
+# Source: wide lenses calibrated without their corners have up to 0.28; chosen
+_FOLDED, _MOST_FOLDED = 0.1, 0.75
 _SMALLEST_PX = 16  # px; smaller pictures say nothing of their camera. Source: chosen
 _OBLONG = 1.1  # pictures that are nearer to square cannot be told from turned ones. Source: chosen
 _MILLISECONDS = 1e11  # s since 1970 are the year 5138. Source: by construction
