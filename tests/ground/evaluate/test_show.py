@@ -104,6 +104,12 @@ def test_every_log_is_drawn(
         assert picture.std() > 5.0
 
 
+def test_the_log_of_a_run_that_broke_off_is_drawn(tmp_path: Path) -> None:
+    log = write(tmp_path / "log.jsonl", [line(k) for k in range(10)])
+    show(log.rename(tmp_path / "log.jsonl.partial"), tmp_path / "out")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["track.png"]
+
+
 def test_results_rigs_and_cameras_are_drawn(tmp_path: Path) -> None:
     write_results(tmp_path / "poses.csv", [ResultRow(1, k, 1, 0.9, pose(k)) for k in range(8)])
     show(tmp_path / "poses.csv", tmp_path / "results")
