@@ -10,6 +10,7 @@ they are used.
 from __future__ import annotations
 
 import importlib
+import os
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
@@ -57,6 +58,10 @@ if TYPE_CHECKING:  # with `as`, type checkers take a name for one of this packag
     from rendezview_ground.mesh.mesh import load_mesh as load_mesh
     from rendezview_ground.simulate import simulate as simulate
     from rendezview_service.client import Client as Client
+
+# ONNX Runtime 1.29 and newer report the machine to their maker, with a number that they keep in the
+# home folder, from the moment they are imported. Whoever has set the variable keeps their choice.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 # Where each name lives.
 _MODULE = {

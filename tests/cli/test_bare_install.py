@@ -116,3 +116,13 @@ def test_another_opencv_is_told_in_a_line(tmp_path: Path, name: str):
         done = python("-c", path, "--help")
         assert (done.returncode, done.stderr.count("\n")) == (0, lines)
         assert (f"pip uninstall {name}, then" in done.stderr) == bool(lines)
+
+
+def test_an_opencv_that_lost_its_files_is_one_line(tmp_path: Path):
+    (tmp_path / "cv2").mkdir()  # what `pip uninstall opencv-python` leaves of its neighbour
+    (tmp_path / "cv2" / "__init__.py").touch()
+    program = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
+    done = python("-c", program + "from rendezview.cli.main import main; main()", "track", "--help")
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "--force-reinstall opencv-python-headless" in done.stderr

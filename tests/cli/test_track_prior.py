@@ -69,3 +69,9 @@ def test_the_command_takes_a_log_and_names_a_wrong_one(
     (tmp_path / "bad.jsonl").write_text('{"im_id": 1}\n')
     run(*asked, "--prior", tmp_path / "bad.jsonl").says("no line of a log of poses")
     run(*asked, "--prior", tmp_path / "none.jsonl").says("none.jsonl")
+    late = tmp_path / "late.jsonl"  # of the same run by another clock
+    lines = [json.loads(line) for line in (lost_and_found / "fused.jsonl").read_text().splitlines()]
+    late.write_text("".join(json.dumps(line | {"time_s": 1.7e9}) + "\n" for line in lines))
+    run(*asked, "--prior", late).says("none of its poses is of these frames")
+    late.write_text("".join(json.dumps(line | {"pose": None}) + "\n" for line in lines))
+    assert run(*asked, "--prior", late).code == 0  # nothing was expected anywhere

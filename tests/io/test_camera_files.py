@@ -339,6 +339,21 @@ def test_what_is_no_camera_file_is_refused_by_name(tmp_path, content, message, c
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize(
+    "more", [{"k1": -0.3, "p1": 0.0}, {"radial": [-0.3, 0.1]}, {"Coeffs": [1]}]
+)
+def test_coefficients_under_a_name_that_is_not_read_are_no_pinhole(tmp_path, more):
+    path, pinhole = tmp_path / "camera.json", Camera(640, 480, 500.0, 501.0, 319.0, 239.0)
+    numbers = {"fx": 500, "fy": 501, "cx": 319, "cy": 239, "width": 640, "height": 480}
+    path.write_text(json.dumps(numbers | {"distortion_model": "none", "k2": 0}))
+    assert load_camera(path) == pinhole
+    path.write_text(json.dumps(numbers | {"dist": [-0.3, 0.1, 0, 0]}))
+    assert load_camera(path).distortion == (-0.3, 0.1, 0.0, 0.0)
+    path.write_text(json.dumps(numbers | more))
+    with pytest.raises(RendezviewError, match="distCoeffs"):
+        load_camera(path)
+
+
 def test_trailing_zero_coefficients_of_larger_models_are_dropped(tmp_path):
     text = (
         "K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nwidth: 4\nheight: 4\n"

@@ -16,7 +16,8 @@ from rendezview.io.plausible import camera_doubts, time_doubts
 def written(tmp_path, camera: Camera, **more):
     keys = ("width", "height", "fx", "fy", "cx", "cy")
     path = tmp_path / "camera.json"
-    path.write_text(json.dumps({key: getattr(camera, key) for key in keys} | more))
+    lens = {"distCoeffs": camera.distortion}
+    path.write_text(json.dumps({key: getattr(camera, key) for key in keys} | lens | more))
     return path
 
 
@@ -30,6 +31,12 @@ REAL = {
     "fisheye of 250 degrees": FISHEYE,
     "PAL pixels": Camera(720, 576, 800.0, 876.0, 359.5, 287.5),
     "rectified stereo": Camera(1280, 720, 700.0, 700.0, 480.0, 350.0),
+    # Published calibrations: TUM's RGB-D set (fr1), EuRoC (cam0), KITTI (2011_09_26, camera 0).
+    "TUM": Camera(640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
+    "EuRoC": Camera(752, 480, 458.654, 457.296, 367.215, 248.375, (-0.28340811, 0.07395907, 0, 0)),
+    "KITTI": Camera(
+        1392, 512, 984.2, 980.8, 690.0, 233.2, (-0.3729, 0.2037, 0.0022, 0.0014, -0.0723)
+    ),
     "upright": Camera(480, 640, 600.0, 600.0, 239.5, 319.5),
     "square": Camera(512, 512, 700.0, 700.0, 260.0, 250.0),
     "line": Camera(2048, 64, 3000.0, 3000.0, 1023.5, 31.5),
@@ -55,6 +62,8 @@ ABSURD = [
     (Camera(640, 480, 1000.0, 1000.0, 645.0, 472.0), "matrix is of pictures of 1280 × 960"),
     (Camera(640, 480, 1500.0, 1500.0, 963.0, 725.0), "matrix is of pictures of 1920 × 1440"),
     (Camera(640, 480, 700.0, 700.0, 0.0, 0.0), "the corner"),
+    (Camera(640, 480, 641.8, 641.8, 319.5, 239.5, (-5.0, 0.0, 0.0, 0.0)), "folds the picture, 8"),
+    (Camera(640, 480, 641.8, 641.8, 319.5, 239.5, (9e5, 0.0, 0.0, 0.0)), "folds the picture, 100"),
 ]
 
 
@@ -130,3 +139,11 @@ def test_times_that_are_no_seconds_or_missing_are_told(times_s, words):
     doubts = [doubt.what for doubt in time_doubts(times_s)]
     assert len(doubts) == len(words)
     assert all(word in doubt for word, doubt in zip(words, doubts, strict=True))
+
+
+def test_coefficients_in_another_order_are_asked_about():
+    """k1 k2 k3 p1 p2 of a webcam, whose p1 is 0.0012."""
+    folded = Camera(640, 480, 533.0, 533.0, 342.0, 234.0, (-0.281, 0.025, 0.163, 0.0012, -0.0001))
+    (doubt,) = camera_doubts(folded)
+    assert "k1 k2 p1 p2 k3" in doubt.what
+    assert not doubt.refused

@@ -10,6 +10,7 @@ import pytest
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
+from rendezview.io import file_lock
 from rendezview.io.results import (
     JsonLinesWriter,
     ResultRow,
@@ -198,6 +199,36 @@ def test_a_log_that_cannot_be_opened_is_named(tmp_path):
         JsonLinesWriter(tmp_path / "absent" / "log.jsonl")
     with pytest.raises(RendezviewError, match="no regular file"):
         JsonLinesWriter(tmp_path)
+
+
+def test_two_runs_do_not_write_into_one_log(tmp_path):
+    path = tmp_path / "log.jsonl"
+    with JsonLinesWriter(path) as first:
+        first.write({"a": 1})
+        with pytest.raises(RendezviewError, match="another run is writing it"):
+            JsonLinesWriter(path)
+        first.write({"a": 2})
+    assert read_json_lines(path) == [{"a": 1}, {"a": 2}]
+    with JsonLinesWriter(path) as second:
+        second.write({"a": 3})
+    assert read_json_lines(path) == [{"a": 3}]
+
+
+def test_a_log_that_gets_its_name_while_another_run_opens_it_stays(tmp_path, monkeypatch):
+    path, locked = tmp_path / "log.jsonl", file_lock.lock
+    (tmp_path / "log.jsonl.partial").write_text('{"a": 1}\n')
+
+    def late(descriptor: int) -> bool:
+        if not path.exists():
+            (tmp_path / "log.jsonl.partial").rename(path)
+        return locked(descriptor)
+
+    monkeypatch.setattr(file_lock, "lock", late)
+    writer = JsonLinesWriter(path)
+    writer.write({"a": 2})
+    writer.keep(ended=False)
+    assert read_json_lines(path) == [{"a": 1}]
+    assert read_json_lines(tmp_path / "log.jsonl.partial") == [{"a": 2}]
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")

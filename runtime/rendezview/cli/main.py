@@ -183,6 +183,15 @@ def main() -> None:
             raise
         print(f"rendezview: {words}", file=sys.stderr)
         sys.exit(1)
+    except AttributeError as error:
+        if getattr(error.obj, "__name__", "") != "cv2":
+            raise
+        print(
+            f"rendezview: another package has changed OpenCV's files ({error}): "
+            "pip install --force-reinstall opencv-python-headless",
+            file=sys.stderr,
+        )
+        sys.exit(1)
     except MemoryError as error:
         print(f"rendezview: not enough memory ({error})", file=sys.stderr)
         sys.exit(1)

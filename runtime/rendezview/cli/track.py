@@ -148,7 +148,9 @@ def track(
     times_s = [frame.time_s for frame in sequence.frames[:1] if frame.time_s is not None]
     moment = first_epoch(epoch, times_s, bool(oem or aem))
     others = None if prior is None or not prior.endswith(".jsonl") else Path(prior)
-    expected = None if others is None else poses_by_frame(others, lambda *known: known)
+    expected = (
+        None if others is None else poses_by_frame(others, lambda *known: known, sequence.frames)
+    )
     first = _prior(prior, sequence, loaded) if others is None else None
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)

@@ -28,6 +28,7 @@ Measured from the corner of the picture, it would be half a pixel less: 0.2 mrad
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from typing import Any
@@ -47,8 +48,12 @@ _MATRIX_KEYS = (
 )  # fmt: skip
 _DISTORTION_KEYS = (
     "distortion_coefficients", "distCoeffs", "dist_coeffs", "Distortion_Coefficients", "D", "d",
-    "D1", "distortion", "distortion_coeffs",
+    "D1", "distortion", "distortion_coeffs", "dist",
 )  # fmt: skip
+# Under none of these names are coefficients read.
+_LIKE_DISTORTION = re.compile(
+    "[kps][1-8]|coeffs?|dist.*coef.*|.*distort.*|(radial|tangential).*", re.IGNORECASE
+)
 _WIDTH_KEYS = ("image_width", "image_Width", "imageWidth", "width", "Nu")
 _HEIGHT_KEYS = ("image_height", "image_Height", "imageHeight", "height", "Nv")
 _POLYNOMIALS = (
@@ -257,6 +262,8 @@ def _imaged(data: dict[Any, Any], camera: Camera) -> Camera:
 
 def _lens(data: dict[Any, Any]) -> tuple[tuple[float, ...], LensModel]:
     key = _find(data, _DISTORTION_KEYS)
+    if key is None:
+        _must_have_no_lens(data)
     values = [] if key is None or data[key] is None else _numbers(data[key], key)
     model = data.get("distortion_model")
     if data.get("fisheye_model") or model in _FISHEYES:
@@ -286,6 +293,22 @@ def _lens(data: dict[Any, Any]) -> tuple[tuple[float, ...], LensModel]:
     if len(values) > 8:  # zeros at the end were dropped
         values += [0.0] * ((12 if len(values) <= 12 else 14) - len(values))
     return tuple(values), LensModel.OPENCV
+
+
+def _must_have_no_lens(data: dict[Any, Any]) -> None:
+    """Refuses coefficients under a name that is not read: the camera would be a pinhole."""
+    for key, value in data.items():
+        if not _LIKE_DISTORTION.fullmatch(str(key)):
+            continue
+        try:
+            numbers = _numbers(value, key)
+        except ValueError:  # words, as of a model
+            continue
+        if any(numbers):
+            raise ValueError(
+                f"{key}: distortion under a name that is not read: give distCoeffs, a list of "
+                "k1 k2 p1 p2 [k3 …]"
+            )
 
 
 def _find(data: dict[Any, Any], keys: tuple[str, ...]) -> str | None:

@@ -25,6 +25,9 @@ _MIDDLE = 0.5  # of half the picture: a principal point further out is asked abo
 _SCALES = (0.0, 0.125, 0.25, 1.0 / 3.0, 0.5, 2.0, 3.0, 4.0)  # Source: cameras as sold bin 2 to 8
 _SCALE_ERROR = 0.04  # of half the picture, on both axes. Source: principal points of real cameras
 _ASPECT = 1.15  # of a pixel; PAL and NTSC have 1.09. Source: ITU-R BT.601
+# Of the pixels, which no direction reaches as the lens folds the picture: asked about, refused.
+# Source: wide lenses calibrated without their corners have up to 0.28; chosen
+_FOLDED, _MOST_FOLDED = 0.1, 0.75
 _SMALLEST_PX = 16  # px; smaller pictures say nothing of their camera. Source: chosen
 _OBLONG = 1.1  # pictures that are nearer to square cannot be told from turned ones. Source: chosen
 _MILLISECONDS = 1e11  # s since 1970 are the year 5138. Source: by construction
@@ -83,7 +86,23 @@ def camera_doubts(camera: Camera) -> list[Doubt]:
                 "the calibration"
             )
         )
-    return [*found, *_middle_doubts(camera)]
+    return [*found, *(_middle_doubts(camera) or _lens_doubts(camera))]
+
+
+def _lens_doubts(camera: Camera) -> list[Doubt]:
+    """A fisheye's picture is a circle: of its corners nothing is asked."""
+    if camera.lens_model is LensModel.FISHEYE or not camera.is_distorted:
+        return []
+    across, down = np.linspace(0.0, camera.width, 16), np.linspace(0.0, camera.height, 16)
+    rays = camera.rays(np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2))
+    folded = float(np.isnan(rays[:, 0]).mean())
+    if folded <= _FOLDED:
+        return []
+    words = (
+        f"the distortion folds the picture, {100.0 * folded:.0f} % of it belong to no direction: "
+        "the order is k1 k2 p1 p2 k3, and they are of tangents, not of pixels"
+    )
+    return [Doubt(words, folded > _MOST_FOLDED)]
 
 
 def _field_doubts(camera: Camera) -> list[Doubt]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,7 +18,7 @@ _SAME_TIME_S = 1e-6  # s; Source: the times of one frame in two files differ by 
 
 
 def poses_by_frame(
-    path: StrPath, use: Callable[[Pose, Array], Known]
+    path: StrPath, use: Callable[[Pose, Array], Known], frames: Sequence[Frame] = ()
 ) -> Callable[[Frame], Known | None]:
     """What is made of the pose of a frame's line in a log.
 
@@ -29,9 +29,10 @@ def poses_by_frame(
         path: of the log.
         use: of camera_from_target and its covariance (6, 6); it raises ValueError where a
             covariance is of no use.
+        frames: of which one at least must have a line, if the log has a pose.
 
     Raises:
-        RendezviewError: missing, or a line that is no pose's.
+        RendezviewError: missing, a line that is no pose's, or no line of these frames.
     """
     by_id: dict[int, Known] = {}
     timed: list[tuple[float, Known]] = []
@@ -59,6 +60,11 @@ def poses_by_frame(
         same = np.flatnonzero(np.abs(times - frame.time_s) < _SAME_TIME_S)
         return timed[same[-1]][1] if len(same) else None
 
+    if frames and (by_id or timed) and not any(of_frame(frame) is not None for frame in frames):
+        raise RendezviewError(
+            f"{path}: none of its poses is of these frames: im_id, or time_s where there is none, "
+            "must be theirs"
+        )
     return of_frame
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose, nearest_rotation
+from rendezview.io.file_lock import opened_alone
 from rendezview.io.files import StrPath, atomic_write_text, parse_json, read_text, write_error
 
 HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
@@ -158,7 +159,7 @@ class JsonLinesWriter:
         if self.path.exists() and not self.path.is_file():
             raise RendezviewError(f"{self.path}: is no regular file: give the name of a file")
         try:
-            self._file: BinaryIO = open(self.partial_path, "wb")  # noqa: SIM115 (closed by `close`)
+            self._file: BinaryIO = opened_alone(self.partial_path)
         except OSError as error:
             raise write_error(self.path, error) from error
         self._written = False

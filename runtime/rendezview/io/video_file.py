@@ -54,7 +54,8 @@ class VideoWriter:
     """A video that is written frame by frame, and gets its name when it is closed.
 
     The first frame decides the size; others are resized to it. An exception or Ctrl-C leaves a
-    video of the frames so far; no frames leave no file.
+    video of the frames so far; no frames leave no file. What a full disk cut short keeps a name
+    with ``.partial``.
 
     Args:
         path: ending in .webm (fast), .mp4, .avi or .gif.
@@ -76,6 +77,7 @@ class VideoWriter:
         self._writer: cv2.VideoWriter | None = None
         self._frames: list[Picture] = []
         self._size = (0, 0)
+        self._written = 0  # frames
 
     def __enter__(self) -> Self:
         return self
@@ -87,7 +89,7 @@ class VideoWriter:
         """The next frame, (H, W, 3) blue, green, red.
 
         Raises:
-            RendezviewError: no encoder, or too many frames for a GIF.
+            RendezviewError: no encoder, no space, or too many frames for a GIF.
         """
         if self._size == (0, 0):
             self._size = picture.shape[1], picture.shape[0]
@@ -113,10 +115,31 @@ class VideoWriter:
                 raise RendezviewError(
                     f"{self._path}: this OpenCV cannot encode {self._suffix}: write an .avi or .gif"
                 )
-        self._writer.write(picture)
+        with quiet_opencv():
+            written = self._writer.write(picture)
+        if not written:
+            raise self._unwritten()
+        self._written += 1
+
+    def _ends(self) -> bool:
+        """Whether the last frame is in the file; FFmpeg says nothing of what it could not write."""
+        with quiet_opencv(), _without_standard_error():
+            capture = cv2.VideoCapture(str(self._part))
+            capture.set(cv2.CAP_PROP_POS_FRAMES, self._written - 1)
+            return capture.read()[0]
+
+    def _unwritten(self) -> RendezviewError:
+        return RendezviewError(
+            f"{self._path}: the video cannot be written: check the free space there, or choose "
+            "another place"
+        )
 
     def close(self) -> None:
-        """Finish the file and give it its name."""
+        """Finish the file and give it its name.
+
+        Raises:
+            RendezviewError: the file is not complete.
+        """
         if self._frames:
             animation = cv2.Animation()
             animation.frames = self._frames
@@ -127,5 +150,7 @@ class VideoWriter:
         if self._writer is not None:
             self._writer.release()
             self._writer = None
+            if not self._ends():
+                raise self._unwritten()
         if self._part.exists():
             os.replace(self._part, self._path)

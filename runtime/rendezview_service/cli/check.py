@@ -18,11 +18,11 @@ from pathlib import Path
 import numba
 
 from rendezview.errors import RendezviewError, without_cache
+from rendezview.io.file_lock import NO_LOCKS, lock
 from rendezview.sensors.appearance import ViewModel
 from rendezview_service.hub.model_store import SUFFIX
 from rendezview_service.hub.session_defaults import SessionDefaults
 from rendezview_service.logs.log_folder import last_unix_s
-from rendezview_service.logs.log_lock import NO_LOCKS, lock
 from rendezview_service.server import listen, tokens_of
 from rendezview_service.settings import Settings
 

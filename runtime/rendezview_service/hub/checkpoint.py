@@ -15,9 +15,9 @@ from typing import ClassVar
 from pydantic import BaseModel, ConfigDict
 
 from rendezview.errors import RendezviewError
+from rendezview.io.file_lock import NO_LOCKS, lock
 from rendezview.io.files import atomic_write_text, make_folder, write_error
 from rendezview_service.hub.progress import Progress
-from rendezview_service.logs.log_lock import NO_LOCKS, lock
 from rendezview_service.messages.messages import SessionRequest
 
 log = logging.getLogger("rendezview_service")

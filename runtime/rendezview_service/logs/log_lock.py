@@ -6,7 +6,6 @@ Temporary folders are locked so that the next process removes those of one that 
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import shutil
 import tempfile
@@ -14,29 +13,10 @@ import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
-try:
-    import fcntl
-except ImportError:  # Windows, where the service does not run
-    fcntl = None  # type: ignore[assignment]
+from rendezview.io.file_lock import NO_LOCKS, lock
 
 _FOLDER_LOCK = ".rendezview.lock"
 _HELD = ".held"  # locked while the process lives that made the folder
-NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)  # errors of file systems without locks
-
-
-def lock(descriptor: int) -> bool:
-    """Lock an open file for this process; False if another has it.
-
-    Raises:
-        OSError: its file system has no locks (`NO_LOCKS`).
-    """
-    if fcntl is None:
-        return True
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
 
 
 @contextlib.contextmanager

@@ -23,10 +23,10 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
+from rendezview.io.file_lock import NO_LOCKS, lock
 from rendezview_service.logs import log_schemas
 from rendezview_service.logs.log_file import MODEL_ATTACHMENT, SESSION_METADATA, WRITER
 from rendezview_service.logs.log_index import MAGIC, Scan, ending, taken
-from rendezview_service.logs.log_lock import NO_LOCKS, lock
 from rendezview_service.logs.log_queue import MOST_AT_ONCE, Entry
 
 _CHECKSUM = struct.Struct("<I")  # at an attachment's end. Source: mcap.dev/spec, "Attachment"

@@ -28,10 +28,10 @@ from mcap.records import (
 )
 
 from rendezview.errors import RendezviewError
+from rendezview.io.file_lock import lock
 from rendezview.io.files import atomic_write
 from rendezview_service.logs.log_file import content_of, is_finished, records
 from rendezview_service.logs.log_index import MAGIC, Scan, chunk_index, ending, taken
-from rendezview_service.logs.log_lock import lock
 
 _COPY_BYTES = 1 << 16  # bytes per piece of a copy. Source: chosen
 _MESSAGE = struct.Struct("<BQHIQ")  # opcode, length, channel, sequence, log time of a message

@@ -104,6 +104,12 @@ def test_every_log_is_drawn(
         assert picture.std() > 5.0
 
 
+def test_the_log_of_a_run_that_broke_off_is_drawn(tmp_path: Path) -> None:
+    log = write(tmp_path / "log.jsonl", [line(k) for k in range(10)])
+    show(log.rename(tmp_path / "log.jsonl.partial"), tmp_path / "out")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["track.png"]
+
+
 def test_results_rigs_and_cameras_are_drawn(tmp_path: Path) -> None:
     write_results(tmp_path / "poses.csv", [ResultRow(1, k, 1, 0.9, pose(k)) for k in range(8)])
     show(tmp_path / "poses.csv", tmp_path / "results")
@@ -137,6 +143,14 @@ def test_a_cameras_title_has_its_field_of_view(lens: str) -> None:
         assert "pinhole" in title
     if lens == "fisheye":  # r = f θ
         assert f"{2.0 * np.degrees(320.0 / 500.0):.1f}°" in title
+
+
+def test_a_pinhole_whose_rays_are_rounded_moves_nothing() -> None:
+    camera = Camera(640, 480, 617.2, 617.7, 318.48, 241.17)
+    figure = camera_picture(camera)
+    figure.canvas.draw()  # the arrows' scale was 0 / 0 here
+    words = [text.get_text() for text in figure.axes[0].texts]
+    assert words == ["no distortion", "principal point"]
 
 
 def test_a_track_has_the_distance_its_sigma_and_the_turn_since_the_first_pose() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -65,6 +66,14 @@ def test_a_target_without_a_ring_needs_a_port():
     np.testing.assert_allclose(port.axis, [-1.0, 0.0, 0.0])
 
 
+@pytest.mark.parametrize(("x_m", "refused"), [(1.5, False), (1500.0, True)])
+def test_a_port_in_millimetres_is_refused(bumpy_mesh, x_m: float, refused: bool):
+    plan = FlyPlan(port=PortOptions(centre_m=(x_m, 0.0, 0.0), axis=(1.0, 0.0, 0.0)))
+    port = Port.of(Target("bumpy", "", None, "m"), plan)
+    with pytest.raises(RendezviewError, match="in metres") if refused else nullcontext():
+        port.must_be_on(bumpy_mesh)
+
+
 def test_an_unknown_key_of_the_plan_is_an_error(tmp_path):
     path = tmp_path / "plan.toml"
     path.write_text("[guidance]\nslope_per_s = 0.01\n")
@@ -72,6 +81,16 @@ def test_an_unknown_key_of_the_plan_is_an_error(tmp_path):
     path.write_text("[guidance]\nslop = 0.01\n")
     with pytest.raises(RendezviewError, match="slop"):
         load_fly_plan(path)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["port.axis = [0, 0, inf]", "sensors.laser_origin_m = [0, nan, 0]", "chaser.start_m = nan"],
+)
+def test_a_number_of_the_plan_that_is_none_is_an_error(tmp_path, line: str):
+    (tmp_path / "plan.toml").write_text(line + "\n")
+    with pytest.raises(RendezviewError, match="finite"):
+        load_fly_plan(tmp_path / "plan.toml")
 
 
 def test_a_port_without_a_ring_gets_two_spheres_of_near_views(bumpy_mesh):

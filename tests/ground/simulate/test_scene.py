@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import math
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +116,23 @@ def test_progress_counts_every_frame(tmp_path: Path) -> None:
         jobs=2, progress=lambda done, total: seen.append((done, total)),
     )  # fmt: skip
     assert seen == [(i + 1, len(PATH)) for i in range(len(PATH))]
+
+
+def test_a_frame_that_cannot_be_written_ends_the_others_in_silence(tmp_path: Path) -> None:
+    many = [(float(k), PATH[0][1]) for k in range(60)]
+
+    def full(done: int, total: int) -> None:
+        raise RendezviewError(f"no space after {done} of {total}")
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        with pytest.raises(RendezviewError, match="no space after 1 of 60"):
+            simulate(
+                MESH, CAMERA, many, SceneOptions(shading=QUICK), tmp_path / "s", 0,
+                jobs=2, progress=full,
+            )  # fmt: skip
+        gc.collect()  # what is left of the frames ends here
+    assert [str(each.message) for each in said] == []
 
 
 def test_a_scene_that_exists_is_refused_unless_it_may_be_overwritten(tmp_path: Path) -> None:

@@ -69,8 +69,9 @@ def show(
     """
     if not what.exists():
         raise RendezviewError(f"{what}: no such file or folder")
-    folder = output or Path(f"{what.stem if what.is_file() else what.resolve().name}-pictures")
-    suffix = what.suffix.lower() if what.is_file() else ""
+    name = Path(what.name.removesuffix(".partial"))  # what was written before a run broke off
+    folder = output or Path(f"{name.stem if what.is_file() else what.resolve().name}-pictures")
+    suffix = name.suffix.lower() if what.is_file() else ""
     if suffix == ".rvm":
         written = _show_model(ViewModel.load(what), folder)
     elif suffix in (".jsonl", ".mcap"):

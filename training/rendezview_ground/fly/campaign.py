@@ -53,7 +53,9 @@ class Setup:
         """Of a target with a port, see `Port.of`."""
         beam = BeamMesh(mesh.vertices_m.astype(np.float64), mesh.faces)
         patterns = tuple(patterns_of(target)) if target.reflectors else ()
-        return cls(plan, Port.of(target, plan), mesh, beam, patterns, target, model)
+        port = Port.of(target, plan)
+        port.must_be_on(mesh)
+        return cls(plan, port, mesh, beam, patterns, target, model)
 
     def stereo_pair(self) -> StereoPair | None:
         """A fresh one, for one flight; None: the target has no lights."""

@@ -12,9 +12,10 @@ from pydantic.dataclasses import dataclass
 
 from rendezview.io.files import checked, read_toml
 
-_FORBID = ConfigDict(extra="forbid")  # an unknown key is an error
-_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-_Least0 = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+# An unknown key is an error, and so is a number that is none.
+_FORBID = ConfigDict(extra="forbid", allow_inf_nan=False)
+_Positive = Annotated[float, Field(gt=0.0)]
+_Least0 = Annotated[float, Field(ge=0.0)]
 _Triple = tuple[float, float, float]
 
 

@@ -17,6 +17,8 @@ from rendezview_ground.simulate.trajectories import looking_at
 
 # Of the target's radius, of a port without a ring. Source: chosen, two spheres of near views
 _SEEN_RADII = 0.1
+# Of the target's radius from its centre: what is farther is not on it. Source: chosen, twice a boom
+_FARTHEST_RADII = 2.0
 _AHEAD = np.array([0.0, 0.0, 1.0])  # the boresight, camera frame
 
 
@@ -56,6 +58,16 @@ class Port:
         facing = looking_at(centre + axis, centre, up).rotation
         chaser = plan.chaser
         return cls(centre, axis, facing, chaser.port_ahead_m, chaser.mass_behind_m, ring)
+
+    def must_be_on(self, mesh: Mesh) -> None:
+        """Refuses a port that is far from its target: millimetres, or the axes of another file."""
+        centre_m, radius_m = mesh.bounding_sphere
+        away_m = float(np.linalg.norm(self.centre_m - centre_m))
+        if away_m > _FARTHEST_RADII * radius_m:
+            raise RendezviewError(
+                f"the port is {away_m:.3g} m from the centre of a target with a radius of "
+                f"{radius_m:.3g} m: give port.centre_m in metres, in the axes of the mesh"
+            )
 
     def circle(self, mesh: Mesh) -> DockingRing:
         """What a close camera sees of the port: its ring, or a circle around its centre."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -226,14 +227,19 @@ def simulate(
                 zip(meshes, poses, suns, rngs, strict=True)
             )
         )
-        for i, (image, coverage) in enumerate(frames):
-            time_s, pose = poses[i]
-            mask = None
-            if options.masks:
-                mask = np.where(coverage >= _MASK_COVERAGE, 255, 0).astype(np.uint8)
-            writer.add(i, image, pose, time_s, mask=mask)
-            if progress is not None:
-                progress(i + 1, len(poses))
+        try:
+            for i, (image, coverage) in enumerate(frames):
+                time_s, pose = poses[i]
+                mask = None
+                if options.masks:
+                    mask = np.where(coverage >= _MASK_COVERAGE, 255, 0).astype(np.uint8)
+                writer.add(i, image, pose, time_s, mask=mask)
+                if progress is not None:
+                    progress(i + 1, len(poses))
+        finally:  # cancels the frames that wait, when one cannot be written
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # joblib warns about the cancellation
+                frames.close()
     if joints is not None:
         joints.write(folder, times_s)
 

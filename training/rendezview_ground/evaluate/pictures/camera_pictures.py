@@ -42,7 +42,7 @@ def camera_picture(camera: Camera) -> Figure:
     axes = figure.add_subplot()
     dress(axes, x="column, px", y="row, px")
     axes.grid(False)
-    if np.nanmax(size) > 0.0:
+    if camera.is_distorted:  # of a pinhole the roundings, 1e-13 px, would be drawn
         filled = axes.contourf(u, v, size, 16, cmap=ACCURACY)
         lines = axes.contour(u, v, size, 8, colors="black", linewidths=0.6, alpha=0.6)
         axes.clabel(lines, fontsize=8, fmt="%.3g")
