@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
+from rendezview.sensors.ring.circle_pose import cones_of_shapes
 from rendezview.sensors.ring.ellipse import Ellipse
 from rendezview.sensors.ring.rectangle import Beam, rectangle_pose
 
@@ -125,7 +126,7 @@ def _line(camera: Camera, measured: Array, beam: Beam) -> Array | None:
     eye = -turn.T @ pose.translation_m
     rays = camera.rays(corners_px) @ turn
     corners = eye[1:] - eye[0] * rays[:, 1:] / rays[:, :1]
-    cone = turn.T @ _cone(camera, measured[8:13]) @ turn
+    cone = turn.T @ cones_of_shapes(camera, measured[None, 8:13])[0] @ turn
     # Where the cone meets the plane one metre before the camera: points (v - w)' A (v - w) = k.
     square, across = cone[1:, 1:], cone[1:, 0]
     middle = -np.linalg.solve(square, across)
@@ -139,16 +140,3 @@ def _line(camera: Camera, measured: Array, beam: Beam) -> Array | None:
     panel = [corners[0, 0] - corners[1, 0], corners[0, 1] - corners[2, 1], skew_rad]
     start = np.concatenate([eye[1:] - eye[0] * middle, eye[0] * size, panel])
     return np.column_stack([start, np.concatenate([middle, -size, np.zeros(3)])])
-
-
-def _cone(camera: Camera, shape: Array) -> Array:
-    """(3, 3) C of the cone q' C q = 0 of the rays q through an ellipse; negative within."""
-    matrix = np.array([[shape[2], shape[3]], [shape[3], shape[4]]])
-    x, y = shape[:2] - (camera.cx, camera.cy)
-    scale = np.diag([camera.fx, camera.fy])
-    inner = scale @ np.linalg.inv(matrix @ matrix) @ scale
-    place = np.array([x / camera.fx, y / camera.fy])
-    cone = np.zeros((3, 3))
-    cone[:2, :2], cone[:2, 2] = inner, -inner @ place
-    cone[2, :2], cone[2, 2] = cone[:2, 2], place @ inner @ place - 1.0
-    return cone

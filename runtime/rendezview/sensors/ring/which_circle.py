@@ -19,11 +19,10 @@ import numpy.typing as npt
 
 from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.circle_pose import (
     CirclePose,
     circle_poses,
-    circles_of_picture,
+    circles_of_shapes,
     shape_of_circle,
     shapes_of_circles,
     tangent_basis,
@@ -147,24 +146,19 @@ def _propose(
     camera: Camera, edges: Sequence[RingEdge], known: Knowledge, possible: Bools | None
 ) -> _Proposed:
     """Every possible ellipse as every circle, with both poses."""
+    centres, axes = circles_of_shapes(camera, np.array([edge.ellipse.shape for edge in edges]))
+    usable = np.isfinite(centres).all(axis=(1, 2))
+    if possible is not None:
+        usable &= possible
     rows: list[tuple[int, int]] = []
-    places, ways = [], []
-    centres, axes = np.empty((2, 3)), np.empty((2, 3))
-    lens = lens_vector(camera)
-    for k, edge in enumerate(edges):
-        if possible is not None and not possible[k]:
-            continue
-        if circles_of_picture(lens, edge.ellipse.shape, 1.0, centres, axes) == 0:
-            continue
+    places, ways = [np.empty((0, 3))], [np.empty((0, 3))]
+    for k in np.flatnonzero(usable).tolist():
         for j, (height_m, circle_m) in known.every_circle:
             rows += [(k, j), (k, j)]
-            places.append(circle_m * centres - height_m * axes)
-            ways.append(axes.copy())
+            places.append(circle_m * centres[k] - height_m * axes[k])
+            ways.append(axes[k])
     table = np.array(rows, dtype=np.int64).reshape(-1, 2)
-    none = [np.empty((0, 3))]
-    return _Proposed(
-        table[:, 0], table[:, 1], np.concatenate(places or none), np.concatenate(ways or none)
-    )
+    return _Proposed(table[:, 0], table[:, 1], np.concatenate(places), np.concatenate(ways))
 
 
 def _cost_of_known(
