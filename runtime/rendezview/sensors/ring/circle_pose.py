@@ -8,7 +8,7 @@ error of the ellipse's roundness.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -154,8 +154,9 @@ def circles_of_shapes(camera: Camera, shapes: Array) -> tuple[Array, Array]:
 
 
 def circle_poses(
-    camera: Camera, ellipse: Ellipse, radius_m: float, radius_share: float = RADIUS_SHARE
-) -> tuple[CirclePose, ...]:
+    camera: Camera, ellipse: Ellipse, radius_m: float, radius_share: float = RADIUS_SHARE,
+    systematic_px: float = 0.0,
+) -> tuple[CirclePose, ...]:  # fmt: skip
     """Both poses of a ring of known radius; one where the ring is exactly head-on.
 
     Args:
@@ -163,6 +164,7 @@ def circle_poses(
         ellipse: with ``shape_covariance`` the poses have theirs.
         radius_m: of the ring's edge that the ellipse is.
         radius_share: error of that radius (one σ), as a share of it; in the covariance.
+        systematic_px: σ of an error of the ellipse's numbers that its covariance is without.
 
     Returns:
         The poses, that with the axis nearer to the camera's own (-z) first.
@@ -178,19 +180,12 @@ def circle_poses(
         centre = radius_m * unit
         pose = CirclePose(centre, axis, radius_m)
         if ellipse.shape_covariance is not None:
-            covariance = pose_covariance(camera, pose, ellipse.shape_covariance)
+            spread = ellipse.shape_covariance + systematic_px**2 * np.eye(5)
+            covariance = pose_covariance(camera, pose, spread)
             covariance[:3, :3] += radius_share**2 * np.outer(centre, centre)
             pose = CirclePose(centre, axis, radius_m, covariance)
         poses.append(pose)
     return tuple(sorted(poses, key=lambda pose: float(pose.axis[2])))
-
-
-def widened(camera: Camera, pose: CirclePose, sigma_px: float) -> CirclePose:
-    """A pose whose covariance has a systematic error of its ellipse's numbers, px, as well."""
-    if pose.covariance is None or sigma_px == 0.0:
-        return pose
-    more = pose_covariance(camera, pose, sigma_px**2 * np.eye(5))
-    return replace(pose, covariance=pose.covariance + more)
 
 
 def pose_covariance(camera: Camera, pose: CirclePose, shape_covariance: Array) -> Array:

@@ -8,6 +8,8 @@ poses misfits, because circles of one plane have centres that only the true tilt
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -36,7 +38,7 @@ _MISFIT = 4.0
 
 
 def fit_joint(
-    camera: Camera, ellipses: list[Ellipse], start: CirclePose
+    camera: Camera, ellipses: list[Ellipse], start: CirclePose, systematic_px: float = 0.0
 ) -> tuple[CirclePose, float] | None:
     """The pose that explains all edges, and the misfit χ²; None where it does not converge.
 
@@ -44,6 +46,7 @@ def fit_joint(
         camera: only its matrix is used.
         ellipses: with their ``shape_covariance``; the first is the edge of ``start.radius_m``.
         start: a pose of the first.
+        systematic_px: σ of an error of the first's numbers that its covariance is without.
     """
     shapes = np.array([ellipse.shape for ellipse in ellipses])
     covariances = np.array([ellipse.shape_covariance for ellipse in ellipses], dtype=np.float64)
@@ -103,7 +106,8 @@ def fit_joint(
     if float(axis @ centre) > 0.0:
         axis = -axis
     # Near head-on the bend of the first edge's picture bounds the axis; a slope does not.
-    bound = pose_covariance(camera, CirclePose(centre, axis, start.radius_m), covariances[0])
+    pose = CirclePose(centre, axis, start.radius_m)
+    bound = pose_covariance(camera, pose, covariances[0])
     turn = basis.T @ tangent_basis(axis)
     whole = np.eye(5)
     whole[3:, 3:] = turn.T
@@ -114,12 +118,13 @@ def fit_joint(
             covariance[k, :] /= np.sqrt(overshoot)
             covariance[:, k] /= np.sqrt(overshoot)
     covariance[:3, :3] += RADIUS_SHARE**2 * np.outer(centre, centre)
-    pose = CirclePose(centre, axis, start.radius_m, 0.5 * (covariance + covariance.T))
-    return pose, chi2
+    if systematic_px > 0.0:
+        covariance += pose_covariance(camera, pose, systematic_px**2 * np.eye(5))
+    return replace(pose, covariance=0.5 * (covariance + covariance.T)), chi2
 
 
 def joint_poses(
-    camera: Camera, ellipses: list[Ellipse], radius_m: float
+    camera: Camera, ellipses: list[Ellipse], radius_m: float, systematic_px: float = 0.0
 ) -> tuple[tuple[CirclePose, ...], tuple[float, ...]]:
     """Both poses of a ring from all its edges, and the misfit χ² of each.
 
@@ -130,12 +135,15 @@ def joint_poses(
         camera: only its matrix is used.
         ellipses: with covariances; the first is the edge of ``radius_m``.
         radius_m: of that edge.
+        systematic_px: σ of an error of its numbers that its covariance is without.
     """
-    poses = circle_poses(camera, ellipses[0], radius_m)
+    poses = circle_poses(camera, ellipses[0], radius_m, systematic_px=systematic_px)
     misfits = tuple(0.0 for _ in poses)
     used = [ellipses[0]]
     for ellipse in ellipses[1:]:
-        fits = [fit_joint(camera, [*used, ellipse], pose) for pose in poses]
+        fits = [
+            fit_joint(camera, [*used, ellipse], pose, systematic_px) for pose in poses
+        ]
         best = min((fit[1] for fit in fits if fit is not None), default=np.inf)
         if best > _MISFIT * 4 * len(used):
             continue

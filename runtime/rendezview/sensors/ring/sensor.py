@@ -14,7 +14,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.sensors.arguments import check_time
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring.choice import Choice, MotionChooser, by_attitude, by_plane, only_one
-from rendezview.sensors.ring.circle_pose import CirclePose, shape_of_circle, widened
+from rendezview.sensors.ring.circle_pose import CirclePose, shape_of_circle
 from rendezview.sensors.ring.concentric import joint_poses
 from rendezview.sensors.ring.detector import Detection, RingDetector, RingEdge, RingOptions
 from rendezview.sensors.ring.ellipse import Ellipse
@@ -151,16 +151,11 @@ class RingSensor:
     ) -> tuple[tuple[CirclePose, ...], tuple[float, ...]]:
         """The ring's poses if an ellipse is one of the target's circles, with their misfits."""
         assert self.radius_m is not None
-        found = detection.edges[edge]
         height_m, radius_m = (0.0, self.radius_m) if circle == RING else self.circles[circle]
-        ellipses = [found.ellipse]
-        if circle == RING:
-            ellipses = _companions(detection.edges, edge)
-        poses, misfits = joint_poses(self.camera, ellipses, radius_m)
-        return tuple(
-            ring_of_circle(widened(self.camera, pose, found.systematic_px), height_m, self.radius_m)
-            for pose in poses
-        ), misfits
+        found = detection.edges[edge]
+        ellipses = _companions(detection.edges, edge) if circle == RING else [found.ellipse]
+        poses, misfits = joint_poses(self.camera, ellipses, radius_m, found.systematic_px)
+        return tuple(ring_of_circle(pose, height_m, self.radius_m) for pose in poses), misfits
 
     def _nothing(self, time_s: float, detection: Detection, reason: str) -> RingObservation:
         return RingObservation(

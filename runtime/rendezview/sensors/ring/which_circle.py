@@ -26,7 +26,6 @@ from rendezview.sensors.ring.circle_pose import (
     shape_of_circle,
     shapes_of_circles,
     tangent_basis,
-    widened,
 )
 from rendezview.sensors.ring.detector import RingEdge
 from rendezview.sensors.ring.memory import SIZES, Memory, odds_cost
@@ -265,7 +264,7 @@ def _size_sigma(edge: RingEdge) -> float:
     shape, covariance = edge.ellipse.shape, edge.ellipse.shape_covariance
     variance = 2.0 * edge.systematic_px**2
     if covariance is not None:
-        variance += covariance[2, 2] + covariance[4, 4] + 2.0 * covariance[2, 4]
+        variance += float(covariance[2::2, 2::2].sum())
     return math.sqrt(max(variance, 0.0)) / float(shape[2] + shape[4])
 
 
@@ -279,12 +278,13 @@ def _by_score(camera: Camera, edges: Sequence[RingEdge], radius_m: float) -> Whi
 
     Other ellipses are rivals unless they are seen to lie in its plane.
     """
-    poses = [circle_poses(camera, edge.ellipse, radius_m)[:1] for edge in edges]
-    if not poses[0]:
+    best = edges[0]
+    poses = circle_poses(camera, best.ellipse, radius_m, systematic_px=best.systematic_px)
+    if not poses:
         return Which(None, (), "the ellipse is no circle's picture")
-    ranges = [float(np.linalg.norm(pose[0].centre_m)) if pose else math.inf for pose in poses]
-    best, first = edges[0], widened(camera, poses[0][0], edges[0].systematic_px)
-    tilt = first.tilt_rad - first.axis_sigma_rad
+    centres, _ = circles_of_shapes(camera, np.array([edge.ellipse.shape for edge in edges]))
+    ranges = radius_m * np.linalg.norm(centres[:, 0], axis=1)
+    tilt = poses[0].tilt_rad - poses[0].axis_sigma_rad
 
     def same(k: int, known: int) -> bool:
         return known == 0 and edges[k].group == best.group and tilt > _PLANE_TILT_RAD
