@@ -1,4 +1,4 @@
-"""Chooses between a circle's two poses: by prior attitude, by a point off the plane, by motion.
+"""Chooses between a circle's two poses: by prior attitude or by several edges of one plane.
 
 The two axes lie on either side of the line of sight, equally far from it. Each rule gives a
 number with a reason in words, or None with the missing knowledge.
@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.sensors.ring.circle_pose import CirclePose, tangent_basis
+from rendezview.sensors.ring.circle_pose import CirclePose
 
 Array = npt.NDArray[np.float64]
 
@@ -22,8 +22,6 @@ _ONE_POSE_SIGMAS = 2.0  # two axes nearer than that are one. Source: normal dist
 _MARGIN = 1.5
 # By which the false pose must misfit more. Source: by construction, odds of e¹⁵
 _PLANE_CHI2 = 30.0
-_MOTION_LEAST_RAD = math.radians(2.0)  # the false axis must have turned by so much. Source: by hand
-_MOTION_SHARE = 0.35  # and the true one by no more than this of it. Source: by hand
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,62 +75,6 @@ def by_plane(misfits: Sequence[float]) -> Choice:
     if max(misfits) < _PLANE_CHI2 + misfits[best]:
         return Choice(None, "the ring's edges fit both poses")
     return Choice(best, evidence)
-
-
-@dataclass(slots=True)
-class MotionChooser:
-    """Follows both axes over frames: on a target that does not turn, only the false axis turns.
-
-    As the camera moves round the ring (or the ring across the picture) the true axis stays and the
-    false one swings with the line of sight. Holds for a camera that keeps its own attitude.
-    """
-
-    _axes: list[list[Array]] = field(default_factory=lambda: [[], []])
-    _noise: list[float] = field(default_factory=list)
-    decided: int | None = None
-
-    def update(self, poses: Sequence[CirclePose]) -> Choice:
-        """Take in both poses of the circle in a frame."""
-        single = only_one(poses)
-        if single is not None:
-            return single
-        axes = [pose.axis for pose in poses]
-        order = (0, 1)
-        if self._axes[0]:
-            last = [track[-1] for track in self._axes]
-            straight = axes[0] @ last[0] + axes[1] @ last[1]
-            crossed = axes[0] @ last[1] + axes[1] @ last[0]
-            if crossed > straight:
-                order = (1, 0)
-        for track, k in zip(self._axes, order, strict=True):
-            track.append(axes[k])
-        self._noise.append(poses[0].axis_sigma_rad)
-        swings = [_swing(track) for track in self._axes]
-        still = int(np.argmin(swings))
-        noise = float(np.median(self._noise))
-        evidence = (
-            f"by motion: over {len(self._noise)} frames its axis turned by "
-            f"{math.degrees(swings[still]):.2f}°, the other's by {math.degrees(max(swings)):.2f}°"
-        )
-        if (
-            max(swings) > max(_MOTION_LEAST_RAD, 6.0 * noise)
-            and swings[still] < _MOTION_SHARE * max(swings) + noise
-        ):
-            self.decided = still
-        elif self.decided is None:
-            return Choice(
-                None, "no prior attitude, and the motion does not decide yet: " + evidence
-            )
-        assert self.decided is not None
-        return Choice(order.index(self.decided) if order != (0, 1) else self.decided, evidence)
-
-
-def _swing(axes: Sequence[Array]) -> float:
-    """How far a set of directions reaches from their mean, root mean square, rad."""
-    stacked = np.array(axes)
-    mean = stacked.mean(axis=0)
-    basis = tangent_basis(mean / np.linalg.norm(mean))
-    return 2.0 * math.sqrt(float(np.mean(np.sum((stacked @ basis) ** 2, axis=1))))
 
 
 def angle_between(a: npt.ArrayLike, b: npt.ArrayLike) -> float:

@@ -13,13 +13,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.linear_algebra import copy_into
-from rendezview.sensors.ring.samples import (
-    ARC,
-    CONTRAST,
-    OFFSET,
-    WEIGHT,
-    update_shape,
-)
+from rendezview.sensors.ring.samples import update_shape
 from rendezview.sensors.ring.spread import (
     covariance_of,
     covered,
@@ -82,7 +76,7 @@ def fit_lip(
     if not abs(pair[5]) * 0.5 * (pair[2] + pair[4]) > _LEAST_GAP_PX:
         return False
     rising, falling = samples[:first], samples[first : first + second]
-    arcs = covered(rising, first, scale), covered(falling, second, scale)
+    arcs = sum(covered(rising, first, scale)), sum(covered(falling, second, scale))
     if min(arcs) < LEAST_ARC:
         return False
     found = trim(rising, first, scale), trim(falling, second, scale)
@@ -122,19 +116,6 @@ def _separate(
                 covariances[k, i, j] = total
         own = 0 if sense > 0.0 else 1
         facts[k, 0], facts[k, 1], facts[k, 2] = arcs[own], found[own][1], found[own][2]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def arcs_of_senses(samples: Array, n: int, scale: float) -> tuple[float, float]:
-    """Angles of the circle confirmed by edges that get brighter, and darker, outwards; rad."""
-    brighter, darker = 0.0, 0.0
-    for i in range(n):
-        if samples[i, WEIGHT] > 0.0 and abs(samples[i, OFFSET]) < scale:
-            if samples[i, CONTRAST] > 0.0:
-                brighter += samples[i, ARC]
-            else:
-                darker += samples[i, ARC]
-    return brighter, darker
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

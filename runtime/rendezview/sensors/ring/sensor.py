@@ -13,7 +13,7 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.arguments import check_time
 from rendezview.sensors.observation import Status
-from rendezview.sensors.ring.choice import Choice, MotionChooser, by_attitude, by_plane, only_one
+from rendezview.sensors.ring.choice import Choice, by_attitude, by_plane, only_one
 from rendezview.sensors.ring.circle_pose import CirclePose, shape_of_circle
 from rendezview.sensors.ring.concentric import joint_poses
 from rendezview.sensors.ring.detector import Detection, RingDetector, RingEdge, RingOptions
@@ -89,7 +89,6 @@ class RingSensor:
     def _forget(self) -> None:
         self._memory: Memory | None = None
         self._remembered_s = 0.0
-        self._motion = MotionChooser()
 
     def update(
         self, time_s: float, image: npt.ArrayLike, prior: RingPrior | None = None
@@ -216,10 +215,7 @@ class RingSensor:
         if which.axis is not None and which.other_cost > RIVAL_COST:
             nearest = int(np.argmax([pose.axis @ which.axis for pose in poses]))
             return Choice(nearest, "the target's circles and the last frames fit this axis only")
-        planar = by_plane(misfits)
-        if planar.index is not None:
-            return planar
-        return self._motion.update(poses)
+        return by_plane(misfits)
 
 
 def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:

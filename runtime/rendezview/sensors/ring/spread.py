@@ -29,13 +29,19 @@ def scale_of(samples: Array, n: int) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def covered(samples: Array, n: int, scale: float) -> float:
-    """Angle of the circle that samples within ``scale`` px confirm, rad."""
-    total = 0.0
+def covered(samples: Array, n: int, scale: float) -> tuple[float, float]:
+    """Angles of the circle that samples within ``scale`` px confirm, rad.
+
+    By edges that get brighter, and darker, outwards.
+    """
+    brighter, darker = 0.0, 0.0
     for i in range(n):
         if samples[i, WEIGHT] > 0.0 and abs(samples[i, OFFSET]) < scale:
-            total += samples[i, ARC]
-    return total
+            if samples[i, CONTRAST] > 0.0:
+                brighter += samples[i, ARC]
+            else:
+                darker += samples[i, ARC]
+    return brighter, darker
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
