@@ -141,9 +141,7 @@ def joint_poses(
     misfits = tuple(0.0 for _ in poses)
     used = [ellipses[0]]
     for ellipse in ellipses[1:]:
-        fits = [
-            fit_joint(camera, [*used, ellipse], pose, systematic_px) for pose in poses
-        ]
+        fits = [fit_joint(camera, [*used, ellipse], pose, systematic_px) for pose in poses]
         best = min((fit[1] for fit in fits if fit is not None), default=np.inf)
         if best > _MISFIT * 4 * len(used):
             continue

@@ -18,7 +18,6 @@ from rendezview.sensors.ring.spread import (
     covariance_of,
     covered,
     scale_of,
-    spread_of,
     systematic_of,
     trim,
 )
@@ -80,7 +79,7 @@ def fit_lip(
     if min(arcs) < LEAST_ARC:
         return False
     found = trim(rising, first, scale), trim(falling, second, scale)
-    spread = max(spread_of(rising, first), spread_of(falling, second))
+    spread = max(found[0][3], found[1][3])
     if update_shape(samples, first + second, 3.0 * scale, pair, normal) < 0.0:
         return False
     whole = np.empty((6, 6))
@@ -96,7 +95,7 @@ def fit_lip(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _separate(
     pair: Array, whole: Array, arcs: tuple[float, float],
-    found: tuple[tuple[int, float, float], tuple[int, float, float]], edges: Array,
+    found: tuple[tuple[int, float, float, float], tuple[int, float, float, float]], edges: Array,
     covariances: Array, facts: Array,
 ) -> None:  # fmt: skip
     """Shapes, covariances and facts of both edges, the larger one first, from those of the pair."""

@@ -183,7 +183,9 @@ def _starts(ellipses: Ellipses) -> list[tuple[int, tuple[Array, Array]]]:
     far = -np.sum(start * rate, axis=1) / np.fmax(np.sum(rate * rate, axis=1), _TINY)
     parts = zip(ellipses.equations(far, one), ellipses.equations(far, other), strict=True)
     normal, right, squares = (a + b for a, b in parts)
-    covariance = np.linalg.inv(normal + _TINY * np.eye(COMMON))  # two like pictures give no distance
+    covariance = np.linalg.inv(
+        normal + _TINY * np.eye(COMMON)
+    )  # two like pictures give no distance
     numbers = (covariance @ right[..., None])[..., 0]
     misfit = squares - np.sum(right * numbers, axis=1)
     sigma = np.sqrt(covariance[:, 0, 0])

@@ -14,7 +14,6 @@ from rendezview.sensors.ring.spread import (
     covariance_of,
     covered,
     scale_of,
-    spread_of,
     systematic_of,
     trim,
 )
@@ -148,12 +147,12 @@ def _fit_single(
     samples: Array, n: int, scale: float, shape: Array, covariance: Array, facts: Array
 ) -> bool:  # fmt: skip
     """The last step of one edge, its covariance and facts; whether enough samples confirm it."""
-    used, contrast, rms = trim(samples, n, scale)
+    used, contrast, rms, spread = trim(samples, n, scale)
     arc = sum(covered(samples, n, scale))
     normal = np.empty((5, 5))
     if used < 20 or update_shape(samples, n, 3.0 * scale, shape, normal) < 0.0:
         return False
-    if not covariance_of(normal, spread_of(samples, n), covariance):
+    if not covariance_of(normal, spread, covariance):
         return False
     facts[0], facts[1], facts[2], facts[3] = arc, contrast, rms, systematic_of(samples, n)
     return True
