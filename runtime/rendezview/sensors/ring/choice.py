@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.geometry.geodesic import angle_between
 from rendezview.sensors.ring.circle_pose import CirclePose
-
-Array = npt.NDArray[np.float64]
 
 _ONE_POSE_SIGMAS = 2.0  # two axes nearer than that are one. Source: normal distribution, 5 %
 # The other axis must be this much further from the prior. Source: by hand; see ring-accuracy
@@ -36,7 +35,7 @@ def only_one(poses: Sequence[CirclePose]) -> Choice | None:
     """The choice of a single pose, or between two that agree within their errors; else None."""
     if len(poses) == 1:
         return Choice(0, "head-on: the two poses of the circle are one")
-    apart = angle_between(poses[0].axis, poses[1].axis)
+    apart = float(angle_between(poses[0].axis, poses[1].axis))
     if poses[0].covariance is not None:
         spread = poses[0].axis_sigma_rad
         if apart < _ONE_POSE_SIGMAS * spread:
@@ -50,15 +49,14 @@ def only_one(poses: Sequence[CirclePose]) -> Choice | None:
 
 def by_attitude(poses: Sequence[CirclePose], axis: npt.ArrayLike) -> Choice:
     """The pose whose axis is nearer to a known one (3,), camera frame."""
-    known = np.asarray(axis, dtype=np.float64)
-    angles = [angle_between(pose.axis, known) for pose in poses]
-    best = int(np.argmin(angles))
+    off = angle_between([pose.axis for pose in poses], axis)
+    best = int(np.argmin(off))
     single = only_one(poses)
     if single is not None:
         return Choice(best, single.reason)
-    near, far = math.degrees(angles[best]), math.degrees(max(angles))
+    near, far = math.degrees(off[best]), math.degrees(off.max())
     evidence = f"{near:.1f}° from the prior attitude, the other {far:.1f}°"
-    if max(angles) < _MARGIN * angles[best]:
+    if off.max() < _MARGIN * off[best]:
         return Choice(None, f"the prior attitude does not distinguish the poses: {evidence}")
     return Choice(best, evidence)
 
@@ -75,9 +73,3 @@ def by_plane(misfits: Sequence[float]) -> Choice:
     if max(misfits) < _PLANE_CHI2 + misfits[best]:
         return Choice(None, "the ring's edges fit both poses")
     return Choice(best, evidence)
-
-
-def angle_between(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
-    """Angle of two directions (3,), rad."""
-    first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
-    return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))

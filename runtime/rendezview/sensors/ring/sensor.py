@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -111,38 +112,33 @@ class RingSensor:
             return self._read(time_s, detection, prior or RingPrior())
 
     def _read(self, time_s: float, detection: Detection, prior: RingPrior) -> RingObservation:
+        seen = partial(
+            RingObservation, time_s=time_s, edges=detection.edges, stage_ms=detection.stage_ms
+        )
         if self.radius_m is None:
             if not detection.edges:
-                return self._nothing(time_s, detection, detection.reason or "no ellipse")
-            return RingObservation(
-                Status.OK, "no radius is given, so no pose", time_s=time_s,
-                edges=detection.edges, edge=0, stage_ms=detection.stage_ms,
-            )  # fmt: skip
+                return seen(Status.NOT_FOUND, detection.reason or "no ellipse")
+            return seen(Status.OK, "no radius is given, so no pose", edge=0)
         which = self._select(time_s, detection, prior)
         edge = which.edge
         if edge is None:
-            return self._nothing(time_s, detection, which.reason)
+            return seen(Status.NOT_FOUND, which.reason)
         circles, misfits = self._poses(detection, edge, which.circle)
         if not circles:
-            return self._nothing(time_s, detection, "the ellipse is no circle's picture")
+            return seen(Status.NOT_FOUND, "the ellipse is no circle's picture")
         if which.rivals or which.doubtful:
-            return RingObservation(
-                Status.AMBIGUOUS, which.reason, time_s=time_s, edges=detection.edges, edge=edge,
-                circles=circles, choice=Choice(None, which.reason),
-                rivals=tuple(
-                    (k, self._poses(detection, k, j)[0]) for k, j in which.rivals
-                ),
-                doubtful=which.doubtful,
-                stage_ms=detection.stage_ms,
+            rivals = tuple((k, self._poses(detection, k, j)[0]) for k, j in which.rivals)
+            return seen(
+                Status.AMBIGUOUS, which.reason, edge=edge, circles=circles, rivals=rivals,
+                choice=Choice(None, which.reason), doubtful=which.doubtful,
             )  # fmt: skip
         choice = self._choose(circles, misfits, prior, which)
         chosen = choice.index is not None
         self._memory = Memory(circles if choice.index is None else (circles[choice.index],))
         self._remembered_s = time_s
-        return RingObservation(
+        return seen(
             Status.OK if chosen else Status.AMBIGUOUS, None if chosen else choice.reason,
-            time_s=time_s, edges=detection.edges, edge=edge, circles=circles, choice=choice,
-            stage_ms=detection.stage_ms,
+            edge=edge, circles=circles, choice=choice,
         )  # fmt: skip
 
     def _poses(
@@ -155,12 +151,6 @@ class RingSensor:
         ellipses = _companions(detection.edges, edge) if circle == RING else [found.ellipse]
         poses, misfits = joint_poses(self.camera, ellipses, radius_m, found.systematic_px)
         return tuple(ring_of_circle(pose, height_m, self.radius_m) for pose in poses), misfits
-
-    def _nothing(self, time_s: float, detection: Detection, reason: str) -> RingObservation:
-        return RingObservation(
-            Status.NOT_FOUND, reason, time_s=time_s,
-            edges=detection.edges, stage_ms=detection.stage_ms,
-        )  # fmt: skip
 
     def _select(self, time_s: float, detection: Detection, prior: RingPrior) -> Which:
         """Which ellipse is the ring's edge of the known radius."""
