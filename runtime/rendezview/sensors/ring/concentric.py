@@ -105,18 +105,7 @@ def fit_joint(
     axis /= np.linalg.norm(axis)
     if float(axis @ centre) > 0.0:
         axis = -axis
-    # Near head-on the bend of the first edge's picture bounds the axis; a slope does not.
     pose = CirclePose(centre, axis, start.radius_m)
-    bound = pose_covariance(camera, pose, covariances[0])
-    turn = basis.T @ tangent_basis(axis)
-    whole = np.eye(5)
-    whole[3:, 3:] = turn.T
-    covariance = whole @ covariance @ whole.T
-    for k in (3, 4):
-        overshoot = covariance[k, k] / bound[k, k]
-        if overshoot > 1.0:
-            covariance[k, :] /= np.sqrt(overshoot)
-            covariance[:, k] /= np.sqrt(overshoot)
     covariance[:3, :3] += RADIUS_SHARE**2 * np.outer(centre, centre)
     if systematic_px > 0.0:
         covariance += pose_covariance(camera, pose, systematic_px**2 * np.eye(5))

@@ -28,7 +28,7 @@ Grey = npt.NDArray[np.uint8]
 
 # rad of either sense, below which no second edge is looked for. Source: by hand; see ring-accuracy
 LEAST_ARC = 0.5
-_LEAST_GAP_PX = 0.4  # between the two. Source: by hand; see ring-accuracy
+_LEAST_GAP_PX = 0.2  # between the two. Source: by hand; see ring-accuracy
 _SIGMAS = 3.0  # of the gap. Source: normal distribution, 0.3 %
 
 
@@ -51,7 +51,7 @@ def fit_lip(
     copy_into(shape, pair)
     if update_shape(samples, used, 2.0, pair, normal) < 0.0:
         return False
-    if abs(pair[5]) * 0.5 * (pair[2] + pair[4]) < 0.5 * _LEAST_GAP_PX:
+    if abs(pair[5]) * 0.5 * (pair[2] + pair[4]) < _LEAST_GAP_PX:
         return False  # one edge whose surroundings change
     half = samples.shape[0] // 2
     first, second, scale = 0, 0, 0.0
@@ -72,8 +72,6 @@ def fit_lip(
             return False
         if moved < 0.02:
             break
-    if not abs(pair[5]) * 0.5 * (pair[2] + pair[4]) > _LEAST_GAP_PX:
-        return False
     rising, falling = samples[:first], samples[first : first + second]
     arcs = sum(covered(rising, first, scale)), sum(covered(falling, second, scale))
     if min(arcs) < LEAST_ARC:
