@@ -7,7 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into
-from rendezview.sensors.ring.conic import semi_axes
+from rendezview.sensors.ring.conic import distance, semi_axes
 from rendezview.sensors.ring.lip_fit import LEAST_ARC, fit_lip
 from rendezview.sensors.ring.samples import COLUMNS, update_shape
 from rendezview.sensors.ring.spread import (
@@ -89,14 +89,25 @@ def fit_steps(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _neighbours(shapes: Array, k: int, others: Array) -> int:
-    """Fill ``others`` with the ellipses that are not the same as ellipse k; how many."""
+    """Fill ``others`` with the ellipses that come near ellipse k and are not the same; how many."""
     count = 0
     for j in range(shapes.shape[0]):
-        if j == k or twins(shapes[j], shapes[k], 2.5):
+        if j == k or twins(shapes[j], shapes[k], 2.5) or not _meet(shapes[j], shapes[k], 14.0):
             continue
         copy_into(shapes[j], others[count])
         count += 1
     return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _meet(a: Array, b: Array, near: float) -> bool:
+    """Whether ellipse a comes within ``near`` px of some of 24 points of ellipse b."""
+    for k in range(24):
+        u0, u1 = np.cos(np.pi * k / 12.0), np.sin(np.pi * k / 12.0)
+        x, y = b[0] + b[2] * u0 + b[3] * u1, b[1] + b[3] * u0 + b[4] * u1
+        if abs(distance(a, x, y)) < near:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
