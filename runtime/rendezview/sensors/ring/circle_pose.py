@@ -87,7 +87,7 @@ def shapes_of_circles(
     Centres and axes are (N, 3), radii (N,) or one of all. NaN where a circle reaches the plane of
     the camera, so that its picture is no ellipse.
     """
-    places, ways = (np.ascontiguousarray(x, dtype=np.float64) for x in (centres_m, axes))
+    places, ways = (np.array(x, dtype=np.float64, order="C") for x in (centres_m, axes))
     shapes = np.full((len(ways), 5), np.nan)
     radii = np.full(len(ways), radii_m, dtype=np.float64)
     _pictures_of_circles(lens_vector(camera), places, ways, radii, shapes)
