@@ -60,8 +60,8 @@ def _group(camera: Camera, shapes: Array, size: Array) -> Ints:
     for k in np.argsort(-size, kind="stable"):
         if group[k] >= 0:
             continue
-        circles = (np.repeat(both[k], len(size), axis=0) for both in (centres, axes))
-        expected = shapes_of_circles(camera, *circles, np.tile(size / size[k], 2))
+        places, ways = (np.repeat(both[k], len(size), axis=0) for both in (centres, axes))
+        expected = shapes_of_circles(camera, places, ways, np.tile(size / size[k], 2))
         off = np.abs(expected.reshape(2, -1, 5) - shapes)
         alike = np.hypot(off[..., 0], off[..., 1]) < _ASIDE * near + 0.5
         alike &= off[..., 2:].max(axis=2) < _UNALIKE * near + 0.5
