@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry import so3
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.appearance.edges.articulation import _turn_points
 from rendezview.sensors.appearance.judge import drawn
 from rendezview.sensors.appearance.model.contours import SURFACES
@@ -23,14 +22,19 @@ from rendezview.sensors.beacons.detect.cover import _shape
 from rendezview.sensors.beacons.detect.discs import expected_size
 from rendezview.sensors.beacons.match.judgement import judge
 from rendezview.sensors.beacons.match.start import _settle, misfits
-from rendezview.sensors.ring.circle_pose import _differences, picture_of_circle, tangent_basis
+from rendezview.sensors.ring.circle_pose import (
+    CirclePose,
+    _differences,
+    shape_of_circle,
+    tangent_basis,
+)
 from rendezview.trajectory.start import _scan_hops
 from rendezview_ground.learn.views.edge_profiles import _average, _nearest_start
 from rendezview_ground.learn.views.shadowed_silhouettes import _light, _shown
 from rendezview_ground.simulate.background import _ground_albedo, _paint_earth
 from rendezview_ground.simulate.ring_frames import _grey, _paint, _plate_at
 
-LENS = lens_vector(Camera(640, 480, 600.0, 590.0, 319.5, 239.5))
+CAMERA = Camera(640, 480, 600.0, 590.0, 319.5, 239.5)
 Twin = Callable[[np.random.Generator], tuple]  # the loop's answer, the plain one, and how near
 TWINS: list[Twin] = []
 
@@ -187,15 +191,12 @@ def robust_pose_of_lights(rng):
 @TWINS.append
 def slopes_of_a_circles_picture(rng):
     centre, axis = np.array([0.2, -0.1, 3.0]), unit(np.array([*rng.uniform(-0.5, 0.5, 2), -1.0]))
-    basis, slopes, bends = tangent_basis(axis), np.empty((5, 5)), np.zeros((5, 2))
-    assert _differences(LENS, centre, axis, basis, 0.6, slopes, bends)
+    slopes, bends = _differences(CAMERA, CirclePose(centre, axis, 0.6), axis)
 
     def picture(p):
-        out = np.empty(5)
         tilt = math.hypot(*p[3:])
-        about = math.cos(tilt) * axis + np.sinc(tilt / np.pi) * basis @ p[3:]
-        assert picture_of_circle(LENS, centre + p[:3], about, 0.6, out)
-        return out
+        about = math.cos(tilt) * axis + np.sinc(tilt / np.pi) * tangent_basis(axis) @ p[3:]
+        return shape_of_circle(CAMERA, centre + p[:3], about, 0.6)
 
     ways = 2e-3 * np.eye(5)
     far, near, back, behind = (

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from tests.plain_pictures import Pinhole
 from tests.plain_rings import facing
+from tests.sensors.ring.plain_fit import shape_through
 
 from rendezview.sensors.ring import Ellipse
 from rendezview.sensors.ring.detector import Detection, RingEdge
@@ -29,7 +30,9 @@ def ellipse_of(
         [radius_m * np.cos(round_it), radius_m * np.sin(round_it), np.full(60, height_m)]
     )
     seen = points @ rotation.T + translation
-    return Ellipse.fit(CAMERA.project(seen)) if (seen[:, 2] > 0.05).all() else None
+    if not (seen[:, 2] > 0.05).all():
+        return None
+    return Ellipse.from_shape(shape_through(CAMERA.project(seen)))
 
 
 def detected(

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from tests.sensors.ring.plain_fit import geometric_fit
 
 from rendezview.sensors.ring import (
     CirclePose,
@@ -14,7 +15,7 @@ from rendezview.sensors.ring import (
     shape_of_circle,
     tangent_basis,
 )
-from rendezview.sensors.ring.choice import MotionChooser, by_attitude
+from rendezview.sensors.ring.choice import by_attitude
 from rendezview.sensors.ring.concentric import fit_joint, joint_poses
 from rendezview_ground.simulate.ring_frames import tilted_axis
 
@@ -104,19 +105,6 @@ def test_prior_attitude_chooses_and_says_so(ring_camera):
     assert by_attitude(poses, along).index is None
 
 
-def test_motion_chooses_the_axis_that_keeps_still(ring_camera):
-    axis = tilted_axis(np.array([0.0, 0.0, 6.0]), 0.5, 0.7)
-    chooser = MotionChooser()
-    choices = []
-    for x in np.linspace(-0.6, 0.6, 13):
-        poses = two_poses(ring_camera, np.array([x, 0.3 * x, 6.0]), axis)
-        choices.append((chooser.update(poses), right_one(poses, axis)))
-    assert choices[0][0].index is None
-    last, true = choices[-1]
-    assert last.index == true
-    assert "motion" in last.reason
-
-
 def test_head_on_the_two_poses_are_taken_for_one(ring_camera):
     centre = np.array([0.0, 0.0, 6.0])
     choice = by_attitude(two_poses(ring_camera, centre, np.array([0.0, 0.0, -1.0])), [0, 0, -1])
@@ -136,7 +124,7 @@ def test_edges_of_one_plane_sharpen_the_pose_and_tell_the_tilts_sign(ring_camera
         ellipses = []
         for ratio in (1.0, 0.93, 0.85):
             seen = ring_camera.project(centre + 0.6 * ratio * round_it)
-            ellipses.append(Ellipse.fit(seen + rng.normal(0.0, 0.05, seen.shape)))
+            ellipses.append(geometric_fit(seen + rng.normal(0.0, 0.05, seen.shape)))
         alone = circle_poses(ring_camera, ellipses[0], 0.6)
         poses, misfits = joint_poses(ring_camera, ellipses, 0.6)
         single.append(np.linalg.norm(alone[right_one(alone, axis)].centre_m - centre))

@@ -6,36 +6,12 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring import CirclePose, Ellipse
 from rendezview.sensors.ring.circle_pose import shape_of_circle, tangent_basis
-from rendezview.sensors.ring.concentric import PLANE_SHARE, _predict, fit_joint
+from rendezview.sensors.ring.concentric import PLANE_SHARE, fit_joint
 
 CAMERA = Camera(640, 480, 600.0, 590.0, 319.5, 239.5)
 CENTRE, RADIUS = np.array([0.2, -0.1, 3.0]), 0.6
-
-
-def test_edges_are_predicted_by_steps_of_the_pose_ratios_and_heights():
-    axis = np.array([0.3, -0.2, -1.0]) / np.linalg.norm([0.3, -0.2, -1.0])
-    basis = tangent_basis(axis)
-    p = np.array([[0.01, -0.02, 0.03, 0.02, -0.01, 0.8, 0.002, 1.3, -0.001], np.zeros(9)])
-    p[1, 5::2] = 0.9
-    out = np.empty((2, 3, 5))
-    assert _predict(lens_vector(CAMERA), CENTRE, axis, basis, RADIUS, p, out)
-    for one, shapes in zip(p, out, strict=True):
-        turned = axis + basis @ one[3:5]
-        turned /= np.linalg.norm(turned)
-        for shape, ratio, height in zip(shapes, (1.0, *one[5::2]), (0.0, *one[6::2]), strict=True):
-            place = CENTRE + RADIUS * (one[:3] + height * turned)
-            expected = shape_of_circle(CAMERA, place, turned, ratio * RADIUS)
-            np.testing.assert_allclose(shape, expected, rtol=1e-9)
-
-
-def test_where_an_edge_is_behind_the_camera_there_is_no_picture():
-    axis = np.array([0.0, 0.0, -1.0])
-    p, out = np.array([[0.0, 0.0, -6.0, 0.0, 0.0]]), np.empty((1, 1, 5))
-    basis = tangent_basis(axis)
-    assert not _predict(lens_vector(CAMERA), CENTRE, axis, basis, RADIUS, p, out)
 
 
 def test_the_joint_fit_is_scipys():

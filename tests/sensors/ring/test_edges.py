@@ -95,8 +95,8 @@ def test_a_rough_ellipse_is_moved_onto_its_edge_and_a_false_one_dropped():
     again = SHAPE + np.array([-1.0, 1.0, -1.0, 0.5, 0.5])
     nowhere = np.array([60.0, 60.0, 30.0, 0.0, 30.0])
     rough = np.array([near, nowhere, again])
-    found = verify(edges.dx, edges.dy, edges.least, lens, rough, 1.3, 0.5, LIMITS, 10)
+    found = verify(edges.dx, edges.dy, edges.least, lens, rough, 1.3, LIMITS, 10)
     assert found.shape == (1, 5), "one of two that are the same, none where no edge is"
     assert np.abs(found[0] - SHAPE).max() < 0.1
-    narrow = verify(edges.dx, edges.dy, edges.least, lens, rough, 1.3, 0.5, LIMITS * [8, 1, 1], 10)
+    narrow = verify(edges.dx, edges.dy, edges.least, lens, rough, 1.3, LIMITS * [8, 1, 1], 10)
     assert len(narrow) == 0, "its short axis is below the limit"

@@ -20,7 +20,7 @@ from rendezview.io.bundled import find_target
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import CirclePose, RingDetector, RingPrior, RingSensor, shape_of_circle
-from rendezview.sensors.ring.circle_pose import circle_poses, shapes_of_circles, widened
+from rendezview.sensors.ring.circle_pose import circle_poses, shapes_of_circles
 from rendezview.sensors.ring.memory import Memory
 from rendezview.sensors.ring.which_circle import RIVAL_COST, Knowledge, which_circle
 
@@ -138,10 +138,7 @@ def test_far_away_the_axis_is_as_unsure_as_it_says():
         nearest = min(edges, key=lambda e: float(np.abs(e.ellipse.shape - true).max()))
         if np.abs(nearest.ellipse.shape - true).max() > 1.6:
             continue
-        poses = [
-            widened(CAMERA, pose, nearest.systematic_px)
-            for pose in circle_poses(CAMERA, nearest.ellipse, 0.6)
-        ]
+        poses = circle_poses(CAMERA, nearest.ellipse, 0.6, systematic_px=nearest.systematic_px)
         pose = max(poses, key=lambda p: float(p.axis @ axis))
         odd.append(math.acos(min(1.0, float(pose.axis @ axis))) / pose.axis_sigma_rad)
         assert pose.axis_sigma_rad < 0.4

@@ -2,7 +2,7 @@
 
 A chain becomes a polygon (Douglas & Peucker); an arc ends at a corner, at a straight
 stretch or where the sense of turning changes. A conic through two arcs shows whether they belong
-together: its normal equations are the sum of theirs, so a pair costs one 3 × 3 eigenproblem.
+together: its normal equations are the sum of theirs, so a pair costs one solution of five.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.estimation.linear_algebra import copy_into, descending
+from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into, descending
 from rendezview.sensors.ring.conic import (
-    SCATTER,
+    MOMENTS,
     add_point,
     conic_of,
     distance,
@@ -206,7 +206,7 @@ def group_arcs(
     sums = _sums(points, arcs[:count], frame)
     found, length = np.empty((count, 5)), np.empty(count)
     filled = 0
-    ellipse, conic, total = np.empty(5), np.empty(6), np.empty(SCATTER)
+    ellipse, conic, total = np.empty(5), np.empty(6), np.empty((MOMENTS, MOMENTS))
     member = np.zeros(count, dtype=np.bool_)
     tried = np.zeros(count, dtype=np.bool_)
     done = np.zeros(count, dtype=np.bool_)  # part of a group already
@@ -216,7 +216,7 @@ def group_arcs(
         member[:] = False
         member[seed] = True
         tried[:] = False
-        copy_into(sums[seed], total)
+        copy_matrix_into(sums[seed], total)
         reach = arcs[seed, LENGTH]
         good = False
         if conic_of(total, conic):
@@ -248,9 +248,9 @@ def group_arcs(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _sums(points: Array, arcs: Array, frame: tuple[float, float, float]) -> Array:
-    """(K, SCATTER) of the points of each arc."""
+    """(K, 6, 6) of the points of each arc."""
     scale, x, y = frame
-    sums = np.zeros((arcs.shape[0], SCATTER))
+    sums = np.zeros((arcs.shape[0], MOMENTS, MOMENTS))
     for j in range(arcs.shape[0]):
         for i in range(int(arcs[j, FIRST]), int(arcs[j, LAST])):
             add_point(sums[j], (points[i, 0] - x) / scale, (points[i, 1] - y) / scale)

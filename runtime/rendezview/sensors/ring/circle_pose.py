@@ -8,13 +8,12 @@ error of the ellipse's roundness.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.estimation.linear_algebra import copy_into
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.conic import root_into
@@ -28,6 +27,9 @@ RADIUS_SHARE = 3e-4
 _FIXED_POINT_STEPS = 12  # Source: by construction, a bound only
 # Of an axis' standard deviation: beyond it nothing is known. Source: by construction, a bound only
 _LARGEST_ANGLE_RAD = 1.0
+# For slopes: of the range, and rad. Source: by construction, between rounding and curvature
+_PLACE_STEP, _TILT_STEP = 1e-5, 1e-3
+_ONE = 1e-9  # between two axes that are one. Source: by construction, rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,108 +74,89 @@ def tangent_basis(axis: npt.ArrayLike) -> Array:
 def shape_of_circle(
     camera: Camera, centre_m: npt.ArrayLike, axis: npt.ArrayLike, radius_m: float
 ) -> Array | None:
-    """Shape vector (5,) of a circle's picture (see `ellipse`), px without distortion.
+    """`shapes_of_circles` of one circle (5,); None where there is none."""
+    shape = shapes_of_circles(camera, np.atleast_2d(centre_m), np.atleast_2d(axis), radius_m)[0]
+    return shape if np.isfinite(shape).all() else None
 
-    The dual conic of ``c + R (cos t e₁ + sin t e₂)`` is ``K (R²(I - n nᵀ) - c cᵀ) Kᵀ``. None where
-    the circle reaches the plane of the camera, so that its picture is no ellipse.
+
+def shapes_of_circles(
+    camera: Camera, centres_m: npt.ArrayLike, axes: npt.ArrayLike, radii_m: npt.ArrayLike
+) -> Array:
+    """Shape vectors (N, 5) of the pictures of circles (see `ellipse`), px without distortion.
+
+    Centres and axes are (N, 3), radii (N,) or one of all. NaN where a circle reaches the plane of
+    the camera, so that its picture is no ellipse.
     """
-    shape = np.empty(5)
-    if not picture_of_circle(
-        lens_vector(camera), np.asarray(centre_m, dtype=np.float64),
-        np.asarray(axis, dtype=np.float64), radius_m, shape,
-    ):  # fmt: skip
-        return None
-    return shape
-
-
-def shapes_of_circles(camera: Camera, centres_m: Array, axes: Array, radius_m: float) -> Array:
-    """`shape_of_circle` of N circles, centres and axes (N, 3): (N, 5), NaN where there is none."""
-    shapes = np.full((len(axes), 5), np.nan)
-    _pictures_of_circles(lens_vector(camera), centres_m, axes, radius_m, shapes)
+    places, ways = (np.array(x, dtype=np.float64, order="C") for x in (centres_m, axes))
+    shapes = np.full((len(ways), 5), np.nan)
+    radii = np.full(len(ways), radii_m, dtype=np.float64)
+    _pictures_of_circles(lens_vector(camera), places, ways, radii, shapes)
     return shapes
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _pictures_of_circles(
-    camera: Array, centres: Array, axes: Array, radius: float, shapes: Array
+    camera: Array, centres: Array, axes: Array, radii: Array, shapes: Array
 ) -> None:
-    for k in range(len(axes)):
-        if not picture_of_circle(camera, centres[k], axes[k], radius, shapes[k]):
-            shapes[k] = np.nan
+    """Fill in `shapes_of_circles`.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def picture_of_circle(camera: Array, c: Array, n: Array, radius: float, shape: Array) -> bool:
-    """`shape_of_circle` for compiled loops; False where there is no ellipse."""
+    The dual conic of ``c + R (cos t e₁ + sin t e₂)`` is ``K (R²(I - n nᵀ) - c cᵀ) Kᵀ``.
+    """
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    r2 = radius * radius
     d = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            d[i, j] = -r2 * n[i] * n[j] - c[i] * c[j]
-        d[i, i] += r2
-    if d[2, 2] >= 0.0 or c[2] <= 0.0:
-        return False
-    scale = -1.0 / d[2, 2]
-    # K D Kᵀ, scaled to -1 at its end; the mean of the points is its last column.
-    u, v = -d[0, 2] * scale, -d[1, 2] * scale
-    s00, s01, s11 = d[0, 0] * scale + u * u, d[0, 1] * scale + u * v, d[1, 1] * scale + v * v
-    s00, s01, s11 = fx * fx * s00, fx * fy * s01, fy * fy * s11
-    shape[0], shape[1] = fx * u + cx, fy * v + cy
-    return root_into(s00, s01, s11, shape)
+    for k in range(len(axes)):
+        c, n, r2, shape = centres[k], axes[k], radii[k] * radii[k], shapes[k]
+        for i in range(3):
+            for j in range(3):
+                d[i, j] = -r2 * n[i] * n[j] - c[i] * c[j]
+            d[i, i] += r2
+        if d[2, 2] >= 0.0 or c[2] <= 0.0:
+            continue
+        scale = -1.0 / d[2, 2]
+        # K D Kᵀ, scaled to -1 at its end; the mean of the points is its last column.
+        u, v = -d[0, 2] * scale, -d[1, 2] * scale
+        s00, s01, s11 = d[0, 0] * scale + u * u, d[0, 1] * scale + u * v, d[1, 1] * scale + v * v
+        if root_into(fx * fx * s00, fx * fy * s01, fy * fy * s11, shape):
+            shape[0], shape[1] = fx * u + cx, fy * v + cy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def circles_of_picture(
-    camera: Array, shape: Array, radius: float, centres: Array, axes: Array
-) -> int:
-    """Centres (2, 3) and axes (2, 3) of both circles; 2, 1 where they are one, 0 for no ellipse."""
-    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    # The cone over the ellipse in ray coordinates: |A⁻¹ (p - c)|² = 1.
-    a, b, c = shape[2], shape[3], shape[4]
-    determinant = a * c - b * b
-    i00, i01, i11 = c / determinant, -b / determinant, a / determinant
-    m00, m01, m11 = i00 * i00 + i01 * i01, i01 * (i00 + i11), i01 * i01 + i11 * i11
-    m00, m01, m11 = m00 * fx * fx, m01 * fx * fy, m11 * fy * fy
-    x, y = (shape[0] - cx) / fx, (shape[1] - cy) / fy
-    cone = np.empty((3, 3))
-    cone[0, 0], cone[0, 1], cone[1, 1] = m00, m01, m11
-    cone[0, 2], cone[1, 2] = -(m00 * x + m01 * y), -(m01 * x + m11 * y)
-    cone[2, 2] = m00 * x * x + 2.0 * m01 * x * y + m11 * y * y - 1.0
-    cone[1, 0], cone[2, 0], cone[2, 1] = cone[0, 1], cone[0, 2], cone[1, 2]
-    for i in range(3):
-        for j in range(3):
-            cone[i, j] /= m00 + m11
-            if not math.isfinite(cone[i, j]):
-                return 0
-    values, vectors = np.linalg.eigh(cone)
-    low, middle, high = values[0], values[1], values[2]
-    if not (low < 0.0 < middle):
-        return 0
-    first = np.sqrt(max(high - middle, 0.0) / (high - low))
+def cones_of_shapes(camera: Camera, shapes: Array) -> Array:
+    """(N, 3, 3) C of the cones q' C q = 0 of the rays q through ellipses (N, 5); negative within.
+
+    A ray's pixel is the point A⁻¹ (p - c) of the unit circle.
+    """
+    pixels = np.zeros((len(shapes), 2, 3))
+    pixels[:, 0, 0], pixels[:, 1, 1] = camera.fx, camera.fy
+    pixels[:, :, 2] = (camera.cx, camera.cy) - shapes[:, :2]
+    round_it = np.linalg.solve(shapes[:, [2, 3, 3, 4]].reshape(-1, 2, 2), pixels)
+    return np.asarray(round_it.transpose(0, 2, 1) @ round_it - np.diag([0.0, 0.0, 1.0]))
+
+
+def circles_of_shapes(camera: Camera, shapes: Array) -> tuple[Array, Array]:
+    """Centres (N, 2, 3) and axes (N, 2, 3) of both circles of radius 1 m that ellipses (N, 5) are.
+
+    NaN where an ellipse is no circle's picture.
+    """
+    cones = cones_of_shapes(camera, shapes)
+    values, vectors = np.linalg.eigh(cones)
+    low, middle, high = values.T[:, :, None, None]
+    low, middle = np.where(low < 0.0, low, np.nan), np.where(middle > 0.0, middle, np.nan)
+    first = np.sqrt(np.maximum(high - middle, 0.0) / (high - low))
     last = np.sqrt((middle - low) / (high - low))
-    distance = middle * radius / np.sqrt(-low * high)
-    for k in range(2):
-        sign, centre, normal = 1.0 - 2.0 * k, centres[k], axes[k]
-        for i in range(3):
-            normal[i] = sign * first * vectors[i, 2] + last * vectors[i, 0]
-            centre[i] = 0.0
-        # The centre is the pole of the plane's vanishing line: cone⁻¹ n.
-        for e in range(3):
-            dot = normal[0] * vectors[0, e] + normal[1] * vectors[1, e] + normal[2] * vectors[2, e]
-            for i in range(3):
-                centre[i] += vectors[i, e] * dot / values[e]
-        ahead = -1.0 if centre[2] < 0.0 else 1.0
-        along = normal[0] * centre[0] + normal[1] * centre[1] + normal[2] * centre[2]
-        for i in range(3):
-            centre[i] *= ahead * distance / abs(along)
-            normal[i] *= -1.0 if ahead * along > 0.0 else 1.0
-    return 1 if first < 1e-9 else 2
+    along, across = vectors[:, None, :, 0], vectors[:, None, :, 2]
+    axes = np.array([[1.0], [-1.0]]) * first * across + last * along
+    # The centre is the pole of the plane's vanishing line: cone⁻¹ n.
+    centres = (axes @ vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
+    centres *= np.where(centres[..., 2:] < 0.0, -1.0, 1.0)
+    far = np.sum(axes * centres, axis=2, keepdims=True)
+    centres *= middle / np.sqrt(-low * high) / np.abs(far)
+    return centres, np.where(far > 0.0, -axes, axes)
 
 
 def circle_poses(
-    camera: Camera, ellipse: Ellipse, radius_m: float, radius_share: float = RADIUS_SHARE
-) -> tuple[CirclePose, ...]:
+    camera: Camera, ellipse: Ellipse, radius_m: float, radius_share: float = RADIUS_SHARE,
+    systematic_px: float = 0.0,
+) -> tuple[CirclePose, ...]:  # fmt: skip
     """Both poses of a ring of known radius; one where the ring is exactly head-on.
 
     Args:
@@ -181,31 +164,28 @@ def circle_poses(
         ellipse: with ``shape_covariance`` the poses have theirs.
         radius_m: of the ring's edge that the ellipse is.
         radius_share: error of that radius (one σ), as a share of it; in the covariance.
+        systematic_px: σ of an error of the ellipse's numbers that its covariance is without.
 
     Returns:
         The poses, that with the axis nearer to the camera's own (-z) first.
     """
     if not (math.isfinite(radius_m) and radius_m > 0.0):
         raise ValueError(f"radius_m must be positive, not {radius_m}")
-    centres, axes = np.empty((2, 3)), np.empty((2, 3))
-    count = circles_of_picture(lens_vector(camera), ellipse.shape, radius_m, centres, axes)
+    centres, axes = circles_of_shapes(camera, ellipse.shape[None])
+    count = 1 if np.abs(axes[0, 0] - axes[0, 1]).max() < _ONE else 2
     poses: list[CirclePose] = []
-    for centre, axis in zip(centres[:count], axes[:count], strict=True):
+    for unit, axis in zip(centres[0, :count], axes[0, :count], strict=True):
+        if not np.isfinite(unit).all():
+            return ()
+        centre = radius_m * unit
         pose = CirclePose(centre, axis, radius_m)
         if ellipse.shape_covariance is not None:
-            covariance = pose_covariance(camera, pose, ellipse.shape_covariance)
+            spread = ellipse.shape_covariance + systematic_px**2 * np.eye(5)
+            covariance = pose_covariance(camera, pose, spread)
             covariance[:3, :3] += radius_share**2 * np.outer(centre, centre)
             pose = CirclePose(centre, axis, radius_m, covariance)
         poses.append(pose)
     return tuple(sorted(poses, key=lambda pose: float(pose.axis[2])))
-
-
-def widened(camera: Camera, pose: CirclePose, sigma_px: float) -> CirclePose:
-    """A pose whose covariance has a systematic error of its ellipse's numbers, px, as well."""
-    if pose.covariance is None or sigma_px == 0.0:
-        return pose
-    more = pose_covariance(camera, pose, sigma_px**2 * np.eye(5))
-    return replace(pose, covariance=pose.covariance + more)
 
 
 def pose_covariance(camera: Camera, pose: CirclePose, shape_covariance: Array) -> Array:
@@ -234,63 +214,37 @@ def pose_covariance(camera: Camera, pose: CirclePose, shape_covariance: Array) -
 
 def _covariance_at(camera: Camera, pose: CirclePose, axis: Array, shape_covariance: Array) -> Array:
     """Covariance of the pose from that of the shape, slopes and bends taken at ``axis``."""
-    jacobian, bends = np.empty((5, 5)), np.zeros((5, 2))
-    if not _differences(
-        lens_vector(camera), pose.centre_m, axis, tangent_basis(axis), pose.radius_m, jacobian,
-        bends,
-    ):  # fmt: skip
+    slopes, bends = _differences(camera, pose, axis)
+    if not np.isfinite(slopes).all():
         return np.full((5, 5), np.inf)
     information = np.linalg.inv(shape_covariance)
-    plain = jacobian.T @ information @ jacobian
-    # The centre absorbs part of a bend: only the remainder determines the tilt.
-    place = jacobian[:, :3]
-    left = bends - place @ np.linalg.solve(
-        place.T @ information @ place, place.T @ information @ bends
-    )
-    curve = np.sum(left * (information @ left), axis=0)
-    spread = np.full(2, 0.1)
-    covariance = plain
+    total = slopes.T @ information @ slopes
+    # The centre absorbs part of a bend, and of a tilt: only the remainder determines the tilt.
+    absorbed = np.linalg.solve(total[:3, :3], slopes[:, :3].T @ information)
+    left = bends - slopes[:, :3] @ absorbed @ bends
+    curve = (0.25 * np.sum(left * (information @ left), axis=0)).tolist()
+    alone = total[3:, 3:] - total[3:, :3] @ absorbed @ slopes[:, 3:]
+    first, second, both = float(alone[0, 0]), float(alone[1, 1]), float(alone[0, 1])
+    most = _LARGEST_ANGLE_RAD**-2
+    one = other = 0.01  # variances of the tilt about both axes
     for _ in range(_FIXED_POINT_STEPS):
-        total = plain.copy()
-        for k in range(2):
-            total[3 + k, 3 + k] += 0.25 * curve[k] * spread[k] ** 2 + 1.0 / _LARGEST_ANGLE_RAD**2
-        covariance = np.asarray(np.linalg.inv(total), dtype=np.float64)
-        spread = np.sqrt(0.5 * (spread**2 + np.diag(covariance)[3:]))
+        more = curve[0] * one + most, curve[1] * other + most
+        area = (first + more[0]) * (second + more[1]) - both * both
+        one = 0.5 * (one + (second + more[1]) / area)
+        other = 0.5 * (other + (first + more[0]) / area)
+    total[[3, 4], [3, 4]] += more
+    covariance = np.asarray(np.linalg.inv(total), dtype=np.float64)
     return 0.5 * (covariance + covariance.T)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _differences(
-    camera: Array, centre: Array, axis: Array, basis: Array, radius: float, jacobian: Array,
-    bends: Array,
-) -> bool:  # fmt: skip
-    """Fill slopes (5, 5) and bends (5, 2) of the picture's shape by centre and tilt.
-
-    The linear algebra is numpy's own: small matrix products compile for seconds.
-    """
-    base, ahead, behind = np.empty(5), np.empty(5), np.empty(5)
-    if not picture_of_circle(camera, centre, axis, radius, base):
-        return False
-    reach_m = 1e-5 * np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
-    c, n = np.empty(3), np.empty(3)
-    for k in range(5):
-        size = reach_m if k < 3 else 1e-3
-        for side in range(2):
-            move = size if side == 0 else -size
-            copy_into(centre, c)
-            copy_into(axis, n)
-            if k < 3:
-                c[k] += move
-            else:
-                for i in range(3):
-                    n[i] += move * basis[i, k - 3]
-                length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-                for i in range(3):
-                    n[i] /= length
-            if not picture_of_circle(camera, c, n, radius, ahead if side == 0 else behind):
-                return False
-        for i in range(5):
-            jacobian[i, k] = (ahead[i] - behind[i]) / (2.0 * size)
-            if k >= 3:
-                bends[i, k - 3] = (ahead[i] - 2.0 * base[i] + behind[i]) / (size * size)
-    return True
+def _differences(camera: Camera, pose: CirclePose, axis: Array) -> tuple[Array, Array]:
+    """Slopes (5, 5) and bends (5, 2) of the picture's shape by centre (m) and tilt (rad)."""
+    steps = np.full(5, _TILT_STEP)
+    steps[:3] = _PLACE_STEP * np.linalg.norm(pose.centre_m)
+    moves = np.vstack([np.diag(steps), -np.diag(steps), np.zeros(5)])
+    axes = axis + moves[:, 3:] @ tangent_basis(axis).T
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    shapes = shapes_of_circles(camera, pose.centre_m + moves[:, :3], axes, pose.radius_m)
+    ahead, behind, here = shapes[:5], shapes[5:10], shapes[10]
+    bends = (ahead + behind - 2.0 * here)[3:] / _TILT_STEP**2
+    return ((ahead - behind) / (2.0 * steps[:, None])).T, bends.T

@@ -8,19 +8,19 @@ poses misfits, because circles of one plane have centres that only the true tilt
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.estimation.least_squares import Equations, minimise
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.circle_pose import (
     RADIUS_SHARE,
     CirclePose,
     circle_poses,
-    picture_of_circle,
     pose_covariance,
+    shapes_of_circles,
     tangent_basis,
 )
 from rendezview.sensors.ring.ellipse import Ellipse
@@ -38,7 +38,7 @@ _MISFIT = 4.0
 
 
 def fit_joint(
-    camera: Camera, ellipses: list[Ellipse], start: CirclePose
+    camera: Camera, ellipses: list[Ellipse], start: CirclePose, systematic_px: float = 0.0
 ) -> tuple[CirclePose, float] | None:
     """The pose that explains all edges, and the misfit χ²; None where it does not converge.
 
@@ -46,6 +46,7 @@ def fit_joint(
         camera: only its matrix is used.
         ellipses: with their ``shape_covariance``; the first is the edge of ``start.radius_m``.
         start: a pose of the first.
+        systematic_px: σ of an error of the first's numbers that its covariance is without.
     """
     shapes = np.array([ellipse.shape for ellipse in ellipses])
     covariances = np.array([ellipse.shape_covariance for ellipse in ellipses], dtype=np.float64)
@@ -53,7 +54,7 @@ def fit_joint(
         roots = np.linalg.cholesky(np.linalg.inv(covariances)).transpose(0, 2, 1)
     except np.linalg.LinAlgError:  # an edge that is hardly determined
         return None
-    count, lens, basis = len(ellipses), lens_vector(camera), tangent_basis(start.axis)
+    count, basis = len(ellipses), tangent_basis(start.axis)
     size = np.sqrt(shapes[:, 2] * shapes[:, 4] - shapes[:, 3] ** 2)
     first = np.zeros(3 + 2 * count)
     first[5::2] = size[1:] / size[0]
@@ -61,8 +62,16 @@ def fit_joint(
 
     def left(p: Array) -> Array | None:
         """(M, …) misfits of shapes and heights for M vectors of parameters, in σ."""
-        seen = np.empty((len(p), count, 5))
-        if not _predict(lens, start.centre_m, start.axis, basis, start.radius_m, p, seen):
+        axes = start.axis + p[:, 3:5] @ basis.T
+        axes /= np.linalg.norm(axes, axis=1)[:, None]
+        ratios, heights = np.ones((len(p), count, 1)), np.zeros((len(p), count, 1))
+        ratios[:, 1:, 0], heights[:, 1:, 0] = p[:, 5::2], p[:, 6::2]
+        axes = np.repeat(axes[:, None], count, axis=1)
+        places = start.centre_m + start.radius_m * (p[:, None, :3] + heights * axes)
+        seen = shapes_of_circles(
+            camera, places.reshape(-1, 3), axes.reshape(-1, 3), start.radius_m * ratios.ravel()
+        ).reshape(len(p), count, 5)
+        if not np.isfinite(seen).all():
             return None
         off = np.einsum("kij,mkj->mki", roots, shapes - seen).reshape(len(p), -1)
         return np.hstack([off, -p[:, 6::2] / PLANE_SHARE])
@@ -96,47 +105,15 @@ def fit_joint(
     axis /= np.linalg.norm(axis)
     if float(axis @ centre) > 0.0:
         axis = -axis
-    # Near head-on the bend of the first edge's picture bounds the axis; a slope does not.
-    bound = pose_covariance(camera, CirclePose(centre, axis, start.radius_m), covariances[0])
-    turn = basis.T @ tangent_basis(axis)
-    whole = np.eye(5)
-    whole[3:, 3:] = turn.T
-    covariance = whole @ covariance @ whole.T
-    for k in (3, 4):
-        overshoot = covariance[k, k] / bound[k, k]
-        if overshoot > 1.0:
-            covariance[k, :] /= np.sqrt(overshoot)
-            covariance[:, k] /= np.sqrt(overshoot)
+    pose = CirclePose(centre, axis, start.radius_m)
     covariance[:3, :3] += RADIUS_SHARE**2 * np.outer(centre, centre)
-    pose = CirclePose(centre, axis, start.radius_m, 0.5 * (covariance + covariance.T))
-    return pose, chi2
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _predict(
-    camera: Array, centre: Array, axis: Array, basis: Array, radius: float, parameters: Array,
-    out: Array,
-) -> bool:  # fmt: skip
-    """Shapes (M, count, 5) of all edges; parameters (M, …): steps of the pose, ratios, heights."""
-    n, at = np.empty(3), np.empty(3)
-    for m in range(len(out)):
-        p = parameters[m]
-        for i in range(3):
-            n[i] = axis[i] + basis[i, 0] * p[3] + basis[i, 1] * p[4]
-        size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-        for i in range(3):
-            n[i] /= size
-        for k in range(out.shape[1]):
-            ratio, height = (p[3 + 2 * k], p[4 + 2 * k]) if k > 0 else (1.0, 0.0)
-            for i in range(3):
-                at[i] = centre[i] + radius * (p[i] + n[i] * height)
-            if not picture_of_circle(camera, at, n, radius * ratio, out[m, k]):
-                return False
-    return True
+    if systematic_px > 0.0:
+        covariance += pose_covariance(camera, pose, systematic_px**2 * np.eye(5))
+    return replace(pose, covariance=0.5 * (covariance + covariance.T)), chi2
 
 
 def joint_poses(
-    camera: Camera, ellipses: list[Ellipse], radius_m: float
+    camera: Camera, ellipses: list[Ellipse], radius_m: float, systematic_px: float = 0.0
 ) -> tuple[tuple[CirclePose, ...], tuple[float, ...]]:
     """Both poses of a ring from all its edges, and the misfit χ² of each.
 
@@ -147,12 +124,13 @@ def joint_poses(
         camera: only its matrix is used.
         ellipses: with covariances; the first is the edge of ``radius_m``.
         radius_m: of that edge.
+        systematic_px: σ of an error of its numbers that its covariance is without.
     """
-    poses = circle_poses(camera, ellipses[0], radius_m)
+    poses = circle_poses(camera, ellipses[0], radius_m, systematic_px=systematic_px)
     misfits = tuple(0.0 for _ in poses)
     used = [ellipses[0]]
     for ellipse in ellipses[1:]:
-        fits = [fit_joint(camera, [*used, ellipse], pose) for pose in poses]
+        fits = [fit_joint(camera, [*used, ellipse], pose, systematic_px) for pose in poses]
         best = min((fit[1] for fit in fits if fit is not None), default=np.inf)
         if best > _MISFIT * 4 * len(used):
             continue

@@ -9,12 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from rendezview.estimation.linear_algebra import descending
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.lens import lens_vector
-from rendezview.sensors.ring.circle_pose import circles_of_picture, picture_of_circle
+from rendezview.sensors.ring.circle_pose import circles_of_shapes, shapes_of_circles
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -41,7 +38,7 @@ def concentric_groups(camera: Camera, shapes: Array, arcs_rad: Array) -> tuple[I
     """
     size = np.sqrt(shapes[:, 2] * shapes[:, 4] - shapes[:, 3] ** 2)  # of the circle of like area
     share = np.minimum(arcs_rad / (2.0 * np.pi), 1.0)
-    group = _group(lens_vector(camera), shapes, size)
+    group = _group(camera, shapes, size)
     worth = np.zeros(len(shapes))
     long = 0.5 * (shapes[:, 2] + shapes[:, 4]) + np.hypot(
         0.5 * (shapes[:, 2] - shapes[:, 4]), shapes[:, 3]
@@ -54,30 +51,22 @@ def concentric_groups(camera: Camera, shapes: Array, arcs_rad: Array) -> tuple[I
     return group, worth * (0.5 + 0.5 * share), order
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _group(camera: Array, shapes: Array, size: Array) -> Ints:
-    count = shapes.shape[0]
-    group = np.full(count, -1)
-    order = descending(size)
-    centres, axes, predicted = np.empty((2, 3)), np.empty((2, 3)), np.empty(5)
+def _group(camera: Camera, shapes: Array, size: Array) -> Ints:
+    """(K,) numbers of groups: what the circles of a larger ellipse explain is in its group."""
+    group = np.full(len(shapes), -1)
+    centres, axes = circles_of_shapes(camera, shapes)
+    near = 0.5 * (shapes[:, 2] + shapes[:, 4])
     number = 0
-    for k in order:
+    for k in np.argsort(-size, kind="stable"):
         if group[k] >= 0:
             continue
-        group[k] = number
-        poses = circles_of_picture(camera, shapes[k], 1.0, centres, axes)
-        for j in order:
-            if group[j] >= 0 or size[j] < LEAST_RATIO * size[k]:
-                continue
-            near = 0.5 * (shapes[j, 2] + shapes[j, 4])
-            for p in range(poses):
-                if not picture_of_circle(camera, centres[p], axes[p], size[j] / size[k], predicted):
-                    continue
-                aside = np.hypot(predicted[0] - shapes[j, 0], predicted[1] - shapes[j, 1])
-                unalike = 0.0
-                for a in range(2, 5):
-                    unalike = max(unalike, abs(predicted[a] - shapes[j, a]))
-                if aside < _ASIDE * near + 0.5 and unalike < _UNALIKE * near + 0.5:
-                    group[j] = number
+        places, ways = (np.repeat(both[k], len(size), axis=0) for both in (centres, axes))
+        expected = shapes_of_circles(camera, places, ways, np.tile(size / size[k], 2))
+        off = np.abs(expected.reshape(2, -1, 5) - shapes)
+        alike = np.hypot(off[..., 0], off[..., 1]) < _ASIDE * near + 0.5
+        alike &= off[..., 2:].max(axis=2) < _UNALIKE * near + 0.5
+        members = alike.any(axis=0) & (group < 0) & (size >= LEAST_RATIO * size[k])
+        members[k] = True
+        group[members] = number
         number += 1
     return group

@@ -44,8 +44,6 @@ class RingOptions:
     least_ratio: float = 0.2  # short over long: a tilt of 78°. Source: a chosen limit
     # Of the circle with edges, all pieces together. Source: a chosen limit
     least_arc_rad: float = math.radians(75.0)
-    # Of the longest piece's neighbourhood; see `verify`. Source: by hand; see ring-accuracy
-    least_share: float = 0.5
     # σ of an edge in the picture: optics, pixel and interpolation. Source: by hand; see
     # ring-accuracy
     blur_px: float = 0.9
@@ -140,8 +138,7 @@ class RingDetector:
         )  # fmt: skip
         lap("arcs")
         shapes = verify(
-            found.dx, found.dy, found.least, self._lens, rough, o.least_arc_rad, o.least_share,
-            limits, o.most,
+            found.dx, found.dy, found.least, self._lens, rough, o.least_arc_rad, limits, o.most,
         )  # fmt: skip
         lap("support")
         if len(shapes) == 0:

@@ -13,18 +13,11 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.linear_algebra import copy_into
-from rendezview.sensors.ring.samples import (
-    ARC,
-    CONTRAST,
-    OFFSET,
-    WEIGHT,
-    update_shape,
-)
+from rendezview.sensors.ring.samples import update_shape
 from rendezview.sensors.ring.spread import (
     covariance_of,
     covered,
     scale_of,
-    spread_of,
     systematic_of,
     trim,
 )
@@ -35,7 +28,7 @@ Grey = npt.NDArray[np.uint8]
 
 # rad of either sense, below which no second edge is looked for. Source: by hand; see ring-accuracy
 LEAST_ARC = 0.5
-_LEAST_GAP_PX = 0.4  # between the two. Source: by hand; see ring-accuracy
+_LEAST_GAP_PX = 0.2  # between the two. Source: by hand; see ring-accuracy
 _SIGMAS = 3.0  # of the gap. Source: normal distribution, 0.3 %
 
 
@@ -58,7 +51,7 @@ def fit_lip(
     copy_into(shape, pair)
     if update_shape(samples, used, 2.0, pair, normal) < 0.0:
         return False
-    if abs(pair[5]) * 0.5 * (pair[2] + pair[4]) < 0.5 * _LEAST_GAP_PX:
+    if abs(pair[5]) * 0.5 * (pair[2] + pair[4]) < _LEAST_GAP_PX:
         return False  # one edge whose surroundings change
     half = samples.shape[0] // 2
     first, second, scale = 0, 0, 0.0
@@ -79,14 +72,12 @@ def fit_lip(
             return False
         if moved < 0.02:
             break
-    if not abs(pair[5]) * 0.5 * (pair[2] + pair[4]) > _LEAST_GAP_PX:
-        return False
     rising, falling = samples[:first], samples[first : first + second]
-    arcs = covered(rising, first, scale), covered(falling, second, scale)
+    arcs = sum(covered(rising, first, scale)), sum(covered(falling, second, scale))
     if min(arcs) < LEAST_ARC:
         return False
     found = trim(rising, first, scale), trim(falling, second, scale)
-    spread = max(spread_of(rising, first), spread_of(falling, second))
+    spread = max(found[0][3], found[1][3])
     if update_shape(samples, first + second, 3.0 * scale, pair, normal) < 0.0:
         return False
     whole = np.empty((6, 6))
@@ -102,7 +93,7 @@ def fit_lip(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _separate(
     pair: Array, whole: Array, arcs: tuple[float, float],
-    found: tuple[tuple[int, float, float], tuple[int, float, float]], edges: Array,
+    found: tuple[tuple[int, float, float, float], tuple[int, float, float, float]], edges: Array,
     covariances: Array, facts: Array,
 ) -> None:  # fmt: skip
     """Shapes, covariances and facts of both edges, the larger one first, from those of the pair."""
@@ -122,19 +113,6 @@ def _separate(
                 covariances[k, i, j] = total
         own = 0 if sense > 0.0 else 1
         facts[k, 0], facts[k, 1], facts[k, 2] = arcs[own], found[own][1], found[own][2]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def arcs_of_senses(samples: Array, n: int, scale: float) -> tuple[float, float]:
-    """Angles of the circle confirmed by edges that get brighter, and darker, outwards; rad."""
-    brighter, darker = 0.0, 0.0
-    for i in range(n):
-        if samples[i, WEIGHT] > 0.0 and abs(samples[i, OFFSET]) < scale:
-            if samples[i, CONTRAST] > 0.0:
-                brighter += samples[i, ARC]
-            else:
-                darker += samples[i, ARC]
-    return brighter, darker
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

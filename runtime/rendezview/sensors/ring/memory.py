@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.geometry.geodesic import angle_between
 from rendezview.sensors.ring.circle_pose import CirclePose
 
 Array = npt.NDArray[np.float64]
@@ -32,12 +33,6 @@ def odds_cost(square: Array, sigma_share: Array) -> Array:
     density = SIZES / (math.sqrt(math.tau) * sigma_share)
     odds = (1.0 - _WRONG) * density * np.exp(-0.5 * square) + _WRONG
     return np.asarray(-2.0 * np.log(odds), dtype=np.float64)
-
-
-def angles(directions: Array, known: Array) -> Array:
-    """(N,) angles of unit directions (N, 3) to a known one (3,), rad."""
-    across = np.linalg.norm(np.cross(directions, known), axis=1)
-    return np.asarray(np.arctan2(across, directions @ known), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,8 +65,8 @@ class Memory:
         far = float(np.linalg.norm(known.centre_m))
         ranges = np.linalg.norm(centres_m, axis=1)
         sigma = np.hypot(self.size_sigma, size_sigma)
-        aside = angles(centres_m / ranges[:, None], known.centre_m / far)
+        aside = angle_between(centres_m / ranges[:, None], known.centre_m / far)
         square = (np.log(ranges / far) ** 2 + aside**2) / sigma**2
         own = 2.0 * known.axis_sigma_rad**2  # of then, and of now
-        turned = np.min([angles(axes, pose.axis) for pose in self.poses], axis=0)
+        turned = np.min([angle_between(axes, pose.axis) for pose in self.poses], axis=0)
         return odds_cost(square + turned**2 / (own + (_SPIN_RAD * self.age_s) ** 2), sigma)

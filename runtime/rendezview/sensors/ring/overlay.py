@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
-from rendezview.sensors.ring.circle_pose import CirclePose
-from rendezview.sensors.ring.ellipse import Ellipse
+from rendezview.geometry.pose import Array
 from rendezview.sensors.ring.observation import RingObservation
 
 Picture = npt.NDArray[np.uint8]
@@ -33,10 +32,12 @@ def draw_reading(image: npt.ArrayLike, reading: RingObservation, camera: Camera)
     canvas = np.asarray(cv2.cvtColor(np.asarray(image, np.uint8), cv2.COLOR_GRAY2BGR), np.uint8)
     best = _UNSURE if reading.circle is None else _BEST
     for k, edge in reversed(list(enumerate(reading.edges))):
-        _ellipse(canvas, edge.ellipse, camera, best if k == reading.edge else _OTHER)
+        round_it = camera.pinhole.rays(edge.ellipse.points(240))
+        _lines(canvas, round_it, camera, best if k == reading.edge else _OTHER, closed=True)
     for k, circle in enumerate(reading.circles):
         chosen = reading.choice is not None and reading.choice.index == k
-        _axis(canvas, circle, camera, _CHOSEN if chosen else _REFUSED)
+        ends = np.vstack([circle.centre_m, circle.centre_m + circle.radius_m * circle.axis])
+        _lines(canvas, ends, camera, _CHOSEN if chosen else _REFUSED, closed=False)
     lines = [f"{reading.status}: {len(reading.edges)} ellipses"]
     if reading.circle is not None:
         far = float(np.linalg.norm(reading.circle.centre_m))
@@ -51,28 +52,11 @@ def draw_reading(image: npt.ArrayLike, reading: RingObservation, camera: Camera)
     return canvas
 
 
-def _ellipse(
-    canvas: Picture, ellipse: Ellipse, camera: Camera, colour: tuple[int, int, int]
-) -> None:
-    points = ellipse.points(240)
-    rays = np.column_stack(
-        [(points - (camera.cx, camera.cy)) / (camera.fx, camera.fy), np.ones(len(points))]
-    )
-    places = camera.project(rays)
-    if np.isfinite(places).all() and np.abs(places).max() < 3e4:
-        _lines(canvas, places, colour, closed=True)
-
-
-def _axis(canvas: Picture, pose: CirclePose, camera: Camera, colour: tuple[int, int, int]) -> None:
-    ends = np.vstack([pose.centre_m, pose.centre_m + pose.radius_m * pose.axis])
-    places = camera.project(ends)
-    if np.isfinite(places).all() and np.abs(places).max() < 3e4:
-        _lines(canvas, places, colour, closed=False)
-
-
 def _lines(
-    canvas: Picture, places: npt.ArrayLike, colour: tuple[int, int, int], *, closed: bool
+    canvas: Picture, points_m: Array, camera: Camera, colour: tuple[int, int, int], closed: bool
 ) -> None:
-    shift = 4
-    fixed = np.rint(np.asarray(places) * (1 << shift)).astype(np.int32)
-    cv2.polylines(canvas, [fixed], closed, colour, 1, cv2.LINE_AA, shift)
+    """A line through points (N, 3) of the camera frame, where all of them are near the picture."""
+    places, shift = camera.project(points_m), 4
+    if np.isfinite(places).all() and np.abs(places).max() < 3e4:
+        fixed = np.rint(places * (1 << shift)).astype(np.int32)
+        cv2.polylines(canvas, [fixed], closed, colour, 1, cv2.LINE_AA, shift)

@@ -1,6 +1,6 @@
 """A ring of unknown size: its radius R and its distance D_f from the target's middle (Zhai et al.).
 
-Of one frame by eq. 9–11; `ring_pass` takes all frames of a pass together.
+Of one frame by eq. 9–11; `size_circles` takes all frames of a pass together.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
+from rendezview.sensors.ring.circle_pose import cones_of_shapes
 from rendezview.sensors.ring.ellipse import Ellipse
 from rendezview.sensors.ring.rectangle import Beam, rectangle_pose
 
@@ -73,7 +74,7 @@ def ring_size(camera: Camera, sight: RingSight) -> RingSize | None:
     found = circle_line(camera, sight)
     if found is None:
         return None
-    (start, rate), errors = found[0].T, found[1]
+    (start, rate), errors = found[0][:5].T, found[1][:5]  # of the ellipse alone
     slopes = np.column_stack([[0.0, 0.0, -1.0, 0.0, 0.0], rate])
     numbers = np.zeros(2)
     for _ in range(_ROUNDS):
@@ -90,17 +91,17 @@ def circle_line(camera: Camera, sight: RingSight) -> tuple[Array, Array] | None:
     """The circles whose picture an ellipse is, one for each distance D of a plane from the panel.
 
     Their numbers are linear in D: y and z of the middle, the radius, and two of what is not round,
-    all in metres.
+    in metres. Three more are the panel's alone: its sides along y and z, and its skew.
 
     Returns:
-        (5, 2) the numbers at D = 0 and their rates, and (5, 2, 14) errors of both: the square root
+        (8, 2) the numbers at D = 0 and their rates, and (8, 2, 14) errors of both: the square root
         of their covariance. None where the ellipse is no circle of such a plane.
     """
     base = sight.measured()
     line = _line(camera, base, sight.beam)
     if line is None:
         return None
-    slopes = np.empty((5, 2, 14))
+    slopes = np.empty((*line.shape, 14))
     for k in range(14):
         pair = []
         for step in (_STEP, -_STEP):
@@ -115,13 +116,17 @@ def circle_line(camera: Camera, sight: RingSight) -> tuple[Array, Array] | None:
 
 
 def _line(camera: Camera, measured: Array, beam: Beam) -> Array | None:
-    """(5, 2) of `circle_line` from (14,) numbers of `RingSight.measured`."""
-    found = rectangle_pose(camera, measured[:8].reshape(4, 2), float(measured[13]), beam)
+    """(8, 2) of `circle_line` from (14,) numbers of `RingSight.measured`."""
+    corners_px = measured[:8].reshape(4, 2)
+    found = rectangle_pose(camera, corners_px, float(measured[13]), beam)
     if found is None:
         return None
-    turn = found[0].rotation
-    eye = -turn.T @ found[0].translation_m
-    cone = turn.T @ _cone(camera, measured[8:13]) @ turn
+    pose, skew_rad = found
+    turn = pose.rotation
+    eye = -turn.T @ pose.translation_m
+    rays = camera.rays(corners_px) @ turn
+    corners = eye[1:] - eye[0] * rays[:, 1:] / rays[:, :1]
+    cone = turn.T @ cones_of_shapes(camera, measured[None, 8:13])[0] @ turn
     # Where the cone meets the plane one metre before the camera: points (v - w)' A (v - w) = k.
     square, across = cone[1:, 1:], cone[1:, 0]
     middle = -np.linalg.solve(square, across)
@@ -132,18 +137,6 @@ def _line(camera: Camera, measured: Array, beam: Beam) -> Array | None:
     radius = area**0.25
     odd = 0.5 / radius * np.array([0.5 * (shape[0, 0] - shape[1, 1]), shape[0, 1]])
     size = np.array([radius, *odd])
-    start = np.concatenate([eye[1:] - eye[0] * middle, eye[0] * size])
-    return np.column_stack([start, np.concatenate([middle, -size])])
-
-
-def _cone(camera: Camera, shape: Array) -> Array:
-    """(3, 3) C of the cone q' C q = 0 of the rays q through an ellipse; negative within."""
-    matrix = np.array([[shape[2], shape[3]], [shape[3], shape[4]]])
-    x, y = shape[:2] - (camera.cx, camera.cy)
-    scale = np.diag([camera.fx, camera.fy])
-    inner = scale @ np.linalg.inv(matrix @ matrix) @ scale
-    place = np.array([x / camera.fx, y / camera.fy])
-    cone = np.zeros((3, 3))
-    cone[:2, :2], cone[:2, 2] = inner, -inner @ place
-    cone[2, :2], cone[2, 2] = cone[:2, 2], place @ inner @ place - 1.0
-    return cone
+    panel = [corners[0, 0] - corners[1, 0], corners[0, 1] - corners[2, 1], skew_rad]
+    start = np.concatenate([eye[1:] - eye[0] * middle, eye[0] * size, panel])
+    return np.column_stack([start, np.concatenate([middle, -size, np.zeros(3)])])

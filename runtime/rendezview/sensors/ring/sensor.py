@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +14,8 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.arguments import check_time
 from rendezview.sensors.observation import Status
-from rendezview.sensors.ring.choice import Choice, MotionChooser, by_attitude, by_plane, only_one
-from rendezview.sensors.ring.circle_pose import CirclePose, shape_of_circle, widened
+from rendezview.sensors.ring.choice import Choice, by_attitude, by_plane, only_one
+from rendezview.sensors.ring.circle_pose import CirclePose, shape_of_circle
 from rendezview.sensors.ring.concentric import joint_poses
 from rendezview.sensors.ring.detector import Detection, RingDetector, RingEdge, RingOptions
 from rendezview.sensors.ring.ellipse import Ellipse
@@ -89,7 +90,6 @@ class RingSensor:
     def _forget(self) -> None:
         self._memory: Memory | None = None
         self._remembered_s = 0.0
-        self._motion = MotionChooser()
 
     def update(
         self, time_s: float, image: npt.ArrayLike, prior: RingPrior | None = None
@@ -112,38 +112,33 @@ class RingSensor:
             return self._read(time_s, detection, prior or RingPrior())
 
     def _read(self, time_s: float, detection: Detection, prior: RingPrior) -> RingObservation:
+        seen = partial(
+            RingObservation, time_s=time_s, edges=detection.edges, stage_ms=detection.stage_ms
+        )
         if self.radius_m is None:
             if not detection.edges:
-                return self._nothing(time_s, detection, detection.reason or "no ellipse")
-            return RingObservation(
-                Status.OK, "no radius is given, so no pose", time_s=time_s,
-                edges=detection.edges, edge=0, stage_ms=detection.stage_ms,
-            )  # fmt: skip
+                return seen(Status.NOT_FOUND, detection.reason or "no ellipse")
+            return seen(Status.OK, "no radius is given, so no pose", edge=0)
         which = self._select(time_s, detection, prior)
         edge = which.edge
         if edge is None:
-            return self._nothing(time_s, detection, which.reason)
+            return seen(Status.NOT_FOUND, which.reason)
         circles, misfits = self._poses(detection, edge, which.circle)
         if not circles:
-            return self._nothing(time_s, detection, "the ellipse is no circle's picture")
+            return seen(Status.NOT_FOUND, "the ellipse is no circle's picture")
         if which.rivals or which.doubtful:
-            return RingObservation(
-                Status.AMBIGUOUS, which.reason, time_s=time_s, edges=detection.edges, edge=edge,
-                circles=circles, choice=Choice(None, which.reason),
-                rivals=tuple(
-                    (k, self._poses(detection, k, j)[0]) for k, j in which.rivals
-                ),
-                doubtful=which.doubtful,
-                stage_ms=detection.stage_ms,
+            rivals = tuple((k, self._poses(detection, k, j)[0]) for k, j in which.rivals)
+            return seen(
+                Status.AMBIGUOUS, which.reason, edge=edge, circles=circles, rivals=rivals,
+                choice=Choice(None, which.reason), doubtful=which.doubtful,
             )  # fmt: skip
         choice = self._choose(circles, misfits, prior, which)
         chosen = choice.index is not None
         self._memory = Memory(circles if choice.index is None else (circles[choice.index],))
         self._remembered_s = time_s
-        return RingObservation(
+        return seen(
             Status.OK if chosen else Status.AMBIGUOUS, None if chosen else choice.reason,
-            time_s=time_s, edges=detection.edges, edge=edge, circles=circles, choice=choice,
-            stage_ms=detection.stage_ms,
+            edge=edge, circles=circles, choice=choice,
         )  # fmt: skip
 
     def _poses(
@@ -151,22 +146,11 @@ class RingSensor:
     ) -> tuple[tuple[CirclePose, ...], tuple[float, ...]]:
         """The ring's poses if an ellipse is one of the target's circles, with their misfits."""
         assert self.radius_m is not None
-        found = detection.edges[edge]
         height_m, radius_m = (0.0, self.radius_m) if circle == RING else self.circles[circle]
-        ellipses = [found.ellipse]
-        if circle == RING:
-            ellipses = _companions(detection.edges, edge)
-        poses, misfits = joint_poses(self.camera, ellipses, radius_m)
-        return tuple(
-            ring_of_circle(widened(self.camera, pose, found.systematic_px), height_m, self.radius_m)
-            for pose in poses
-        ), misfits
-
-    def _nothing(self, time_s: float, detection: Detection, reason: str) -> RingObservation:
-        return RingObservation(
-            Status.NOT_FOUND, reason, time_s=time_s,
-            edges=detection.edges, stage_ms=detection.stage_ms,
-        )  # fmt: skip
+        found = detection.edges[edge]
+        ellipses = _companions(detection.edges, edge) if circle == RING else [found.ellipse]
+        poses, misfits = joint_poses(self.camera, ellipses, radius_m, found.systematic_px)
+        return tuple(ring_of_circle(pose, height_m, self.radius_m) for pose in poses), misfits
 
     def _select(self, time_s: float, detection: Detection, prior: RingPrior) -> Which:
         """Which ellipse is the ring's edge of the known radius."""
@@ -221,10 +205,7 @@ class RingSensor:
         if which.axis is not None and which.other_cost > RIVAL_COST:
             nearest = int(np.argmax([pose.axis @ which.axis for pose in poses]))
             return Choice(nearest, "the target's circles and the last frames fit this axis only")
-        planar = by_plane(misfits)
-        if planar.index is not None:
-            return planar
-        return self._motion.update(poses)
+        return by_plane(misfits)
 
 
 def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:

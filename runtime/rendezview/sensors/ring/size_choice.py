@@ -17,7 +17,7 @@ from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.pose import Array
 from rendezview.sensors.ring.concentric import PLANE_SHARE
 from rendezview.sensors.ring.edge_sides import EdgeSides
-from rendezview.sensors.ring.size_circles import Ellipses, PassCircle
+from rendezview.sensors.ring.size_circles import FAR, Ellipses, PassCircle
 from rendezview.sensors.ring.which_circle import RIVAL_COST
 
 # Of 116 passes with a ring, its frames show less than half of its outer edge in 10, of its inner
@@ -32,9 +32,9 @@ _UNLIT, _ONLY_SHADOW = math.log(1 / 113), math.log(2 / 120)
 # Less than half of the frames show one of the ring's edges in 2 of 116 passes. Source: as above
 _SELDOM = math.log(2 / 116)
 _SIGMAS = 4.0  # by which circles differ in a number. Source: by construction, normal distribution
-# χ² of 3 and of 5 degrees of freedom that noise exceeds once in 5000. Source: by construction, χ²
+# χ² of 3 degrees of freedom that noise exceeds once in 5000. Source: by construction, χ²
 # distribution
-_FAR_AXIS, _FAR = 19.7, 24.0
+_FAR_AXIS = 19.7
 # Circles that are one answer. Source: a fifth of a rim's width in models_cad/client
 _SAME_SHARE = np.array([0.005, 0.02])  # of R, of D_f
 _MOST_RIVALS = 4  # named. Source: by construction
@@ -124,14 +124,14 @@ def _bodies(circles: Sequence[PassCircle]) -> list[list[PassCircle]]:
 
 def _apart(one: PassCircle, other: PassCircle) -> float:
     """χ² of the places of two circles' middles, 3 degrees of freedom."""
-    away = (one.numbers - other.numbers)[1:]
-    spread = (one.covariance + other.covariance)[1:, 1:] + _plane_spread(one)[1:, 1:]
+    away = (one.numbers - other.numbers)[1:4]
+    spread = (one.covariance + other.covariance + _plane_spread(one))[1:4, 1:4]
     return float(away @ np.linalg.solve(spread, away))
 
 
 def _plane_spread(circle: PassCircle) -> Array:
-    """(4, 4) how far edges of one body lie from its plane and axis, m²."""
-    return np.diag([0.0, 1.0, 1.0, 1.0]) * (PLANE_SHARE * circle.radius_m) ** 2
+    """(6, 6) how far edges of one body lie from its plane and axis, m²."""
+    return np.diag([0.0, 1.0, 1.0, 1.0, 0.0, 0.0]) * (PLANE_SHARE * circle.radius_m) ** 2
 
 
 def _is_shadow(circle: PassCircle, circles: Sequence[PassCircle]) -> bool:
@@ -152,4 +152,4 @@ def _shows_larger(circle: PassCircle, ellipses: Ellipses) -> bool:
     radius, sigma = ellipses.radii(circle.distance_m)
     sigma = np.hypot(sigma, math.sqrt(circle.covariance[0, 0]))
     larger = radius - circle.radius_m > _SIGMAS * sigma
-    return bool((larger & (ellipses.misfits(circle.numbers, spread) < _FAR)).any())
+    return bool((larger & (ellipses.misfits(circle.numbers, spread) < FAR)).any())

@@ -2,7 +2,8 @@
 
 With a panel's pose, an ellipse is one circle for each distance D of a plane parallel to the panel.
 The middle and radius of that circle are linear in D. So two frames give a circle by linear least
-squares, and every other ellipse either agrees with it or does not.
+squares, and every other ellipse either agrees with it or does not. The panel's sides, the same in
+every frame, are estimated with it.
 """
 
 from __future__ import annotations
@@ -24,9 +25,10 @@ Ints = npt.NDArray[np.int64]
 T = TypeVar("T")
 
 _RISK = 1 / 5000  # that noise exceeds a limit of χ². Source: by construction
+COMMON, FREEDOM = 6, 8  # unknowns of a pass, numbers of an ellipse. Source: by construction
 # χ² of an ellipse beside a circle, and of two beside theirs. Source: by construction, χ²
 # distribution
-_FAR, _FAR_PAIR = chdtri((5, 6), _RISK)
+FAR, _FAR_PAIR = chdtri((FREEDOM, 2 * FREEDOM - COMMON), _RISK)
 _SURE_SHARE = 0.05  # σ of R over R, of a pair that may name a circle. Source: by construction
 _START_FRAMES = 24  # whose ellipses name circles. Source: by construction, a bound of time
 _TINY = 1e-6  # information on a length, m⁻². Source: by construction, less than any picture's
@@ -37,16 +39,24 @@ _ROUNDS = 3  # of members and their circle. Source: by construction
 class PassCircle:
     """A circle that several frames agree on, in the panel's frame."""
 
-    radius_m: float
-    distance_m: float  # of its plane from the panel's
-    offset_m: Array  # (2,) y, z of its middle
-    covariance: Array  # (4, 4) m² of radius, distance and offset
+    numbers: Array  # (6,) radius, distance of its plane, y, z of its middle; the panel's sides; m
+    covariance: Array  # (6, 6)
     members: dict[int, int]  # number of its ellipse, by frame
 
     @property
-    def numbers(self) -> Array:
-        """(4,) radius, distance and offset, m."""
-        return np.array([self.radius_m, self.distance_m, *self.offset_m])
+    def radius_m(self) -> float:
+        """Its radius."""
+        return float(self.numbers[0])
+
+    @property
+    def distance_m(self) -> float:
+        """Of its plane from the panel's."""
+        return float(self.numbers[1])
+
+    @property
+    def offset_m(self) -> Array:
+        """(2,) y, z of its middle."""
+        return self.numbers[2:4]
 
     def of(self, table: Sequence[Sequence[T]]) -> list[T]:
         """What a table of all frames and ellipses has of its members."""
@@ -56,8 +66,8 @@ class PassCircle:
 class Ellipses:
     """The E ellipses of a pass as circles before the panel; those that are none are left out.
 
-    Five numbers in metres: y and z of the middle, radius, and two of what is not round. Each is
-    ``start + D rate``; their errors are ``errors + D error_rates`` times 14 unit normals.
+    Eight numbers of each, see `circle_line`: ``start + D rate``. Their errors are ``errors + D
+    error_rates`` times 14 unit normals.
     """
 
     def __init__(self, camera: Camera, sights: Sequence[Sequence[RingSight]]) -> None:
@@ -71,20 +81,20 @@ class Ellipses:
                     lines.append(found[0])
                     errors.append(found[1])
         self.index = np.array(index, dtype=np.int64).reshape(-1, 2)  # (E, 2) frame, ellipse
-        line = np.array(lines).reshape(-1, 5, 2)
-        error = np.array(errors).reshape(-1, 5, 2, 14)
+        line = np.array(lines).reshape(-1, FREEDOM, 2)
+        error = np.array(errors).reshape(-1, FREEDOM, 2, 14)
         self.start, self.rate = line[..., 0], line[..., 1]
         self.errors, self.error_rates = error[:, :, 0], error[:, :, 1]
-        # Slopes (E, 5, 4) of what is left by radius, distance and offset.
-        self.slopes = np.zeros((len(line), 5, 4))
-        self.slopes[:, 2, 0] = self.slopes[:, 0, 2] = self.slopes[:, 1, 3] = -1.0
+        # Slopes (E, 8, 6) of what is left by radius, distance, offset and sides.
+        self.slopes = np.zeros((len(line), FREEDOM, COMMON))
+        self.slopes[:, [2, 0, 1, 5, 6], [0, 2, 3, 4, 5]] = -1.0
         self.slopes[:, :, 1] = self.rate
 
     def __len__(self) -> int:
         return len(self.index)
 
     def covariances(self, distance_m: npt.ArrayLike, which: Any = slice(None)) -> Array:
-        """(K, 5, 5) of the numbers of ellipses ``which`` at distances (K,) or one of all, m²."""
+        """(K, 8, 8) of the numbers of ellipses ``which`` at distances (K,) or one of all, m²."""
         far = np.asarray(distance_m, dtype=np.float64)[..., None, None]
         roots = self.errors[which] + far * self.error_rates[which]
         return np.asarray(roots @ roots.transpose(0, 2, 1))
@@ -95,24 +105,29 @@ class Ellipses:
         return self.start[:, 2] + self.rate[:, 2] * distance_m, sigma
 
     def misfits(self, numbers: Array, covariance: Array) -> Array:
-        """(E,) χ² of each ellipse with a circle (4,) and its covariance (4, 4)."""
+        """(E,) χ² of each ellipse with a circle (6,) and its covariance (6, 6)."""
         left = self.start + self.slopes @ numbers
         spread = self.covariances(numbers[1])
         spread += self.slopes @ covariance @ self.slopes.transpose(0, 2, 1)
         return np.asarray(np.sum(left * np.linalg.solve(spread, left[..., None])[..., 0], axis=1))
 
     def equations(self, distance_m: npt.ArrayLike, which: Any) -> tuple[Array, Array, Array]:
-        """(K, 4, 4), (K, 4) normal equations of a circle by each ellipse, (K,) squares at zero."""
+        """(K, 6, 6), (K, 6) normal equations of a circle by each ellipse, (K,) squares at zero."""
         weights = np.linalg.inv(self.covariances(distance_m, which))
         start, slopes = self.start[which][..., None], self.slopes[which]
         turned = slopes.transpose(0, 2, 1) @ weights
         squares = (start.transpose(0, 2, 1) @ weights @ start)[:, 0, 0]
         return turned @ slopes, -(turned @ start)[..., 0], squares
 
-    def circle(self, distance_m: float, which: Ints) -> tuple[Array, Array, float]:
-        """(4,), covariance (4, 4) and χ² of the circle of some ellipses, near a distance."""
+    def circle(
+        self, distance_m: float, which: Ints, prior: npt.ArrayLike = 0.0
+    ) -> tuple[Array, Array, float]:
+        """(6,), covariance (6, 6) and χ² of the circle of some ellipses, near a distance.
+
+        ``prior``: information on each number being zero, m⁻².
+        """
         normal, right, squares = (part.sum(axis=0) for part in self.equations(distance_m, which))
-        covariance = np.linalg.inv(normal)
+        covariance = np.linalg.inv(normal + np.asarray(prior) * np.eye(COMMON))
         numbers = covariance @ right
         return numbers, covariance, float(squares - right @ numbers)
 
@@ -130,10 +145,10 @@ def circles_of_pass(ellipses: Ellipses, least_frames: int) -> list[PassCircle]:
             break
         circle, which, chi2 = best
         # Edges of two bodies that follow one another are one ellipse, and fit badly.
-        if chi2 < chdtri(5 * len(which) - 4, _RISK):
+        if chi2 < chdtri(FREEDOM * len(which) - COMMON, _RISK):
             found.append(circle)
         left[which] = False
-        left &= ellipses.misfits(circle.numbers, circle.covariance) > _FAR  # two of one edge
+        left &= ellipses.misfits(circle.numbers, circle.covariance) > FAR  # two of one edge
     return found
 
 
@@ -144,7 +159,7 @@ def _grown(
     chi2 = 0.0
     for _ in range(_ROUNDS):
         misfits = ellipses.misfits(numbers, covariance)
-        near = np.flatnonzero(left & (misfits < _FAR))
+        near = np.flatnonzero(left & (misfits < FAR))
         order = near[np.argsort(-misfits[near])]
         nearest = {int(ellipses.index[k, 0]): int(k) for k in order}  # of a frame, the last one
         if len(nearest) < 2:
@@ -154,8 +169,7 @@ def _grown(
         if not numbers[0] > 0.0:
             return None
     members = {int(frame): int(k) for frame, k in ellipses.index[which]}
-    radius_m, distance_m = numbers[:2].tolist()
-    return PassCircle(radius_m, distance_m, numbers[2:], covariance, members), which, chi2
+    return PassCircle(numbers, covariance, members), which, chi2
 
 
 def _starts(ellipses: Ellipses) -> list[tuple[int, tuple[Array, Array]]]:
@@ -169,7 +183,9 @@ def _starts(ellipses: Ellipses) -> list[tuple[int, tuple[Array, Array]]]:
     far = -np.sum(start * rate, axis=1) / np.fmax(np.sum(rate * rate, axis=1), _TINY)
     parts = zip(ellipses.equations(far, one), ellipses.equations(far, other), strict=True)
     normal, right, squares = (a + b for a, b in parts)
-    covariance = np.linalg.inv(normal + _TINY * np.eye(4))  # two like pictures give no distance
+    covariance = np.linalg.inv(
+        normal + _TINY * np.eye(COMMON)
+    )  # two like pictures give no distance
     numbers = (covariance @ right[..., None])[..., 0]
     misfit = squares - np.sum(right * numbers, axis=1)
     sigma = np.sqrt(covariance[:, 0, 0])

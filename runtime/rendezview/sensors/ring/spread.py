@@ -7,7 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.linear_algebra import invert, quantile
-from rendezview.sensors.ring.samples import ANGLE, ARC, CONTRAST, OFFSET, WEIGHT
+from rendezview.sensors.ring.samples import ARC, CONTRAST, OFFSET, WEIGHT
 
 Array = npt.NDArray[np.float64]
 
@@ -29,41 +29,41 @@ def scale_of(samples: Array, n: int) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def covered(samples: Array, n: int, scale: float) -> float:
-    """Angle of the circle that samples within ``scale`` px confirm, rad."""
-    total = 0.0
+def covered(samples: Array, n: int, scale: float) -> tuple[float, float]:
+    """Angles of the circle that samples within ``scale`` px confirm, rad.
+
+    By edges that get brighter, and darker, outwards.
+    """
+    brighter, darker = 0.0, 0.0
     for i in range(n):
         if samples[i, WEIGHT] > 0.0 and abs(samples[i, OFFSET]) < scale:
-            total += samples[i, ARC]
-    return total
+            if samples[i, CONTRAST] > 0.0:
+                brighter += samples[i, ARC]
+            else:
+                darker += samples[i, ARC]
+    return brighter, darker
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def trim(samples: Array, n: int, scale: float) -> tuple[int, float, float]:
-    """Leave out samples beyond ``scale`` px. Returns number, mean contrast and r.m.s. (px)."""
-    used, contrast, square = 0, 0.0, 0.0
+def trim(samples: Array, n: int, scale: float) -> tuple[int, float, float, float]:
+    """Leave out samples beyond ``scale`` px.
+
+    Returns number, mean contrast, r.m.s. (px) and the factor on the covariance by their weights
+    that follows from their scatter, at least 1.
+    """
+    used, contrast, square, chi = 0, 0.0, 0.0, 0.0
     for i in range(n):
         if samples[i, WEIGHT] > 0.0:
             if abs(samples[i, OFFSET]) > scale:
                 samples[i, WEIGHT] = 0.0
                 continue
             square += samples[i, OFFSET] ** 2
+            chi += samples[i, WEIGHT] * samples[i, OFFSET] ** 2
             used += 1
             contrast += samples[i, CONTRAST]
     if used == 0:
-        return 0, 0.0, 0.0
-    return used, contrast / used, np.sqrt(square / used)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def spread_of(samples: Array, n: int) -> float:
-    """Factor on the covariance by the weights of trimmed samples, from their scatter."""
-    chi, used = 0.0, 0
-    for i in range(n):
-        if samples[i, WEIGHT] > 0.0:
-            chi += samples[i, WEIGHT] * samples[i, OFFSET] ** 2
-            used += 1
-    return max(chi / max(used - 5, 1), _waviness_factor(samples, n))
+        return 0, 0.0, 0.0, 1.0
+    return used, contrast / used, np.sqrt(square / used), max(chi / max(used - 5, 1), 1.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -101,25 +101,3 @@ def systematic_of(samples: Array, n: int) -> float:
     if used == 0 or pairs == 0:
         return 0.0
     return float(np.sqrt(max(square / used - jumps / pairs, 0.0)))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _waviness_factor(samples: Array, count: int) -> float:
-    """How much more the means of 36 stretches scatter than independent samples' would, ≥ 1.
-
-    Facets of a CAD ring, shadows, or an edge that is none show here: their errors go together over
-    long stretches.
-    """
-    sums, weights = np.zeros(36), np.zeros(36)
-    for i in range(count):
-        w = samples[i, WEIGHT]
-        if w > 0.0:
-            k = min(int(samples[i, ANGLE] * (36.0 / (2.0 * np.pi))), 35)
-            sums[k] += w * samples[i, OFFSET]
-            weights[k] += w
-    total, used = 0.0, 0
-    for k in range(36):
-        if weights[k] > 0.0:
-            total += sums[k] * sums[k] / weights[k]
-            used += 1
-    return max(total / max(used - 5, 2), 1.0)

@@ -8,13 +8,12 @@ from numba import njit
 
 from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into
 from rendezview.sensors.ring.conic import distance, semi_axes
-from rendezview.sensors.ring.lip_fit import LEAST_ARC, arcs_of_senses, fit_lip
+from rendezview.sensors.ring.lip_fit import LEAST_ARC, fit_lip
 from rendezview.sensors.ring.samples import COLUMNS, update_shape
 from rendezview.sensors.ring.spread import (
     covariance_of,
     covered,
     scale_of,
-    spread_of,
     systematic_of,
     trim,
 )
@@ -60,7 +59,7 @@ def fit_steps(
         if used == 0:
             continue
         two = False
-        if min(arcs_of_senses(samples, used, scale)) > LEAST_ARC:
+        if min(covered(samples, used, scale)) > LEAST_ARC:
             two = fit_lip(
                 image, lens, shape, step_px, noise, filters, basis, blur, others[:beside],
                 samples, used, both, both_covariances, both_facts,
@@ -136,7 +135,7 @@ def _settle(
             one_sense(samples, n)
         scale = 2.0 if step == 0 else scale_of(samples, n)
         moved = update_shape(samples, n, scale, shape, np.empty((5, 5)))
-        if moved < 0.0 or covered(samples, n, scale) < least_arc:
+        if moved < 0.0 or sum(covered(samples, n, scale)) < least_arc:
             return 0, 0.0
         if step > 0 and moved < 0.01:
             break
@@ -148,12 +147,12 @@ def _fit_single(
     samples: Array, n: int, scale: float, shape: Array, covariance: Array, facts: Array
 ) -> bool:  # fmt: skip
     """The last step of one edge, its covariance and facts; whether enough samples confirm it."""
-    used, contrast, rms = trim(samples, n, scale)
-    arc = covered(samples, n, scale)
+    used, contrast, rms, spread = trim(samples, n, scale)
+    arc = sum(covered(samples, n, scale))
     normal = np.empty((5, 5))
     if used < 20 or update_shape(samples, n, 3.0 * scale, shape, normal) < 0.0:
         return False
-    if not covariance_of(normal, spread_of(samples, n), covariance):
+    if not covariance_of(normal, spread, covariance):
         return False
     facts[0], facts[1], facts[2], facts[3] = arc, contrast, rms, systematic_of(samples, n)
     return True

@@ -31,7 +31,7 @@ _SUPPORT_SAMPLES = 120  # about an ellipse. Source: by construction, 3° apart
 @njit(cache=True, nogil=True, error_model="numpy")
 def verify(
     dx: Gradient, dy: Gradient, low: float, lens: Array, rough: Array, least_arc: float,
-    least_share: float, limits: Array, most: int,
+    limits: Array, most: int,
 ) -> Array:  # fmt: skip
     """The rough ellipses (K, 5) that the gradients confirm, moved onto them: shapes (M, 5)."""
     kept = np.empty((most, 5))
@@ -48,7 +48,6 @@ def verify(
             band = max(4.0 - step, 2.0)
             n = len(samples) // 2
             sample_gradients(dx, dy, low, lens, shape, n, band, samples)
-            one_sense(samples, n)
             moved = update_shape(samples, n, band + 1.0, shape, normal)
             if moved < 0.0 or not within(shape, limits):
                 good = False
@@ -61,11 +60,8 @@ def verify(
         if not good or twin:
             continue
         n = len(samples)
-        sample_gradients(dx, dy, low, lens, shape, n, 1.5, samples)
-        one_sense(samples, n)
-        found, longest = _runs(samples, n)
-        share = found / n
-        if share * 2.0 * np.pi < least_arc or longest < least_share * found / 3.0:
+        share = sample_gradients(dx, dy, low, lens, shape, n, 1.5, samples) / n
+        if share * 2.0 * np.pi < least_arc:
             continue
         at = count
         if count == most:
@@ -90,7 +86,6 @@ def _exclusive(
     count = 0
     for k in range(shapes.shape[0]):
         sample_gradients(dx, dy, low, lens, shapes[k], n, 1.5, samples)
-        one_sense(samples, n)
         own = 0
         for i in range(n):
             if samples[i, WEIGHT] > 0.0:
@@ -126,25 +121,6 @@ def one_sense(samples: Array, n: int) -> None:
     for i in range(n):
         if not keep[i]:
             samples[i, WEIGHT] = 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _runs(samples: Array, n: int) -> tuple[int, int]:
-    """How many samples found an edge, and the longest run of them (gaps of two allowed)."""
-    found, longest, run, gap = 0, 0, 0, 9
-    for i in range(2 * n):
-        s = samples[i % n, WEIGHT] > 0.0
-        if s and i < n:
-            found += 1
-        if s:
-            run += 1
-            gap = 0
-        else:
-            gap += 1
-            if gap > 2:
-                run = 0
-        longest = max(longest, run)
-    return found, min(longest, n)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -19,15 +19,13 @@ import numpy.typing as npt
 
 from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.circle_pose import (
     CirclePose,
     circle_poses,
-    circles_of_picture,
+    circles_of_shapes,
     shape_of_circle,
     shapes_of_circles,
     tangent_basis,
-    widened,
 )
 from rendezview.sensors.ring.detector import RingEdge
 from rendezview.sensors.ring.memory import SIZES, Memory, odds_cost
@@ -147,24 +145,19 @@ def _propose(
     camera: Camera, edges: Sequence[RingEdge], known: Knowledge, possible: Bools | None
 ) -> _Proposed:
     """Every possible ellipse as every circle, with both poses."""
+    centres, axes = circles_of_shapes(camera, np.array([edge.ellipse.shape for edge in edges]))
+    usable = np.isfinite(centres).all(axis=(1, 2))
+    if possible is not None:
+        usable &= possible
     rows: list[tuple[int, int]] = []
-    places, ways = [], []
-    centres, axes = np.empty((2, 3)), np.empty((2, 3))
-    lens = lens_vector(camera)
-    for k, edge in enumerate(edges):
-        if possible is not None and not possible[k]:
-            continue
-        if circles_of_picture(lens, edge.ellipse.shape, 1.0, centres, axes) == 0:
-            continue
+    places, ways = [np.empty((0, 3))], [np.empty((0, 3))]
+    for k in np.flatnonzero(usable).tolist():
         for j, (height_m, circle_m) in known.every_circle:
             rows += [(k, j), (k, j)]
-            places.append(circle_m * centres - height_m * axes)
-            ways.append(axes.copy())
+            places.append(circle_m * centres[k] - height_m * axes[k])
+            ways.append(axes[k])
     table = np.array(rows, dtype=np.int64).reshape(-1, 2)
-    none = [np.empty((0, 3))]
-    return _Proposed(
-        table[:, 0], table[:, 1], np.concatenate(places or none), np.concatenate(ways or none)
-    )
+    return _Proposed(table[:, 0], table[:, 1], np.concatenate(places), np.concatenate(ways))
 
 
 def _cost_of_known(
@@ -271,7 +264,7 @@ def _size_sigma(edge: RingEdge) -> float:
     shape, covariance = edge.ellipse.shape, edge.ellipse.shape_covariance
     variance = 2.0 * edge.systematic_px**2
     if covariance is not None:
-        variance += covariance[2, 2] + covariance[4, 4] + 2.0 * covariance[2, 4]
+        variance += float(covariance[2::2, 2::2].sum())
     return math.sqrt(max(variance, 0.0)) / float(shape[2] + shape[4])
 
 
@@ -285,12 +278,13 @@ def _by_score(camera: Camera, edges: Sequence[RingEdge], radius_m: float) -> Whi
 
     Other ellipses are rivals unless they are seen to lie in its plane.
     """
-    poses = [circle_poses(camera, edge.ellipse, radius_m)[:1] for edge in edges]
-    if not poses[0]:
+    best = edges[0]
+    poses = circle_poses(camera, best.ellipse, radius_m, systematic_px=best.systematic_px)
+    if not poses:
         return Which(None, (), "the ellipse is no circle's picture")
-    ranges = [float(np.linalg.norm(pose[0].centre_m)) if pose else math.inf for pose in poses]
-    best, first = edges[0], widened(camera, poses[0][0], edges[0].systematic_px)
-    tilt = first.tilt_rad - first.axis_sigma_rad
+    centres, _ = circles_of_shapes(camera, np.array([edge.ellipse.shape for edge in edges]))
+    ranges = radius_m * np.linalg.norm(centres[:, 0], axis=1)
+    tilt = poses[0].tilt_rad - poses[0].axis_sigma_rad
 
     def same(k: int, known: int) -> bool:
         return known == 0 and edges[k].group == best.group and tilt > _PLANE_TILT_RAD
