@@ -12,6 +12,7 @@ EXPERIMENTS = {
         "pose-frames": ("pose.frames", "draws the frames for pose-accuracy with Mitsuba"),
         "pose-accuracy": ("pose.accuracy", "first poses and tracked poses on these frames"),
         "pose-confidence": ("pose.confidence", "whether it holds on random craft"),
+        "confidence-fit": ("pose.confidence_fit", "fits the confidence of poses by grey edges"),
         "photo-accuracy": ("pose.photo_accuracy", "poses from photographs in SPEED+'s form"),
         "sketch-confidence": ("pose.sketch_confidence", "fits the choice among poses of sketches"),
     },

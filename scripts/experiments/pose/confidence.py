@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -17,7 +18,8 @@ from experiments.pose.sketch_confidence import frame as hard_light
 from rendezview import Camera, Pose, Recognizer, TrainingOptions, ViewModel
 from rendezview.estimation.motion import extrapolate
 from rendezview.geometry.pose import Array
-from rendezview.geometry.symmetry import angle_between
+from rendezview.geometry.symmetry import Symmetry, angle_between
+from rendezview.sensors.appearance import AppearanceObservation
 from rendezview_ground.learn.job import train
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.mesh.symmetries import find_symmetries
@@ -73,32 +75,54 @@ def off(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Pose:
     return extrapolate(truth, np.append(turn, move), 1.0, centre_m)
 
 
-def rows_of(number: int, seed: int, frames: int, folder: Path) -> Rows:
-    """The answers for the frames of one craft: a row each, without a prior and with one."""
+class Look(NamedTuple):
+    """What was seen in a frame of a random craft, beside the truth."""
+
+    seen: AppearanceObservation
+    truth: Pose | None  # None: the frame shows another craft
+    prior: bool  # one was given
+    symmetries: Sequence[Symmetry]
+
+    def error_deg(self, pose: Pose | None) -> float:
+        """Of a pose; 180 where there is none, and of another craft."""
+        if pose is None or self.truth is None:
+            return 180.0
+        return float(np.rad2deg(angle_between(pose, self.truth, self.symmetries)))
+
+
+def looks(
+    number: int, seed: int, frames: int, folder: Path, *, sketch: bool = True
+) -> Iterator[Look]:
+    """What is seen in the frames of one craft, without a prior and with one."""
     cv2.setNumThreads(1)
     mesh, path, camera = craft(number, seed), folder / f"{number}.rvm", default_camera()
     train(mesh, path, name=path.stem, options=OPTIONS, jobs=1, symmetries=find_symmetries(mesh))
-    model, rows = ViewModel.load(path), []
+    model = ViewModel.load(path)
+    path.unlink()
     for k in range(frames):
         image, its_camera, truth = picture(number, camera, k, seed)
-        recognizer = Recognizer(model, its_camera)
+        recognizer = Recognizer(model, its_camera, sketch=sketch)
         priors: list[Pose | None] = [None]
         if truth is not None:
             priors.append(off(truth, model.centre_m, np.random.default_rng([seed, number, k, 1])))
         for prior in priors:
             seen = recognizer.recognize(image, prior)
-            if seen.found is None:
-                rows.append([np.nan, 180.0, False, prior is not None, False, truth is None])
-                continue
-            best, error_deg = seen.pose or seen.found.best.pose, 180.0
-            if truth is not None:
-                error_deg = float(np.rad2deg(angle_between(best, truth, model.symmetries)))
-            rows.append([
-                seen.found.confidence, error_deg, seen.pose is not None, prior is not None,
-                seen.found.on_sketch, truth is None,
-            ])  # fmt: skip
-    path.unlink()
+            yield Look(seen, truth, prior is not None, model.symmetries)
     print(f"craft {number}", flush=True)
+
+
+def rows_of(number: int, seed: int, frames: int, folder: Path) -> Rows:
+    """The answers for the frames of one craft: a row each, without a prior and with one."""
+    rows = []
+    for look in looks(number, seed, frames, folder):
+        pose, found = look.seen.pose, look.seen.found
+        confidence, on_sketch, best = np.nan, False, pose
+        if found is not None:
+            confidence, on_sketch, best = found.confidence, found.on_sketch, pose or found.best.pose
+        rows.append((
+            confidence, look.error_deg(best), pose is not None, look.prior, on_sketch,
+            look.truth is None,
+        ))  # fmt: skip
     names = ("confidence", "error_deg", "given", "prior", "on_sketch", "another")
     return dict(zip(names, np.array(rows, dtype=np.float64).T, strict=True))
 

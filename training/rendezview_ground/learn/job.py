@@ -23,7 +23,6 @@ from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.target import DockingRing, Reflector
-from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.view_model import HeldOut, ViewModel, Views
 from rendezview_ground.learn.jobs.cores import Cores
 from rendezview_ground.learn.jobs.shard_executor import ShardExecutor
@@ -194,7 +193,6 @@ def _train(
         sketches=sketches,
         shape=shape,
         score_forest=score_forest,
-        error_model=None if contours is None else ErrorModel.packaged(),
     )
     if held_out is not None:
         model = calibrated(model, stages.calibration(model, held_out))

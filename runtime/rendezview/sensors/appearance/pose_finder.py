@@ -318,12 +318,13 @@ class PoseFinder:
         if sketched is not None and found is not None and found.weighed:
             sketched = sketched.beside(found.weighed, self.model.symmetries)
         answers = [one for one in (found, sketched) if one is not None]
-        given = next(filter(self._confident, answers), None)
+        # A sketch is asked where grey edges are in doubt: hard light moves them.
+        given = next(filter(self._confident, reversed(answers)), None)
         if given is not None and given is sketched:
             # Grey edges are the finer ones, where they are seen: alone, or as the sketch confirms.
             there = Near(given.best.pose, NEAR_RAD, self.model.centre_m)
             finer = search.at(frame, sky, there)
-            if finer is None and found is not None and found.confidence >= _LEAST_CONFIDENT:
+            if finer is None and found is not None and found.confidence >= _HELD_FOR_WRONG:
                 finer = given.confirming(found, self.model.symmetries)
             given = finer or given
         return given, best_by(lambda one: one.confidence, answers)

@@ -197,7 +197,7 @@ def test_the_surroundings_of_a_pose_in_doubt_are_searched_until_it_is_sure(
     """Each better pose has its surroundings searched, a sure one does not."""
     found = [
         SimpleNamespace(best=Hypothesis(Pose(np.eye(3), [0.0, 0.0, z])), confidence=confidence)
-        for z, confidence in ((5.0, 0.7), (5.6, 0.8), (6.1, 0.99))
+        for z, confidence in ((5.0, 0.7), (5.6, 0.8), (6.1, 0.999))
     ]
     searched = []
     monkeypatch.setattr(PoseSearch, "_around", lambda self, _, best: searched.append(best))

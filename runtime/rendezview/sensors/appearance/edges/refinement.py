@@ -111,7 +111,6 @@ class Refiner:
         self._radius_m = model.target_radius_m if sphere is None else sphere.radius_m
         self.camera = camera
         self.options = options or RefineOptions()
-        self.error_model = model.error_model or ErrorModel.packaged()
         contours: Contours = model.contours if sphere is None else sphere.contours
         directions = model.lattice.nodes if sphere is None else sphere.directions
         own = np.copy if model.joints else np.asarray  # the points of parts are turned in place
@@ -333,7 +332,7 @@ class Refiner:
         if self.sphere is not None:
             outline, points = lit_inliers(edges, image, float(frame[1]))
             inner, visible = outline, 1.0
-        inflation = self.error_model.inflation(outline, spread_px, frame[2])
+        inflation = ErrorModel.packaged().inflation(outline, spread_px, frame[2])
         inflation *= self._stages[-1, VIEWS]  # which show the same edges
         if self.sphere is not None:
             inflation *= _NEAR_INFLATION

@@ -171,7 +171,6 @@ class Candidates:
             self.near is not None,
             self._all[chosen.rivals[0]] if chosen.rivals else None,
             self._votes(best),
-            error_model=self.level.refiner.error_model,
         )
 
     def _same(self, k: int, known: int) -> bool:

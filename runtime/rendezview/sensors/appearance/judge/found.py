@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import expit, logit
@@ -56,7 +56,6 @@ class Found:
     votes: float | None = None  # log odds of the outline's forest about it; None: not asked
     single: bool = False  # only the pose next to the prior was tried
     weighed: tuple[Hypothesis, ...] = ()  # beside its look-alikes, likeliest first; (): not asked
-    error_model: ErrorModel = field(default_factory=ErrorModel.packaged)
     # Of a pose on a sketch: probability that it is right, with the odds of its look-alikes, too,
     # other poses on the finer sketch, and how the search went
     probability: float | None = None
@@ -88,20 +87,16 @@ class Found:
 
     @property
     def features(self) -> Array:
-        """(11,) in the order of ``CONFIDENCE_FEATURES``."""
+        """(7,) in the order of ``CONFIDENCE_FEATURES``."""
         best = self.best
         return np.array(
             [
                 1.0,
                 best.outline,
-                best.inner,
                 best.residual_px,
                 min(best.overshoot, MOST_FEATURE),
                 min(max(self.margin, 0.0), MOST_FEATURE),
-                best.visible,
                 float(self.dark),
-                float(self.prior),
-                best.light,
                 best.shading or 0.0,
             ]
         )
@@ -111,9 +106,7 @@ class Found:
         """Probability that the best pose is right to 5°, 0 … 1."""
         if self.probability is not None:
             return self.probability
-        return self.error_model.confidence(
-            self.features, shading=self.best.shading is not None, dark=self.dark
-        )
+        return ErrorModel.packaged().confidence(self.features)
 
     def with_opinion(self, second: Found, symmetries: Sequence[Symmetry]) -> Found:
         """The more confident of two choices on sketches, with the probability that both give."""

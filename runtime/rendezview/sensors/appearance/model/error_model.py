@@ -2,7 +2,7 @@
 
 Two small regressions: log odds that a pose is right to 5°, and log of the factor by which the
 covariance of independent edges is multiplied. Their coefficients are data with provenance
-(``error_model.json``, fitted in version 0.1). A view model may carry its own.
+(``error_model.json``).
 """
 
 from __future__ import annotations
@@ -20,14 +20,13 @@ from rendezview.geometry.pose import Array
 
 PACKAGED = Path(__file__).with_name("error_model.json")
 
-# The features of the odds, in the order of the coefficients.
+# The features of the odds, in the order of the coefficients. Inner edges, light, what of the
+# outline lies in the picture and whether there is a prior say nothing more: with all ten, and
+# coefficients of their own for each sky, the log loss of craft left out is no lower
 CONFIDENCE_FEATURES = (
-    "constant", "outline", "inner", "residual_px", "overshoot", "margin", "visible", "dark",
-    "prior", "light", "shading",
+    "constant", "outline", "residual_px", "overshoot", "margin", "dark", "shading",
 )  # fmt: skip
 INFLATION_FEATURES = ("constant", "outline_missing", "residual_px", "dark")
-_EVIDENCE = ("edges", "edges_and_shading")
-_SKY = ("bright_sky", "dark_sky")
 _MOST_ODDS = 30.0  # of the log odds: exp stays finite. Source: by construction
 
 
@@ -35,13 +34,13 @@ _MOST_ODDS = 30.0  # of the log odds: exp stays finite. Source: by construction
 class ErrorModel:
     """Coefficients of both regressions, by feature."""
 
-    log_odds: Array  # (2, 2, 11) without and with shading; before a bright and a dark sky
+    log_odds: Array  # (7,)
     log_inflation: Array  # (4,)
     provenance: Mapping[str, Any] = field(default_factory=dict)  # data and program of the fit
 
     @classmethod
     def packaged(cls) -> ErrorModel:
-        """The one that comes with the program; it serves models that carry none."""
+        """The one that comes with the program."""
         return _packaged()
 
     @classmethod
@@ -51,14 +50,8 @@ class ErrorModel:
         Raises:
             ValueError: a coefficient is missing, unknown or no number; which one is said.
         """
-        odds = record["log_odds"]
         return cls(
-            np.array(
-                [
-                    [_row(odds[e][s], CONFIDENCE_FEATURES, f"log_odds.{e}.{s}") for s in _SKY]
-                    for e in _EVIDENCE
-                ]
-            ),
+            np.array(_row(record["log_odds"], CONFIDENCE_FEATURES, "log_odds")),
             np.array(_row(record["log_inflation"], INFLATION_FEATURES, "log_inflation")),
             dict(record.get("provenance", {})),
         )
@@ -66,22 +59,16 @@ class ErrorModel:
     def record(self) -> dict[str, Any]:
         """As a JSON object: coefficients by name of feature. Floats keep every bit."""
         return {
-            "log_odds": {
-                evidence: {
-                    sky: dict(zip(CONFIDENCE_FEATURES, row.tolist(), strict=True))
-                    for sky, row in zip(_SKY, rows, strict=True)
-                }
-                for evidence, rows in zip(_EVIDENCE, self.log_odds, strict=True)
-            },
+            "log_odds": dict(zip(CONFIDENCE_FEATURES, self.log_odds.tolist(), strict=True)),
             "log_inflation": dict(
                 zip(INFLATION_FEATURES, self.log_inflation.tolist(), strict=True)
             ),
             "provenance": dict(self.provenance),
         }
 
-    def confidence(self, features: Array, *, shading: bool, dark: bool) -> float:
-        """Probability that a pose is right to 5°, 0 … 1, of its ``CONFIDENCE_FEATURES`` (11,)."""
-        odds = float(features @ self.log_odds[int(shading), int(dark)])
+    def confidence(self, features: Array) -> float:
+        """Probability that a pose is right to 5°, 0 … 1, of its ``CONFIDENCE_FEATURES`` (7,)."""
+        odds = float(features @ self.log_odds)
         return float(1.0 / (1.0 + np.exp(-np.clip(odds, -_MOST_ODDS, _MOST_ODDS))))
 
     def inflation(self, outline: float, residual_px: float, dark: float) -> float:

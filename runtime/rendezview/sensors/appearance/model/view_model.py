@@ -19,7 +19,6 @@ from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance.model.container import read_container, write_container
 from rendezview.sensors.appearance.model.contours import Contours, surfaces_of_cells
-from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.forest import ForestScores, ScoreForest
 from rendezview.sensors.appearance.model.near_views import NearSphere
 from rendezview.sensors.appearance.model.shadowed_silhouettes import ShadowedSilhouettes
@@ -113,7 +112,6 @@ class ViewModel:
     )
     sketches: ViewSketches | None = None  # for photographs; None: trained without, or earlier
     shape: Shape | None = None  # of rivals; None: trained without, or earlier
-    error_model: ErrorModel | None = None  # of refined poses; None: the packaged one serves
     # (6, 6) of the strain that calibration left: xx, yy, zz, xy, xz, yz; None: not calibrated
     shape_covariance: Array | None = None
     # As the target file has them, for the sensors beside this one.
@@ -228,8 +226,6 @@ class ViewModel:
         }
         if self.shape_covariance is not None:
             header["shape_covariance"] = self.shape_covariance.tolist()
-        if self.error_model is not None:
-            header["error_model"] = self.error_model.record()
         if self.docking_ring is not None:
             header["docking_ring"] = self.docking_ring.record()
         if self.near:
@@ -267,7 +263,6 @@ class ViewModel:
             shape=_part(arrays, "shape", Shape),
             symmetries=tuple(Symmetry.of_record(s) for s in header.get("symmetries", [])),
             shape_error=float(header.get("shape_error", 0.0)),
-            error_model=_error_model(header),
             shape_covariance=_shape_covariance(header),
             docking_ring=DockingRing.of_record(header["docking_ring"])
             if "docking_ring" in header
@@ -348,11 +343,6 @@ def _shape_covariance(header: dict[str, Any]) -> Array | None:
     if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
         raise ValueError("shape_covariance must be 6 × 6 finite numbers")
     return covariance
-
-
-def _error_model(header: dict[str, Any]) -> ErrorModel | None:
-    """Of refined poses; models made earlier have none."""
-    return ErrorModel.of_record(header["error_model"]) if "error_model" in header else None
 
 
 def _part(

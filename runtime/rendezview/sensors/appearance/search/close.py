@@ -82,9 +82,7 @@ class CloseSearch:
             best = _weighed(found, prior, range_error)
         if best is None:
             return None
-        return Found(
-            best, 1.0, sky.dark, prior=True, single=single, error_model=refiner.error_model
-        )
+        return Found(best, 1.0, sky.dark, prior=True, single=single)
 
 
 def _with_turned(
