@@ -79,10 +79,12 @@ def test_a_bent_part_that_is_not_trusted_costs_little(tmp_path: Path) -> None:
         errors = []
         for truth, frame in frames:
             found = recognizer.recognize(frame, prior=truth)
-            assert found.pose is not None
-            errors.append(np.rad2deg(found.pose.angle_to(truth)))
+            # Where the bent part is trusted, a pose may be so far off that none is given.
+            assert found.pose is not None or trust == 1.0
+            errors.append(180.0 if found.pose is None else np.rad2deg(found.pose.angle_to(truth)))
         medians.append(np.median(errors))
     # degrees, 1.8 and 0.05 when it was written
+    assert medians[0] < 5.0
     assert medians[1] < 0.3
     assert medians[1] < 0.3 * medians[0]
 
