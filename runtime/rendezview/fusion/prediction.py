@@ -207,7 +207,7 @@ def _swung(state: FilterState, swing_rad: Array) -> FilterState:
 
 
 def models_of(motion: MotionOptions, jitter: float) -> tuple[Array, Array]:
-    """(A, 4) accelerations and (J, 2) jitters, as `prediction.predicted` takes them."""
+    """(A, 4) accelerations and (J, 2) jitters, as `predicted` takes them."""
     accelerations, jitters = _models(motion)
     jitters = jitters.copy()
     jitters[0, 0] = jitter

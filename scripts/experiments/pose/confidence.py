@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -127,6 +127,28 @@ def rows_of(number: int, seed: int, frames: int, folder: Path) -> Rows:
     return dict(zip(names, np.array(rows, dtype=np.float64).T, strict=True))
 
 
+def of_each_craft(
+    rows: Callable[[int, int, int, Path], Rows], craft_count: int, seed: int, frames: int,
+    keep: Path | None,
+) -> tuple[Array, Rows]:  # fmt: skip
+    """The rows of all craft, one after the other, and the number of the craft (N,) of each.
+
+    Args:
+        rows: of a craft, given its number, seed, frames and a folder for its model.
+        keep: folder of the rows of each craft; what is there is not made again. None: a new one.
+    """
+    with tempfile.TemporaryDirectory() as folder, Parallel(n_jobs=-1) as parallel:
+        kept_in = Path(folder) if keep is None else keep
+        kept_in.mkdir(exist_ok=True)
+        each = parallel(
+            delayed(kept)(kept_in / f"{k}.npz", partial(rows, k, seed, frames, Path(folder)))
+            for k in range(craft_count)
+        )
+    counts = [len(next(iter(one.values()))) for one in each]
+    together = {name: np.concatenate([one[name] for one in each]) for name in each[0]}
+    return np.repeat(np.arange(len(each)), counts), together
+
+
 def losses(confidence: Array, right: Array) -> Array:
     """(N,) log losses."""
     return -np.log(np.clip(np.where(right, confidence, 1.0 - confidence), 1e-4, 1.0))
@@ -143,16 +165,9 @@ def run(
     pose is right. A quarter of the craft nearly map onto themselves. A pose is right if it is less
     than 5° off, wrong if it is more than 10° off. A prior is up to 14° off.
     """
-    with tempfile.TemporaryDirectory() as folder, Parallel(n_jobs=-1) as parallel:
-        keep = Path(folder) if rows is None else rows
-        keep.mkdir(exist_ok=True)
-        each = parallel(
-            delayed(kept)(keep / f"{k}.npz", partial(rows_of, k, seed, frames, Path(folder)))
-            for k in range(craft_count)
-        )
-    number = np.repeat(np.arange(len(each)), [len(one["given"]) for one in each])
+    number, table = of_each_craft(rows_of, craft_count, seed, frames, rows)
     confidence, error_deg, given, prior, on_sketch, another = (
-        np.concatenate([one[name] for one in each])
+        table[name]
         for name in ("confidence", "error_deg", "given", "prior", "on_sketch", "another")
     )
     right, given, found = error_deg < RIGHT_DEG, given > 0.5, np.isfinite(confidence)

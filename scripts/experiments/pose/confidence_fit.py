@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 from unittest import mock
 
 import numpy as np
-from joblib import Parallel, delayed
 from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from experiments.frame import kept, show, table_of
-from experiments.pose.confidence import RIGHT_DEG, WRONG_DEG, Rows, looks, losses
+from experiments.frame import show, table_of
+from experiments.pose.confidence import (
+    RIGHT_DEG,
+    WRONG_DEG,
+    Rows,
+    looks,
+    losses,
+    of_each_craft,
+)
 from experiments.pose.sketch_confidence import FOLDS
 from rendezview.estimation.hypotheses import Choice
 from rendezview.geometry.pose import Array
@@ -102,21 +106,12 @@ def run(
     many craft it is better, last choices that are right and wrong from a confidence on, and frames
     with any choice that would end a search, right and wrong.
     """
-    with tempfile.TemporaryDirectory() as folder, Parallel(n_jobs=-1) as parallel:
-        keep = Path(folder) if rows is None else rows
-        keep.mkdir(exist_ok=True)
-        each = parallel(
-            delayed(kept)(keep / f"{k}.npz", partial(rows_of, k, seed, frames, Path(folder)))
-            for k in range(craft_count)
-        )
-    number = np.repeat(np.arange(len(each)), [len(one["error_deg"]) for one in each])
-    features, error_deg, look, last = (
-        np.concatenate([one[name] for one in each])
-        for name in ("features", "error_deg", "look", "last")
-    )
-    right, wrong, last = error_deg < RIGHT_DEG, error_deg > WRONG_DEG, last > 0.5
-    _, frame = np.unique(np.column_stack([number, look]), axis=0, return_inverse=True)
-    table = table_of("grey edges", "confidence | log loss | better | from 0.6 | 0.9 | any at 0.995")
+    number, choices = of_each_craft(rows_of, craft_count, seed, frames, rows)
+    features, error_deg, last = choices["features"], choices["error_deg"], choices["last"] > 0.5
+    right, wrong = error_deg < RIGHT_DEG, error_deg > WRONG_DEG
+    _, frame = np.unique(np.column_stack([number, choices["look"]]), axis=0, return_inverse=True)
+    columns = f"confidence | log loss | better | from 0.6 | 0.9 | any at {search._ENDS}"
+    table = table_of("grey edges", columns)
     package = np.array([ErrorModel.packaged().confidence(one) for one in features])
     means = []
     for name, confidence in (
@@ -129,7 +124,7 @@ def run(
             f"{(last & wrong & (confidence >= least)).sum()}"
             for least in (0.6, 0.9)
         ]
-        ends = confidence >= 0.995
+        ends = confidence >= search._ENDS
         counts.append(", ".join(str(len(set(frame[ends & kind]))) for kind in (right, wrong)))
         better = f"{(means[-1] < means[0]).sum()} of {len(means[0])} craft"
         table.add_row(name, f"{loss[last].mean():.4f}", better, *counts)
@@ -138,7 +133,7 @@ def run(
     coefficients = np.round(fitted(features[last], right[last]), 2)
     record["log_odds"] = dict(zip(CONFIDENCE_FEATURES, coefficients.tolist(), strict=True))
     record["provenance"]["log_odds"] = {
-        "experiment": "confidence-fit", "random_craft": len(each), "frames_of_each": frames,
+        "experiment": "confidence-fit", "random_craft": craft_count, "frames_of_each": frames,
         "seed": seed, "searches": int(last.sum()),
     }  # fmt: skip
     text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"

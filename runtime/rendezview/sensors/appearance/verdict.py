@@ -135,25 +135,24 @@ def contradicted(seen: AppearanceObservation, why: str, *, boxed: bool) -> Appea
 
 def unconfirmed(seen: AppearanceObservation) -> AppearanceObservation:
     """The observation of a pose that the next frame must confirm."""
-    return replace(
-        seen,
-        status=Status.AMBIGUOUS,
-        reason="the pose found is far from where the target was lost; the next frame decides",
-        pose=None,
-        covariance=None,
-        joints=None,
-    )
+    reason = "the pose found is far from where the target was lost; the next frame decides"
+    return _open(seen, reason, seen.confidence)
 
 
 def doubted(seen: AppearanceObservation, posterior: float) -> AppearanceObservation:
     """The observation of a tracked pose that another view has made doubtful."""
-    return replace(
-        seen,
-        status=Status.AMBIGUOUS,
-        reason=f"the tracked pose has a probability of {posterior:.2f} beside its look-alikes: "
-        "the next frame is searched anew; a prior or the Sun's direction would decide",
-        pose=None,
-        covariance=None,
-        confidence=posterior,
-        joints=None,
+    reason = (
+        f"the tracked pose has a probability of {posterior:.2f} beside its look-alikes: "
+        "the next frame is searched anew; a prior or the Sun's direction would decide"
     )
+    return _open(seen, reason, posterior)
+
+
+def _open(
+    seen: AppearanceObservation, reason: str, confidence: float | None
+) -> AppearanceObservation:
+    """The observation without its pose, which later frames decide on."""
+    return replace(
+        seen, status=Status.AMBIGUOUS, reason=reason, pose=None, covariance=None, joints=None,
+        confidence=confidence,
+    )  # fmt: skip
