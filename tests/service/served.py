@@ -96,13 +96,13 @@ class Served:
 
     @property
     def workers(self) -> list[int]:
-        """Numbers of its worker processes."""
-        return self.pids()[1:]
+        """Numbers of its worker processes, known by what they run."""
+        children = psutil.Process(self.process.pid).children()
+        return [child.pid for child in children if _is_worker(child)]
 
     def pids(self) -> list[int]:
         """Of the service and its workers; what compiles loops beside them ends by itself."""
-        children = psutil.Process(self.process.pid).children()
-        return [self.process.pid, *(one.pid for one in children if not _compiles(one))]
+        return [self.process.pid, *self.workers]
 
     def processor_s(self) -> float:
         """Processor time of the service and its workers."""
@@ -133,9 +133,9 @@ class Served:
             self.process.wait(MOST_S)
 
 
-def _compiles(process: psutil.Process) -> bool:
-    """Whether a process compiles loops; one that has ended does not count either."""
+def _is_worker(process: psutil.Process) -> bool:
+    """A new child of the service looks like the service itself until it runs its program."""
     try:
-        return "rendezview.cli.compiling" in process.cmdline()
+        return "rendezview_service.worker.worker" in process.cmdline()
     except psutil.NoSuchProcess:
-        return True
+        return False

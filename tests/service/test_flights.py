@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from tests.ground.fly.test_rendered import PLAN
 from tests.service.page_feed import text_has, until
@@ -216,7 +217,8 @@ def test_serve_flies_by_itself_and_its_flight_ends_with_it(start_service):
     served = start_service("--fly", "client")
     with served.client() as client:
         wait_until(lambda: any(s["flight"] for s in client.sessions()), lambda: served.lines)
-    (pilot,) = [pid for pid in served.workers if b"--live" in _command(pid)]
+    children = [child.pid for child in psutil.Process(served.process.pid).children()]
+    (pilot,) = [pid for pid in children if b"--live" in _command(pid)]
     served.stop()
     assert b"--live" not in _command(pilot)
 
