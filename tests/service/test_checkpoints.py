@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import threading
+import time
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
@@ -53,6 +55,18 @@ def test_a_checkpoint_that_cannot_be_read_hides_no_other(path):
     checkpoint_path(path.parent, "half").write_text('{"request":')
     checkpoint_path(path.parent, "odd").mkdir()
     assert [kept.tracked.frames for kept in kept_in(path.parent)] == [3]
+
+
+@pytest.mark.parametrize(("confidence", "posterior"), [(0.97, 0.97), (0.7, 0.9)])
+def test_the_next_tracker_is_no_surer_of_the_last_pose_than_the_last_one_was(confidence, posterior):
+    """A pose that was given has 0.9 among its look-alikes, whatever else makes it doubtful."""
+    pose = {"quat_wxyz": [1.0, 0.0, 0.0, 0.0], "translation_m": [0.0, 0.0, 9.0]}
+    state = json.dumps({"pose": pose, "confidence": confidence}).encode()
+    progress = Progress(last_found=state, found_unix_s=time.time())
+    prior, known = progress.prior
+    assert (prior.translation_m, known) == ([0.0, 0.0, 9.0], posterior)
+    asked = SessionRequest(id="run", prior=prior, prior_posterior=known)
+    assert SessionRequest.model_validate_json(asked.model_dump_json()) == asked
 
 
 def test_two_services_do_not_have_one_state(tmp_path):

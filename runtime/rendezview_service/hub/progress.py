@@ -7,6 +7,7 @@ import json
 from pydantic import BaseModel, ConfigDict, PrivateAttr
 
 from rendezview.errors import RendezviewError
+from rendezview.sensors.appearance.verdict import LEAST_POSTERIOR
 from rendezview_service.hub.clock import SessionClock
 from rendezview_service.messages.message_parts import MOST_FIRST_S, MOST_JUMP_S, PoseMessage
 from rendezview_service.messages.messages import Phase
@@ -56,15 +57,20 @@ class Progress(BaseModel):
         return self._header.get("time_s")
 
     @property
-    def prior(self) -> PoseMessage | None:
-        """The last pose, else the last fused one; None if both are old."""
+    def prior(self) -> tuple[PoseMessage | None, float]:
+        """The last pose, else the last fused one; None if both are old. And its posterior.
+
+        No tracker gives a pose of a lower posterior than that, nor of a higher confidence.
+        """
         found_age_s = self._age_s(self.found_unix_s)
         if self.last_found is not None and found_age_s is not None and found_age_s < _PRIOR_S:
-            return PoseMessage.model_validate(json.loads(self.last_found)["pose"])
+            found = json.loads(self.last_found)
+            posterior = max(found.get("confidence") or 0.0, LEAST_POSTERIOR)
+            return PoseMessage.model_validate(found["pose"]), posterior
         kept, age_s = self.handover, self.age_s
         if kept is None or age_s is None or age_s >= _PRIOR_S:
-            return None
-        return PoseMessage.model_validate(kept["pose"])
+            return None, 1.0
+        return PoseMessage.model_validate(kept["pose"]), LEAST_POSTERIOR
 
     @property
     def handover(self) -> Header | None:

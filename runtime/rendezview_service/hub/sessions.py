@@ -327,7 +327,8 @@ class Session:
             self.events.add("recording", Level.ALARM, f"{lost} states waited for the disk: lost")
         self.handover = self.progress.handover
         if self.progress.last_found is not None or self.handover is not None:
-            known = {"prior": self.progress.prior, "roi": None}
+            prior, posterior = self.progress.prior
+            known = {"prior": prior, "prior_posterior": posterior, "roi": None}
             self.request_now = self.request.model_copy(update=known)
         self._others.forget("its filter ended with the worker process; a new one starts")
         self.frame_base = self.progress.frames

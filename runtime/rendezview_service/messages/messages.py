@@ -91,6 +91,9 @@ class SessionRequest(Message):
     prior: PoseMessage | None = Field(
         default=None, description="pose at the first frame, attitude within about 20°"
     )
+    prior_posterior: float = Field(
+        default=1.0, ge=0.0, le=1.0, description="probability of the prior among its look-alikes"
+    )
     sun_camera: Direction | None = Field(default=None, description="towards the Sun, camera frame")
     roi: RegionNumbers | None = Field(
         default=None, description="target at first: x, y, width, height, px; x, y; or x, y, range"

@@ -101,7 +101,9 @@ class SessionTracker:
         asked, integrity = request.integrity, None
         if asked is not None:
             integrity = IntegrityOptions(**asked.model_dump(exclude_none=True))
-        self.tracker = Tracker(recognizer, prior, integrity=integrity)
+        self.tracker = Tracker(
+            recognizer, prior, integrity=integrity, prior_posterior=request.prior_posterior
+        )
         self._nodes = model.geodesic.nodes.tolist()
         self._sensors = FrameSensors(request, self.camera)
         fuses = request.sensors is not None and bool(request.sensors.fusion)

@@ -380,3 +380,42 @@ def test_a_track_that_another_view_contradicts_begins_anew():
     assert "probability of 0.83 beside its look-alikes" in looks[1].reason
     assert script.priors[2] is None
     assert looks[2].confidence == 0.95
+
+
+def test_a_prior_is_no_surer_than_it_is_said_to_be():
+    """As after a restart of the service, which knows the last confidence."""
+    script = LookAlikes(0.9)
+    tracker, looks = Tracker(script, script.pose, prior_posterior=0.95), []
+    for k, turn_deg in enumerate((0.5, 4.0)):
+        looks.append(tracker.update(float(k), FRAME).confidence)
+        script.turned += np.deg2rad(turn_deg)
+    looks.append(tracker.update(2.0, FRAME).confidence)
+    assert looks == pytest.approx([0.95, 0.95, 0.99])  # odds of 19, 19 and 171
+
+
+class Doubtful(Restarting):
+    """Finds nothing near a pose in two frames; each search gives a probability of 0.95."""
+
+    def __init__(self, place: Pose) -> None:
+        super().__init__()
+        self.place = place
+
+    def recognize(self, image, prior=None, *options, time_s, **others) -> AppearanceObservation:
+        if prior is not None and not np.allclose(prior.translation_m, self.place.translation_m):
+            return AppearanceObservation(Status.LOST, "nothing near", time_s=time_s)
+        shares = (0.95, 0.05) if prior is None else ()
+        weighed = tuple(Hypothesis(self.place, probability=share) for share in shares)
+        found = Found(Hypothesis(self.place), 1.0, True, prior is not None, weighed=weighed)
+        return AppearanceObservation(
+            Status.OK, pose=self.place, confidence=0.99, time_s=time_s, found=found
+        )
+
+
+@pytest.mark.parametrize("place", [A_LITTLE_NEARER, NEARER], ids=["at once", "confirmed"])
+def test_after_a_restart_a_pose_is_no_surer_than_the_search_that_found_it(place):
+    """Also where the frame after it had to confirm it, next to it."""
+    tracker = Tracker(Doubtful(place), A)
+    looks = [tracker.update(float(k), FRAME) for k in range(6)]
+    given = [look.confidence for look in looks if look.pose is not None]
+    assert given == [0.95] * len(given)
+    assert len(given) >= 3

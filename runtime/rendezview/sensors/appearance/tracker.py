@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import expit, logit
 
-from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import nearest_alike
 from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
@@ -19,6 +18,7 @@ from rendezview.sensors.appearance.joints import JointFilter
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.region import Region
+from rendezview.sensors.appearance.tracked_motion import TrackedMotion, searched
 from rendezview.sensors.appearance.verdict import LEAST_POSTERIOR, doubted, unconfirmed
 from rendezview.sensors.arguments import check_prior, check_recognizer, check_time
 
@@ -28,9 +28,6 @@ _SAME_RAD = np.deg2rad(3.0)
 # the risk of a protection level
 _SETTLED = 0.999
 _NOTHING = 1e-9  # a probability. Source: by construction, no infinity
-# target radii; a centre predicted nearer than this is not used. Source: by construction, inside the
-# target
-_NEAREST_RADII = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,22 +66,6 @@ class TrackerOptions:
     expected_rad: float = np.deg2rad(3.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Motion:
-    """The last pose and the rates between the last two."""
-
-    pose: Pose
-    time_s: float | None  # None: a first prior, before the first frame
-    turn_rad_s: Array  # (3,) camera frame
-    move_m_s: Array  # (3,) of the view centre, camera frame
-    posterior: float = 1.0  # of the poses among their look-alikes, by the frames until here …
-    weighed: Pose | None = None  # … the last of which showed this pose
-
-    @property
-    def moves(self) -> bool:
-        return bool(self.turn_rad_s.any() or self.move_m_s.any())
-
-
 class _Frame(NamedTuple):
     """What `Tracker.update` is given; see there."""
 
@@ -109,6 +90,7 @@ class Tracker:
         prior: Pose | None = None,
         options: TrackerOptions | None = None,
         integrity: IntegrityOptions | None = None,
+        prior_posterior: float = 1.0,
     ) -> None:
         """A tracker before its first frame.
 
@@ -117,15 +99,16 @@ class Tracker:
             prior: camera_from_target of the first frame; ``None``: all attitudes are searched.
             options: when to let go of the last pose.
             integrity: each pose gets a protection level and alarms; ``None``: it gets none.
+            prior_posterior: probability of the prior among its look-alikes.
         """
         check_recognizer(recognizer)
         check_prior(prior)
         self.recognizer = recognizer
         self.options = options or TrackerOptions()
-        self._motion = None if prior is None else _Motion(prior, None, np.zeros(3), np.zeros(3))
+        self._motion = None if prior is None else TrackedMotion(prior, prior_posterior, prior)
         self._last_time_s = -np.inf
         self._misses = 0
-        self._jump: Pose | None = None  # of the frame before, to be confirmed
+        self._jump: TrackedMotion | None = None  # of the frame before, to be confirmed
         self._confirmed = (0.0, 0)  # inlier ratio in the last search, frames since
         self._expected: tuple[Pose, float] | None = None  # at the next frame, and how far off, rad
         self._joints: JointFilter | None = None  # of a target with joints, after its first pose
@@ -174,14 +157,9 @@ class Tracker:
 
     def predicted(self, time_s: float) -> Pose | None:
         """camera_from_target expected at a time."""
-        motion, model = self._motion, self.recognizer.model
-        if motion is None or motion.time_s is None or not motion.moves:
-            return None if motion is None else motion.pose
-        ahead_s = min(time_s - motion.time_s, self.options.longest_prediction_s)
-        rates = np.concatenate([motion.turn_rad_s, motion.move_m_s])
-        pose = extrapolate(motion.pose, rates, ahead_s, model.centre_m)
-        near = pose.apply(model.centre_m)[2] < _NEAREST_RADII * model.target_radius_m
-        return motion.pose if near else pose
+        if self._motion is None:
+            return None
+        return self._motion.at(time_s, self.options.longest_prediction_s, self.recognizer.model)
 
     def _predicted_angles(self, time_s: float) -> Array | None:
         """(J,) angles of the joints expected at a time; None where they are not known."""
@@ -263,7 +241,8 @@ class Tracker:
         """Near an expected pose, and as without it where the target is not there."""
         observation = self._seen(frame, *expected)
         if observation.pose is not None:
-            self._motion = None  # the rates are those of the poses before it was lost
+            if (last := self._motion) is not None:  # its rates are those before it was lost
+                self._motion = TrackedMotion(last.pose, last.posterior, last.weighed)
             return observation
         return self._look(frame)
 
@@ -291,10 +270,12 @@ class Tracker:
             again = self._restarted(frame, prior)
             if again is not None:
                 restarted = self._as_before(again, prior, frame)
+                assert restarted.pose is not None
+                jump = TrackedMotion(restarted.pose, *searched(again.found, restarted.pose))
                 if prior is None or self._may_follow(prior, restarted, error_rad):
-                    self._motion = None  # a restart: no rates from the pose before
+                    self._motion = jump
                     return restarted
-                self._jump = restarted.pose
+                self._jump = jump
                 return unconfirmed(restarted)
         return observation
 
@@ -318,13 +299,13 @@ class Tracker:
         near = abs(np.log(now_m / max(before_m, 1e-9))) <= np.log1p(self.options.restart_range)
         return bool(near) and seen.pose.angle_to(prior) <= error_rad
 
-    def _confirm(self, jump: Pose, frame: _Frame) -> AppearanceObservation | None:
+    def _confirm(self, jump: TrackedMotion, frame: _Frame) -> AppearanceObservation | None:
         """The pose next to the one of the frame before; None where it is not there again."""
         self._jump = None
-        seen = self._seen(frame, jump)
-        if seen.pose is None or not self._may_follow(jump, seen, self.recognizer.prior_error_rad):
+        seen, reach_rad = self._seen(frame, jump.pose), self.recognizer.prior_error_rad
+        if seen.pose is None or not self._may_follow(jump.pose, seen, reach_rad):
             return None
-        self._motion = None  # a restart: no rates from the pose before
+        self._motion = jump
         return seen
 
     def _as_before(
@@ -373,16 +354,8 @@ class Tracker:
 
     def _follow(self, observation: AppearanceObservation, pose: Pose, time_s: float) -> None:
         """Take a pose over, the rates since the last one, and how well it is confirmed."""
-        last, turn_rad_s, move_m_s = self._motion, np.zeros(3), np.zeros(3)
-        found = observation.found
-        posterior, weighed = (1.0, None) if last is None else (last.posterior, last.weighed)
-        if found is not None and not found.prior:
-            posterior, weighed = found.posterior, pose
-        if last is not None and last.time_s is not None and time_s > last.time_s:
-            centre_m: Array = self.recognizer.model.centre_m
-            rates = rates_between(last.pose, pose, time_s - last.time_s, centre_m)
-            turn_rad_s, move_m_s = rates[:3], rates[3:]
-        self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s, posterior, weighed)
+        found, centre_m = observation.found, self.recognizer.model.centre_m
+        self._motion = TrackedMotion.followed(self._motion, pose, time_s, found, centre_m)
         self._misses, self._jump = 0, None
         if found is None or found.on_sketch:  # its inlier ratio is another
             self._confirmed = (0.0, 0)
