@@ -17,6 +17,7 @@ from rendezview.sensors.appearance.edges import refinement
 from rendezview.sensors.appearance.edges.profile_fit import fit_profile
 from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
 from rendezview.sensors.appearance.edges.strain import StrainMoves
+from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.model.container import read_container, write_container
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
@@ -336,3 +337,30 @@ def test_a_sequence_survives_a_jump_and_an_outage(refining_model, bumpy_mesh, ca
 def test_blur_out_of_range_is_refused():
     with pytest.raises(ValueError, match="blur_px"):
         RefineOptions(blur_px=0.0)
+
+
+@pytest.mark.parametrize(
+    ("ends", "asked", "given"),
+    [
+        ([0.70], [4], 0.70),
+        ([0.40, 0.50, 0.66], [4, 3, 2], 0.66),
+        ([None, 0.50, 0.40, 0.30], [4, 3, 2, 1], 0.50),
+    ],
+)
+def test_stages_that_lead_away_from_a_better_start_are_left_out(
+    refining_model, camera, monkeypatch, ends, asked, given
+):
+    """The start explains 0.65; if all stages lead away, the first that found a hold counts."""
+    refiner, stages, left = Refiner(refining_model, camera), [], list(ends)
+
+    def moved(image, sky, start, of, least) -> Hypothesis | None:
+        stages.append(len(of))
+        share = left.pop(0)
+        return None if share is None else Hypothesis(start, outline=share, inner=share)
+
+    monkeypatch.setattr(refiner, "_ratio", lambda *given: 0.65)
+    monkeypatch.setattr(refiner, "_moved", moved)
+    frame = np.zeros((4, 4), np.uint8)
+    found = refiner.refine(frame, Sky.of(frame), random_pose(0))
+    assert found.inlier_ratio == pytest.approx(given)
+    assert stages == asked
