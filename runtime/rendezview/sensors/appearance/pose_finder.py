@@ -317,13 +317,15 @@ class PoseFinder:
         """Of what grey edges and a sketch show the one to give, if any, and the surer one."""
         if sketched is not None and found is not None and found.weighed:
             sketched = sketched.beside(found.weighed, self.model.symmetries)
-        # A sketch is asked where grey edges are in doubt: hard light moves them.
         answers = [one for one in (sketched, found) if one is not None]
-        given = next(filter(self._confident, answers), None)
+        given = best_by(lambda one: one.confidence, filter(self._confident, answers))
         if given is not None and given is sketched:
             # Grey edges are the finer ones, where they are seen: alone, or as the sketch confirms.
             there = Near(given.best.pose, NEAR_RAD, self.model.centre_m)
             finer = search.at(frame, sky, there)
+            if finer is not None and found is not None and found.weighed:
+                alone = finer.known_among(found.weighed, self.model.symmetries)
+                finer = alone if self._confident(alone) else None
             if finer is None and found is not None and found.confidence >= _HELD_FOR_WRONG:
                 finer = given.confirming(found, self.model.symmetries)
             given = finer or given

@@ -62,3 +62,13 @@ def test_poses_alike_by_a_symmetry_agree() -> None:
     grey = by_grey_edges(turned, covariance(0.1, 0.01))
     assert on_sketch().confirming(grey, [HALF_TURN]).best is grey.best
     assert on_sketch().confirming(grey, []).best is not grey.best
+
+
+@pytest.mark.parametrize(("degrees", "share"), [(1.0, 0.83), (20.0, 0.17), (60.0, 0.0)])
+def test_a_pose_aligned_alone_is_no_surer_than_the_look_alike_that_it_is(degrees, share) -> None:
+    """One that is none of those weighed was not drawn: nothing speaks for it."""
+    weighed = [Hypothesis(moved(0.0, 0.0), probability=0.83),
+               Hypothesis(moved(20.0, 0.0), probability=0.17)]  # fmt: skip
+    alone = by_grey_edges(moved(degrees, 0.0), None)
+    assert alone.posterior == 1.0
+    assert alone.known_among(weighed, []).posterior == pytest.approx(share)

@@ -12,6 +12,7 @@ from scipy.special import expit, logit
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between, nearest_alike
 from rendezview.sensors.appearance.hypothesis import Aligned, Hypothesis
+from rendezview.sensors.appearance.judge.rivals import RIVAL_RAD
 from rendezview.sensors.appearance.judge.sketch_choice import (
     NEAR_RAD,
     Passes,
@@ -142,6 +143,11 @@ class Found:
         together = float(expit(logit(share) - math.log(odds / rest.sum())))
         return replace(self, probability=min(own, together), among=together, weighed=tuple(weighed))
 
+    def known_among(self, weighed: Sequence[Hypothesis], symmetries: Sequence[Symmetry]) -> Found:
+        """A pose that was aligned alone, no surer than it is among look-alikes weighed before."""
+        share = share_of(self.best.pose, weighed, symmetries)
+        return replace(self, among=share, weighed=tuple(weighed))
+
     def confirming(self, grey: Found, symmetries: Sequence[Symmetry]) -> Found:
         """A pose on a sketch, with that of grey edges in its place if both agree and it is finer.
 
@@ -157,6 +163,12 @@ class Found:
         allowed = own.covariance + other.covariance
         agree = apart @ np.linalg.solve(allowed, apart) <= _AGREE_CHI2
         return replace(self, best=other) if agree else self
+
+
+def share_of(pose: Pose, weighed: Sequence[Hypothesis], symmetries: Sequence[Symmetry]) -> float:
+    """Probability of a pose: of those weighed that are the same answer."""
+    same = (one for one in weighed if angle_between(one.pose, pose, symmetries) < RIVAL_RAD)
+    return float(sum(one.probability for one in same))
 
 
 def merit(hypothesis: Hypothesis, shading: float | None) -> float:

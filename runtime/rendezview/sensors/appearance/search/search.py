@@ -16,14 +16,12 @@ import numpy as np
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.hypothesis import Bound, Hypothesis
 from rendezview.sensors.appearance.judge.candidates import CLOSE_RAD, Candidates
-from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.found import Found, share_of
 from rendezview.sensors.appearance.judge.near import Near
-from rendezview.sensors.appearance.judge.rivals import RIVAL_RAD
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
@@ -278,11 +276,7 @@ class PoseSearch:
         found = self._beside_look_alikes(candidates, candidates.choose())
         if found is None or not found.weighed:
             return 1.0
-        symmetries = self.model.symmetries
-        same = [
-            one for one in found.weighed if angle_between(one.pose, pose, symmetries) < RIVAL_RAD
-        ]
-        return sum(one.probability for one in same)
+        return share_of(pose, found.weighed, self.model.symmetries)
 
     def proposed(
         self, image: Picture, sky: Sky, proposals: list[Pose], outlines: Outlines | None, *,
