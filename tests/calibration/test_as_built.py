@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.calibration.as_built import ShapeEstimator, ShapeOptions, strained
+from rendezview.calibration.as_built import ShapeEstimator, ShapeOptions, estimation, strained
 from rendezview.calibration.as_built.picture import shape_picture
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
@@ -67,6 +67,22 @@ def test_a_wrong_focal_length_is_found_with_the_strain(refining_model, camera, f
     assert found.camera.fx / found.camera.fy == pytest.approx(camera.fx / camera.fy)
     error = found.components - STRAIN[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     assert np.abs(error).max() < 0.005
+
+
+def test_what_all_edges_are_off_alike_is_in_the_uncertainty_of_the_lens(
+    refining_model, camera, fly_around, monkeypatch
+):
+    """No residual and no scatter between frames shows it."""
+    frames, _, priors = (part[:10] for part in fly_around)
+    known = {0: (STRAIN[0, 0], 1e-3)}
+    variances = []
+    for shared_px in (0.0, 0.1, 0.2):
+        monkeypatch.setattr(estimation, "SHARED_PX", shared_px)
+        found = ShapeEstimator(refining_model, camera).estimate(frames, priors, known, lens=True)
+        variances.append(found.lens_covariance[0, 0])
+    more = np.diff(variances)
+    assert more[0] > 0.0
+    assert more[1] == pytest.approx(3.0 * more[0], rel=1e-6)
 
 
 def test_frames_that_do_not_show_the_focal_length_are_refused(refining_model, camera, fly_around):

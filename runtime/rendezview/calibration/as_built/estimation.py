@@ -36,6 +36,7 @@ from rendezview.geometry.so3 import exp
 from rendezview.io.grey_frame import Picture
 from rendezview.io.parts import TrustedPart
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
+from rendezview.sensors.appearance.edges.refinement import SHARED_PX
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
@@ -188,10 +189,12 @@ class ShapeEstimator:
         return np.asarray(np.isfinite(rms) & (rms <= self.options.most_rms * median))
 
     def _reduced(
-        self, edges: MeasuredEdges, deformation: Deformation
+        self, edges: MeasuredEdges, deformation: Deformation, off_px: Array | None = None
     ) -> tuple[Array, Array, Array, Array]:
         """Information (U, U) and right side (U,) of the shape with the pose eliminated; the pose's
-        own answer (6,) and its response to the shape (6, U)."""
+        own answer (6,) and its response to the shape (6, U). ``off_px``: (N,) in place of the
+        edges' residuals."""
+        off_px = edges.residual_px if off_px is None else off_px
         sigma2 = max(edges.residual_rms_px, LEAST_RMS_PX) ** 2 * self.options.edges_as_one
         weight = edges.weight / sigma2
         pose = edges.pose_slopes
@@ -200,12 +203,12 @@ class ShapeEstimator:
         own = weighted.T @ pose
         own += 1e-9 * np.diag(np.diag(own))
         cross = weighted.T @ shape
-        right = weighted.T @ edges.residual_px
+        right = weighted.T @ off_px
         response = np.linalg.solve(own, cross)
         answer = np.linalg.solve(own, right)
         moved = shape * weight[:, None]
         information = moved.T @ shape - cross.T @ response
-        left = np.asarray(moved.T @ edges.residual_px - cross.T @ answer)
+        left = np.asarray(moved.T @ off_px - cross.T @ answer)
         return information, left, np.asarray(answer), np.asarray(response)
 
     def _step(
@@ -291,9 +294,11 @@ class ShapeEstimator:
         """(U, U): the larger of the edges' own and of the scatter between the frames.
 
         The scatter is the sandwich H⁻¹ (Σ g gᵀ) H⁻¹ over the frames (Huber 1967): frames are
-        independent, the edges of one are not.
+        independent, the edges of one are not. What all edges of all frames are off alike shows in
+        neither; it is added.
         """
         matrix, _ = self._prior(shape, known)
+        alike = np.zeros(shape.size)
         prior, scatter = matrix.copy(), np.zeros_like(matrix)
         for k in np.flatnonzero(good):
             edges = measured[k]
@@ -301,10 +306,13 @@ class ShapeEstimator:
                 information, right, _, _ = self._reduced(edges, shape)
                 matrix += information
                 scatter += np.outer(right, right)
+                off_px = np.full(len(edges.weight), SHARED_PX)
+                alike += self._reduced(edges, shape, off_px)[1]
         inverse = np.linalg.inv(matrix)
         own, between = inverse, inverse @ (scatter + prior) @ inverse
         larger = np.trace(own[:6, :6]) > np.trace(between[:6, :6])
-        return np.asarray(own if larger else between)
+        moved = inverse @ alike
+        return np.asarray((own if larger else between) + np.outer(moved, moved))
 
     def _check_spread(self, frames: list[PosedFrame]) -> None:
         """One side of a target shows its depth by perspective only.

@@ -60,7 +60,7 @@ from rendezview.sensors.appearance.sky import Sky
 _LEAST_SIGMA_PX = 0.1
 # σ by which all edges are off alike: a limb that fades into the dark. Source: a Mitsuba approach of
 # the client, 60–30 m: for two minutes off by 0.04 to 0.09 px, where the residuals claim 0.04
-_SHARED_PX = 0.06
+SHARED_PX = 0.06
 # Of the target's size, one σ of a strain: the contour points are those of a view up to 2.5° away,
 # and neighbouring ones err together. Source: docs/notes/refinement.md, size of the target
 _VIEW_STRAIN = 3e-4
@@ -377,7 +377,7 @@ class Refiner:
     def _shared_offset(self, centre: Array) -> Array:
         """(6, 6) of the pose where all edges are off alike, which no residual shows."""
         sight = centre / np.linalg.norm(centre)
-        across = (_SHARED_PX * centre[2] / self.camera.fx) ** 2
+        across = (SHARED_PX * centre[2] / self.camera.fx) ** 2
         covariance = np.zeros((6, 6))
         covariance[3:, 3:] = across * (np.eye(3) - np.outer(sight, sight))
         return covariance
