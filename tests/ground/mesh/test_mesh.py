@@ -200,12 +200,6 @@ def test_the_library_prints_nothing(tmp_path: Path, capfd: pytest.CaptureFixture
 # --- bounding sphere ------------------------------------------------------------------
 
 
-def test_bounding_sphere_of_a_box_is_its_half_diagonal(tmp_path: Path) -> None:
-    centre, radius = load_mesh(export(tmp_path, "obj", box())).bounding_sphere
-    np.testing.assert_allclose(centre, [3.0, -1.0, 0.25], atol=1e-6)
-    assert radius == pytest.approx(np.linalg.norm(EXTENT_M) / 2)
-
-
 def test_bounding_sphere_leaves_out_vertices_no_face_uses() -> None:
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [50, 50, 50]])
     mesh = Mesh(vertices, np.array([[0, 1, 2]], np.int32), np.zeros((1, 3), np.float32), ())

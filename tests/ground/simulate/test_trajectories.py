@@ -123,12 +123,6 @@ def test_an_axisymmetric_body_precesses_at_the_closed_form_rate() -> None:
     np.testing.assert_allclose(rates, truth, atol=1e-9)
 
 
-def test_the_camera_of_a_tumble_stays_where_it_is() -> None:
-    poses = made("tumble", frames=20, start_range_m=25.0)
-    np.testing.assert_allclose(centres_m(poses), np.tile([0, 0, 25.0], (20, 1)), atol=1e-9)
-    assert rotation_angle(poses[0][1].rotation.T @ poses[-1][1].rotation) > 0.3
-
-
 def test_random_attitudes_are_uniform_on_so3() -> None:
     turns = np.array([pose.rotation for _, pose in made("random", frames=4000)])
     # Each axis is uniform on the sphere: zero mean, second moments 1/3.
