@@ -264,6 +264,7 @@ def test_the_next_filter_goes_on_where_the_last_one_was(tour):
     assert state["pose"]["translation_m"] == pytest.approx(truth.translation_m, abs=0.05)
     late = second.track(observed(4.0, truth))
     assert (late["status"], late["pose"]) == ("late", None)
+    assert "before the earliest remembered time" in late["reason"]
 
 
 def test_a_model_brings_the_ring_of_its_target(refining_model, camera, tmp_path):

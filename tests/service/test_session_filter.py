@@ -43,18 +43,6 @@ def test_the_filter_begins_anew_where_the_cameras_clock_jumps(tour):
     assert (state["status"], state["reason"]) == ("tracking", None)
 
 
-def test_a_frame_older_than_what_is_remembered_is_late(tour):
-    truth = tour[0][1]
-    one = SessionFilter(FusionRequest())
-    sensors = Sensors()
-    for k in range(40):
-        (line,) = one.check("m", json.dumps(sensors.pose(float(k), truth)).encode(), 0.0, 1e3)
-        one.take("m", line)
-    state = one.track(observed(2.0, truth))
-    assert (state["status"], state["pose"]) == ("late", None)
-    assert "before the earliest remembered time" in state["reason"]
-
-
 def test_a_sensor_mounted_elsewhere_is_taken_into_the_camera_frame(tour):
     truth = tour[0][1]
     mount = Pose(Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix(), [0.5, 0.1, -0.2])
