@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import cv2
@@ -43,6 +44,15 @@ def view(board, pitch, rng):
     return cv2.warpPerspective(
         board, warp, (CAMERA.width, CAMERA.height), flags=cv2.INTER_AREA, borderValue=255
     )
+
+
+def dots(rng, peak, ground=20.0, off=0.0):
+    """Three dots on an even ground, with noise."""
+    rows, columns = np.mgrid[:480, :640]
+    grey = ground + rng.normal(0.0, 1.5, (480, 640))
+    for x, y in ((200, 240), (330, 250), (400, 300)):
+        grey += peak * np.exp(-0.5 * ((columns - x - off) ** 2 + (rows - y) ** 2) / 9.0)
+    return np.clip(grey, 0, 255).astype(np.uint8)
 
 
 @pytest.fixture(scope="module")
@@ -117,14 +127,10 @@ def test_a_rate_gives_pictures_their_times(boards):
 
 def test_dots_without_a_dark_picture_are_told(run, boards, tmp_path):
     rng = np.random.default_rng(1)
-    rows, columns = np.mgrid[:480, :640]
     folder = tmp_path / "dots"
     folder.mkdir()
     for k in range(4):
-        grey = 20.0 + rng.normal(0.0, 1.5, (480, 640))
-        for x, y in ((200, 240), (330, 250), (400, 300)):
-            grey += 180.0 * np.exp(-0.5 * ((columns - x) ** 2 + (rows - y) ** 2) / 9.0)
-        cv2.imwrite(str(folder / f"{k}.png"), np.clip(grey, 0, 255).astype(np.uint8))
+        cv2.imwrite(str(folder / f"{k}.png"), dots(rng, 180.0))
     run("calibrate", "card", "-o", tmp_path / "card")
     run("calibrate", "camera", boards / "chess", "-o", tmp_path / "c.yaml")
     ran = run("reflectors", tmp_path / "card", folder, "--camera", tmp_path / "c.yaml")
@@ -194,14 +200,10 @@ def test_separate_poses_are_told_of_the_likely_option(monkeypatch):
 
 
 def test_a_camera_that_goes_on_is_told_of_the_likely_option(run, tmp_path):
-    rng = np.random.default_rng(3)
-    rows, columns = np.mgrid[:480, :640]
-    grey = 200.0 + rng.normal(0.0, 1.5, (480, 640))
-    for x, y in ((200, 240), (330, 250), (400, 300)):
-        grey -= 160.0 * np.exp(-0.5 * ((columns - x) ** 2 + (rows - y) ** 2) / 9.0)
+    grey = dots(np.random.default_rng(3), -160.0, 200.0)
     run("calibrate", "card", "-o", tmp_path / "card")
     save_camera(CAMERA, tmp_path / "c.yaml")
-    with mjpeg_stream([grey.astype(np.uint8)], 40) as address:
+    with mjpeg_stream([grey], 40) as address:
         watched = ("reflectors", tmp_path / "card", address, "--camera", tmp_path / "c.yaml")
         ran = run(*watched, "--readings", 12)
         few = run(*watched, "--readings", 2)
@@ -213,14 +215,7 @@ def test_a_camera_that_goes_on_is_told_of_the_likely_option(run, tmp_path):
 
 @pytest.mark.parametrize("moved_px", [0.0, 12.0])
 def test_a_run_without_a_pose_names_the_likely_option(moved_px):
-    rng = np.random.default_rng(2)
-    rows, columns = np.mgrid[:480, :640]
-
-    def picture(peak, off=0.0, ground=20.0):
-        grey = ground + rng.normal(0.0, 1.5, (480, 640))
-        for x, y in ((200, 240), (330, 250), (400, 300)):
-            grey += peak * np.exp(-0.5 * ((columns - x - off) ** 2 + (rows - y) ** 2) / 9.0)
-        return np.clip(grey, 0, 255).astype(np.uint8)
+    picture = functools.partial(dots, np.random.default_rng(2))
 
     def hint(lit, dark=None, invert=False):
         frames = [
@@ -229,9 +224,9 @@ def test_a_run_without_a_pose_names_the_likely_option(moved_px):
         ]
         return wrong_mode([FramePair(frames[0], None if dark is None else frames[1], None, invert)])
 
-    assert "--mode single" in hint(picture(180.0), picture(180.0, moved_px))
+    assert "--mode single" in hint(picture(180.0), picture(180.0, off=moved_px))
     assert hint(picture(180.0), picture(4.0)) is None
     assert "--invert" in hint(picture(-160.0, ground=200.0))
-    assert "--invert" in hint(picture(-160.0, ground=200.0), picture(-160.0, moved_px, 200.0))
+    assert "--invert" in hint(picture(-160.0, 200.0), picture(-160.0, 200.0, moved_px))
     assert hint(picture(-160.0, ground=200.0), invert=True) is None
     assert hint(picture(180.0)) is None

@@ -6,18 +6,15 @@ import csv
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from tests.plain_laboratory import rotation_of, write_record
+from tests.plain_laboratory import write_record
 from tests.processes import python
 
-from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_results
 from rendezview.io.target import Target
-from rendezview.sensors.beacons.rig_files import load_rig, save_rig
+from rendezview.sensors.beacons.rig_files import load_rig
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview_ground.simulate.led_pictures import PictureOptions, draw, picture_rig
 
 SCOLE = Path(__file__).resolve().parents[2] / "models_cad" / "scole"
 RUN = "from rendezview.cli.main import main; main()"
@@ -88,27 +85,6 @@ def test_the_papers_normalisation_is_an_option_that_the_rig_file_keeps(
     assert first != second
     for one, other in zip(pair["cameras"], usual["cameras"], strict=True):
         assert one["fx"] == pytest.approx(other["fx"], rel=0.02)
-
-
-def test_folders_of_pictures_give_poses(run, laboratory, tmp_path: Path):
-    options = PictureOptions(size_px=512)
-    rig = picture_rig(laboratory, options)
-    save_rig(rig, tmp_path / "rig.json")
-    rng = np.random.default_rng(2)
-    poses = [Pose(rotation_of(0.02 * k, 0.1, -0.1), [0.0, 0.0, 0.1]) for k in range(3)]
-    for k, pose in enumerate(poses):
-        for c, camera in enumerate(rig.cameras):
-            (tmp_path / "frames" / camera.name).mkdir(parents=True, exist_ok=True)
-            picture = draw(rig, c, pose.apply(laboratory.leds), options, rng)
-            cv2.imwrite(str(tmp_path / "frames" / camera.name / f"{k:03d}.png"), picture)
-    out = tmp_path / "poses.csv"
-    done = run("stereo", "track", tmp_path / "rig.json", SCOLE, tmp_path / "frames", "-o", out)
-    assert done.code == 0, done
-    rows = read_results(out)
-    assert len(rows) == 3
-    for row, pose in zip(rows, poses, strict=True):
-        truth = rig.cameras[0].camera_from_rig @ pose
-        assert np.rad2deg(row.camera_from_target.angle_to(truth)) < 0.05
 
 
 @pytest.mark.parametrize(

@@ -266,19 +266,6 @@ def test_a_folder_of_images_needs_a_camera(tmp_path):
     assert open_sequence(tmp_path, CAMERA).frames[0].camera == CAMERA
 
 
-def test_a_picture_is_not_turned_by_its_exif_tag(tmp_path):
-    jpeg = cv2.imencode(".jpg", picture(50))[1].tobytes()
-    exif = (
-        b"Exif\x00\x00II*\x00\x08\x00\x00\x00\x01\x00"
-        b"\x12\x01\x03\x00\x01\x00\x00\x00\x06\x00\x00\x00\x00\x00\x00\x00"
-    )
-    segment = b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif
-    (tmp_path / "a.jpg").write_bytes(jpeg[:2] + segment + jpeg[2:])
-    turned = cv2.imread(str(tmp_path / "a.jpg"), cv2.IMREAD_GRAYSCALE)
-    assert turned.shape == (64, 48)  # the tag is there
-    assert open_sequence(tmp_path, CAMERA).frames[0].read().shape == (48, 64)
-
-
 @pytest.mark.parametrize(
     ("name", "message"),
     [

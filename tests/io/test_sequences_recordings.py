@@ -161,15 +161,6 @@ def test_a_damaged_recording_gives_its_beginning_or_one_clear_error(
                 assert frame.read().shape == (48, 64)
 
 
-def test_an_mcap_file_that_was_cut_off_gives_what_is_whole(tmp_path: Path) -> None:
-    path = write_foxglove(tmp_path / "a.mcap", shots(count=1000), INFO)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: int(0.7 * len(whole))])
-    sequence = open_sequence(path)
-    assert 0 < len(sequence) < 1000
-    assert sequence.frames[-1].read().shape == (48, 64)
-
-
 def test_only_recordings_have_topics(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "0.png"), np.zeros((48, 64), np.uint8))
     with pytest.raises(RendezviewError, match="only recordings have topics"):
@@ -299,11 +290,14 @@ def test_a_compressed_video_of_another_format_is_refused_by_its_name(tmp_path: P
         open_sequence(write_video(tmp_path / "v.mcap", "h264", stream("h264")[1:2]), CAMERA)
 
 
-def test_a_recording_that_was_cut_off_says_where(tmp_path: Path) -> None:
+def test_a_recording_that_was_cut_off_gives_what_is_whole_and_says_where(tmp_path: Path) -> None:
     path = write_foxglove(tmp_path / "a.mcap", shots(count=1000), INFO)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(0.7 * len(whole))])
-    (note,) = open_sequence(path).notes
+    sequence = open_sequence(path)
+    assert 0 < len(sequence) < 1000
+    assert sequence.frames[-1].read().shape == (48, 64)
+    (note,) = sequence.notes
     assert note.startswith(f"cut off at byte {int(0.7 * len(whole))}: ")
     path.write_bytes(whole[:2000])
     with pytest.raises(RendezviewError, match="it is cut off at byte 2000, before the first one"):

@@ -68,11 +68,6 @@ def test_a_video_needs_a_camera_given_or_beside_it(video, tmp_path):
     assert open_sequence(path).frames[0].camera == CAMERA
 
 
-def test_a_video_of_another_size_is_refused_when_read(video):
-    with pytest.raises(RendezviewError, match=r"64 × 48 .* 32 × 48"):
-        open_sequence(video, Camera(32, 48, 1.0, 1.0, 0.0, 0.0)).frames[0].read()
-
-
 def test_a_video_shorter_than_it_said_names_where_it_ends(tmp_path):
     path = write_video(tmp_path / "v.avi", 12)
     sequence = open_sequence(path, CAMERA)

@@ -184,12 +184,6 @@ def test_what_is_not_there_is_named(tmp_path):
         Target.load(tmp_path)
 
 
-def test_a_target_file_that_is_not_text_is_named(tmp_path):
-    (tmp_path / "target.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(RendezviewError, match="not text in UTF-8"):
-        Target.load(tmp_path)
-
-
 def test_a_folder_of_results_does_not_hide_a_bundled_vehicle_of_its_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "hubble").mkdir()

@@ -14,7 +14,7 @@ import numpy as np
 from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
-from rendezview_service.client import Client, SessionClient
+from rendezview_service.client import Client
 
 SIZES = {"desk": (1400, 900), "phone": (390, 844)}
 _DRAWN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(0))))"
@@ -87,32 +87,6 @@ APPROACH = {
     ],
 }
 _STEP_S = 5.0  # between frames of the tour of a `Sender`: a slow turn
-
-
-class Feed:
-    """Frames of a tour to and fro, at some a second, until it is told otherwise."""
-
-    def __init__(self, session: SessionClient, images: list[np.ndarray], rate_hz: float = 10.0):
-        self.images = images
-        self.step_s = 0.1  # of the frames' own time
-        self._done = threading.Event()
-        self._stream = session.stream()
-        self._rate_hz = rate_hz
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _run(self) -> None:
-        with self._stream as stream:
-            k, time_s = 0, 0.0
-            while not self._done.wait(1.0 / self._rate_hz):
-                images = self.images
-                stream.send(images[k % len(images)], time_s)
-                stream.receive(MOST_S)
-                k, time_s = k + 1, time_s + self.step_s
-
-    def stop(self) -> None:
-        self._done.set()
-        self._thread.join(MOST_S)
 
 
 class Sender(threading.Thread):

@@ -6,8 +6,10 @@ import json
 
 import numpy as np
 
+from rendezview.geometry.pose import Pose
 from rendezview.io.results import json_line
 from rendezview.io.target import DockingRing
+from rendezview.sensors.observation import Observation, Status
 
 RING = DockingRing(np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.6, 0.8]), 0.5)
 SIGMA_M, SIGMA_RAD = 0.01, 0.01
@@ -44,6 +46,11 @@ class Sensors:
         return plain(
             {"time_s": time_s, "pose": seen, "covariance": np.diag(sigma**2), "spots": spots}
         )
+
+
+def observed(time_s: float, pose: Pose) -> Observation:
+    """What the camera's own recognizer gives."""
+    return Observation(Status.OK, time_s=time_s, pose=pose, covariance=1e-4 * np.eye(6))
 
 
 def plain(record):

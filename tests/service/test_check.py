@@ -133,20 +133,6 @@ def test_alert_rules_ask_for_metrics_that_exist(service, client, camera, tour) -
     assert headings <= {rule["annotations"]["runbook"] for rule in group["rules"]}
 
 
-def test_the_metric_of_faults_counts_the_reasons(service, client, camera, tour) -> None:
-    def faults() -> float:
-        text = httpx.get(service.url + "metrics", timeout=MOST_S).text
-        return float(re.search(r"^rendezview_faults (.*)$", text, re.MULTILINE)[1])
-
-    assert faults() == 0.0
-    with client.open(camera, name="sick", prior=tour[0][1]) as session:
-        session.track(tour[0][2], 0.0)
-        with service.full_disk():
-            session.track(tour[1][2], 1.0)
-            assert faults() == 1.0
-            assert len(client.request("GET", "/healthz")["reasons"]) == 1
-
-
 def test_deployments_check_before_they_start_and_keep_a_state_folder() -> None:
     deploy = ROOT / "deploy"
     unit = (deploy / "rendezview.service").read_text()

@@ -14,7 +14,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from tests.service.kills import states_of
+from tests.service.logged import states_of
 from tests.service.ray_nodes import Gateway, Nodes, slots_of, wait_for
 from tests.waiting import MOST_S, wait_until
 from websockets.sync.client import connect

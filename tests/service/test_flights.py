@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
-import struct
 import threading
 import time
 from dataclasses import replace
@@ -15,6 +13,7 @@ import numpy as np
 import psutil
 import pytest
 from tests.ground.fly.test_rendered import PLAN
+from tests.service.foxglove import FoxgloveViewer
 from tests.service.page_feed import text_has, until
 from tests.waiting import MOST_S, wait_until
 from websockets.sync.client import connect
@@ -157,14 +156,14 @@ def test_the_state_of_the_service_is_near_the_truth_and_a_refused_reading_is_los
 
 def test_foxglove_and_ros_see_the_fused_states_and_the_orders_of_a_flight(watched, setup):
     sensors, dynamics = LiveSensors(setup, 0), OrbitDynamics(setup.plan, setup.port, 0)
-    guidance, fused, seen, channels = Guidance(setup.plan, setup.port), {}, {}, {}
+    guidance, fused = Guidance(setup.plan, setup.port), {}
     at = f"ws://127.0.0.1:{watched.foxglove}"
     with (
         watched.served.client() as client,
-        connect(at, subprotocols=["foxglove.sdk.v1"]) as viewer,
+        connect(at, subprotocols=["foxglove.sdk.v1"]) as stream,
         ServiceEstimator(client, sensors, guidance, speed=0.0) as estimator,
     ):
-        truth, known = dynamics.start(), None
+        truth, known, viewer = dynamics.start(), None, FoxgloveViewer(stream)
         for k in range(60):
             known = estimator.update(truth.time_s, sensors.read(truth, known))
             name = estimator.session.name
@@ -173,10 +172,10 @@ def test_foxglove_and_ros_see_the_fused_states_and_the_orders_of_a_flight(watche
             truth = dynamics.step(truth, guidance.command(known))
             if k == 30:
                 _order(client, name, do="hold")
-            _listen(viewer, seen, channels)
-            if "hold ordered" in str(seen.get(f"/{name}/flight")):
+            viewer.listen(0.05)
+            if "hold ordered" in str(viewer.seen.get(f"/{name}/flight")):
                 break
-    assert {f"/{name}/state", f"/{name}/target/fused", f"/{name}/flight"} <= set(seen)
+    assert {f"/{name}/state", f"/{name}/target/fused", f"/{name}/flight"} <= set(viewer.seen)
 
     def received(topic: str) -> list[dict]:
         key = re.sub(r"^(?=\d)|\W", "_", name) + f"/{topic}"
@@ -193,24 +192,6 @@ def test_foxglove_and_ros_see_the_fused_states_and_the_orders_of_a_flight(watche
     assert len(steered) > 3
     for seen_m, used_m in steered:
         assert seen_m == pytest.approx(used_m, abs=1e-6)
-
-
-def _listen(viewer, seen: dict, channels: dict) -> None:
-    """Subscribe to what a Foxglove server offers, and keep the last of each topic."""
-    for topic in channels:
-        if topic not in seen:
-            asked = [{"id": channels[topic], "channelId": channels[topic]}]
-            viewer.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
-    names = {number: topic for topic, number in channels.items()}
-    with contextlib.suppress(TimeoutError):
-        while True:
-            message = viewer.recv(0.05)
-            if isinstance(message, str):
-                told = json.loads(message)
-                new = told.get("channels", []) if told["op"] == "advertise" else []
-                channels.update({channel["topic"]: channel["id"] for channel in new})
-            elif message[0] == 1:
-                seen[names[struct.unpack("<I", message[1:5])[0]]] = message[13:]
 
 
 def test_serve_flies_by_itself_and_its_flight_ends_with_it(start_service):

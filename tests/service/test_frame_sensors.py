@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
-from tests.service.sensors import RING, Sensors, plain
+from tests.service.sensors import RING, Sensors, observed, plain
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -244,16 +244,12 @@ def test_a_line_under_the_name_of_an_own_sensor_is_refused():
     assert own.check("rim", line, 0.0)[0].kind == "ring"
 
 
-def _at(time_s: float, pose: Pose) -> Observation:
-    return Observation(Status.OK, time_s=time_s, pose=pose, covariance=1e-4 * np.eye(6))
-
-
 def test_the_next_filter_goes_on_where_the_last_one_was(tour):
     """No camera pose comes any more: rings alone cannot start a filter, but they keep it."""
     truth = tour[0][1]
     first = SessionFilter(FusionRequest(ring=plain(RING)), own=["ring"], at_once=True)
     for k in range(6):
-        state = first.track(_at(float(k), truth))
+        state = first.track(observed(float(k), truth))
     progress = Progress()
     progress.add({"phase": "tracking", "time_s": 5.0}, json.dumps({"fused": state}).encode())
     second = SessionFilter(FusionRequest(ring=plain(RING)), forgotten=True, own=["ring"])
@@ -266,8 +262,9 @@ def test_the_next_filter_goes_on_where_the_last_one_was(tour):
         verdict, state = second.take("rim", line)
         assert verdict["accepted"]
     assert state["pose"]["translation_m"] == pytest.approx(truth.translation_m, abs=0.05)
-    late = second.track(_at(4.0, truth))
+    late = second.track(observed(4.0, truth))
     assert (late["status"], late["pose"]) == ("late", None)
+    assert "before the earliest remembered time" in late["reason"]
 
 
 def test_a_model_brings_the_ring_of_its_target(refining_model, camera, tmp_path):

@@ -195,21 +195,6 @@ def test_limits_hold_for_lines_bytes_sensors_and_clocks(session, sensors, tour):
     assert set(statuses) <= {200, 429}
 
 
-def test_impossible_fusion_is_refused_when_the_session_opens(client, camera):
-    for fusion, said in [
-        ({"ring": {"centre_m": [0, 0, 0], "axis": [0, 0, 0], "radius_m": 1}}, "direction"),
-        ({"ring": {"centre_m": [0, 0, 0], "axis": [0, 0, 1], "radius_m": -1}}, "radius_m"),
-        ({"mounts": {"a": {"quat_wxyz": [0, 0, 0, 0], "translation_m": [0, 0, 0]}}}, "quat"),
-        ({"options": {"speed": 1}}, "speed"),
-        ({"options": {"history_s": 1e6}}, "history_s"),
-        ({"options": {"motion": {"angular": -1.0}}}, "angular"),
-        ({"surfaces": [{"point_m": [0, 0], "normal": [0, 0, 1]}]}, "point_m"),
-    ]:
-        with pytest.raises(ServiceError, match=said) as refused:
-            client.open(camera, fusion=fusion)
-        assert refused.value.status == 422
-
-
 def test_a_stream_takes_lines_between_frames(session, sensors, tour):
     with session.stream() as stream:
         for time_s, truth, image in tour[:4]:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from concurrent.futures import ThreadPoolExecutor
 
-import httpx
 import numpy as np
 import pytest
 from tests.waiting import MOST_S
@@ -15,26 +13,6 @@ from rendezview_service.logs.replay import model_of, read_log, repeat
 from rendezview_service.messages.frames import read_frame
 from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.tracker.tracking import SessionTracker, camera_message
-
-
-@pytest.mark.parametrize(
-    "request_",
-    [
-        {"sun_camera": [1e308] * 3},
-        {"sun_camera": [1e-320, 0.0, 0.0]},
-        {"sun_camera": [0.0] * 3},
-        {
-            "fusion": {
-                "mounts": {"side": {"quat_wxyz": [1e-320, 0, 0, 0], "translation_m": [0, 0, 0]}}
-            }
-        },
-        {"fusion": {"mounts": {"side": {"quat_wxyz": [1e308] * 4, "translation_m": [0, 0, 0]}}}},
-    ],
-)
-def test_a_direction_or_a_turn_that_is_none_is_refused_at_the_opening(client, camera, request_):
-    with pytest.raises(ServiceError, match="direction") as refused:
-        client.open(camera, **request_)
-    assert refused.value.status == 422
 
 
 def test_where_to_look_holds_until_there_is_a_pose(client, camera, tour):
@@ -113,12 +91,6 @@ def test_a_raw_frame_stays_when_the_next_one_comes_into_the_same_memory(camera):
     assert image.flags.writeable
 
 
-@pytest.mark.parametrize("approach", [{"port": {"centre_m": [0, 0, 0], "axis": [1e308, 0, 1e308]}}])
-def test_a_port_without_a_direction_is_refused_at_the_opening(client, camera, approach):
-    with pytest.raises(ServiceError, match="direction"):
-        client.open(camera, approach=approach)
-
-
 def test_a_jump_of_a_frame_does_not_keep_later_ones_out(client, camera, tour):
     with client.open(camera, prior=tour[0][1]) as session, session.stream() as stream:
         for time_s in (1e10, 6e9):
@@ -142,14 +114,6 @@ def test_senders_with_long_names_do_not_mix(service, camera, tour):
         with pytest.raises(ServiceError, match="another sender") as refused:
             second.session(session.name).track(tour[1][2])
         assert refused.value.status == 409
-
-
-def test_of_uploads_at_once_all_but_one_are_conflicts(service, client, model_path):
-    content, url = model_path.read_bytes(), f"{service.url}v1/models/race"
-    with ThreadPoolExecutor(8) as threads:
-        answers = threads.map(lambda _: httpx.put(url, content=content, timeout=MOST_S), range(8))
-        assert sorted(answer.status_code for answer in answers) == [201, *[409] * 7]
-    client.request("DELETE", "/v1/models/race")
 
 
 def test_options_of_an_older_filter_are_ignored_with_a_warning(service, client, camera):

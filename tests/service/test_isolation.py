@@ -18,7 +18,6 @@ from types import SimpleNamespace
 
 import httpx
 import pytest
-from tests.service.hostile_pictures import hostile
 from tests.waiting import MOST_S, ends_in_time, wait_until
 
 from rendezview_service.client import ServiceError
@@ -338,16 +337,6 @@ def test_the_processor_time_of_a_worker_is_its_own() -> None:
         before_s = handle._processor_s()
         time.sleep(0.2)
         assert handle._processor_s() - before_s < 0.1
-
-
-def test_who_sends_hostile_pictures_ends_no_process(service, client, camera, tour):
-    grey, before = tour[0][2], _restarts(client)
-    with client.open(camera, prior=tour[0][1]) as session:
-        for make in hostile(grey, 2_000_000).values():
-            with contextlib.suppress(ServiceError):
-                session.track(make())
-        assert session.track(grey)["status"] == "ok"
-    assert _restarts(client) == before
 
 
 @pytest.mark.parametrize(

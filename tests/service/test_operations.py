@@ -305,6 +305,7 @@ def test_a_full_disk_is_seen_by_the_operator_and_tracking_goes_on(service, clien
         return session.track(tour[0][2], float(next(times_s)))
 
     assert track()["recorded"]
+    assert "rendezview_faults 0.0" in client.fetch("GET", "/metrics").decode()
     with service.full_disk():
         states = [track() for _ in range(3)]
         assert [state["recorded"] for state in states] == [False] * 3
@@ -315,10 +316,12 @@ def test_a_full_disk_is_seen_by_the_operator_and_tracking_goes_on(service, clien
         assert "cannot be written" in recording["reason"]
         metrics = client.fetch("GET", "/metrics").decode()
         assert 'rendezview_log_failed{session="full"} 1.0' in metrics
+        assert "rendezview_faults 1.0" in metrics
         assert 'rendezview_log_pending_states{session="full"} 3.0' in metrics
         health = client.request("GET", "/healthz")
         assert (health["status"], health["recording_failures"]) == ("degraded", 1)
-        assert "session full is not recorded" in health["reasons"][0]
+        (reason,) = health["reasons"]
+        assert "session full is not recorded" in reason
     wait_until(lambda: track()["recorded"])  # a new file is tried every few seconds
     info = session.info()["recording"]
     assert (info["state"], info["lost"]) == ("on", 0)

@@ -5,56 +5,27 @@ from __future__ import annotations
 import io
 import itertools
 import os
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
-from tests.service.page_feed import Feed, text_has, until, word_is
+from tests.service.page_feed import text_has, until, word_is
 from tests.waiting import wait_until
-
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
-from rendezview_service.client import Client, SessionClient
 
 pytest.importorskip("playwright", reason="the page's tests want playwright")
 
 _DESK, _PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 
 
-@pytest.fixture
-def feed(
-    client: Client, camera: Camera, tour: list[tuple[float, Pose, np.ndarray]]
-) -> Iterator[Callable[..., tuple[SessionClient, Feed]]]:
-    """Opens sessions and sends them the tour."""
-    feeds: list[Feed] = []
-    sessions: list[SessionClient] = []
-
-    def start(name: str, at: Client = client) -> tuple[SessionClient, Feed]:
-        session = at.open(camera, name=name, prior=tour[0][1])
-        images = [image for _, _, image in tour]
-        feeds.append(Feed(session, images + images[-2:0:-1]))
-        sessions.append(session)
-        return session, feeds[-1]
-
-    yield start
-    for one in feeds:
-        one.stop()
-    names = {one["id"] for one in client.sessions()}
-    for session in sessions:
-        if session.name in names:
-            session.close()
-
-
-def test_the_page_shows_what_the_service_found(service, feed, open_page) -> None:
-    session, one = feed("seen")
+def test_the_page_shows_what_the_service_found(service, client, sender, open_page) -> None:
+    session, one = client.session("seen"), sender("seen")
+    one.send()
     page = open_page(f"{service.url}#seen")
     word_is(page, "FOUND")
     until(page, "rendezview.webgl && rendezview.spaces > 1 && rendezview.updates > 5")
-    one.stop()
-    last = session.state()["frame"]
+    last = one.hold()["frame"]
     until(page, f"rendezview.frame === {last}")
     page.keyboard.press(" ")
     until(page, "document.querySelectorAll('#plots canvas').length === 8")
@@ -86,54 +57,29 @@ def test_the_page_shows_what_the_service_found(service, feed, open_page) -> None
     wait_until(lambda: blue() < 0.5, blue)
 
 
-def test_a_lost_target_is_said_with_its_reason_and_found_again(service, feed, open_page) -> None:
-    _, one = feed("lost")
-    page = open_page(f"{service.url}#lost")
-    word_is(page, "FOUND")
-    one.step_s = 1e-3  # it coasts for some seconds of the frames' time
-    images, one.images = one.images, [np.zeros_like(one.images[0])]
-    word_is(page, "COASTING")
-    one.step_s = 1.0
-    word_is(page, "LOST")
-    assert page.inner_text("#reason").startswith("empty: ")
-    assert "–" in page.inner_text("#numbers")
-    one.images, one.step_s = images, 0.1
-    word_is(page, "FOUND")
-
-
-def test_frames_that_stay_away_are_said(service, feed, open_page) -> None:
-    session, one = feed("silent")
-    page = open_page(f"{service.url}#silent")
-    word_is(page, "FOUND")
-    one.stop()
-    word_is(page, "NO FRAMES")
-    session.close()
-    word_is(page, "ENDED")
-
-
-def test_who_pauses_looks_back_while_frames_go_on(service, feed, open_page) -> None:
-    session, _ = feed("back")
+def test_who_pauses_looks_back_while_frames_go_on(service, client, sender, open_page) -> None:
+    sender("back").send()
     page = open_page(f"{service.url}#back")
     until(page, "rendezview.updates > 12")
     page.keyboard.press(" ")
     until(page, "document.getElementById('when').textContent.startsWith('paused')")
     note = "Number(document.getElementById('frame-note').textContent.split(' ')[1])"
     before = until(page, note)
-    count = session.info()["frames"]
+    count = client.session("back").info()["frames"]
     page.keyboard.press("ArrowLeft")
     page.keyboard.press("ArrowLeft")
     until(page, f"{note} === {before - 2}")
     page.keyboard.press("Home")
     until(page, f"{note} === 0")
     until(page, "document.getElementById('when').textContent === 'paused · now FOUND'")
-    wait_until(lambda: session.info()["frames"] >= count + 5)
+    wait_until(lambda: client.session("back").info()["frames"] >= count + 5)
     assert page.evaluate(note) == 0
     page.keyboard.press("End")
     until(page, f"{note} > {before}")
 
 
-def test_the_log_that_is_downloaded_can_be_read(service, feed, open_page) -> None:
-    feed("log")
+def test_the_log_that_is_downloaded_can_be_read(service, sender, open_page) -> None:
+    sender("log").send()
     page = open_page(f"{service.url}#log")
     until(page, "rendezview.updates > 5 && !document.getElementById('download').disabled")
     with page.expect_download() as waiting:
@@ -143,9 +89,9 @@ def test_the_log_that_is_downloaded_can_be_read(service, feed, open_page) -> Non
     assert len(states) > 5
 
 
-def test_another_session_can_be_picked(service, feed, open_page) -> None:
-    feed("one")
-    feed("two")
+def test_another_session_can_be_picked(service, sender, open_page) -> None:
+    sender("one").send()
+    sender("two").send()
     page = open_page(f"{service.url}#one")
     word_is(page, "FOUND")
     until(page, "document.getElementById('sessions').options.length >= 2")
@@ -264,8 +210,8 @@ def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
     session.close()
 
 
-def test_a_phone_sees_all_of_it_without_moving_sideways(service, feed, open_page) -> None:
-    feed("phone")
+def test_a_phone_sees_all_of_it_without_moving_sideways(service, sender, open_page) -> None:
+    sender("phone").send()
     page = open_page(f"{service.url}#phone", _PHONE, has_touch=True, is_mobile=True)
     until(page, "rendezview.spaces > 0")
     assert page.evaluate("document.documentElement.scrollWidth") <= _PHONE["width"]
@@ -277,8 +223,8 @@ def test_a_phone_sees_all_of_it_without_moving_sideways(service, feed, open_page
     until(page, "!document.getElementById('scrub').disabled")
 
 
-def test_every_control_is_reached_by_keys_and_shows_it(service, feed, open_page) -> None:
-    feed("keys")
+def test_every_control_is_reached_by_keys_and_shows_it(service, sender, open_page) -> None:
+    sender("keys").send()
     page = open_page(f"{service.url}#keys")
     until(page, "rendezview.updates > 3 && !document.getElementById('download').disabled")
     page.keyboard.press(" ")
@@ -312,8 +258,8 @@ def test_every_control_is_reached_by_keys_and_shows_it(service, feed, open_page)
     assert page.evaluate("document.documentElement.scrollWidth") <= _DESK["width"]
 
 
-def test_without_webgl_all_else_is_there(service, feed, open_page) -> None:
-    feed("plain")
+def test_without_webgl_all_else_is_there(service, sender, open_page) -> None:
+    sender("plain").send()
     script = """const get = HTMLCanvasElement.prototype.getContext;
       HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
         return kind.startsWith('webgl') ? null : get.call(this, kind, ...more);

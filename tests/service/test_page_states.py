@@ -86,8 +86,12 @@ def test_coasting_shows_a_prediction_that_widens_and_lost_shows_none(
     one.step_s = 60.0
     one.send(3)
     word_is(page, "LOST")
+    text_has(page, "#reason", "empty: ")
     text_has(page, "#numbers", "–")
     shoot(page, "lost")
+    one.image, one.step_s = None, 5.0
+    one.send(1)
+    word_is(page, "FOUND")
 
 
 def test_ambiguous_names_the_poses_that_fit(service, sender, open_page, shoot) -> None:

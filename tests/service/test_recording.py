@@ -164,15 +164,6 @@ def _replay(*arguments: object) -> str:
     return done.stderr
 
 
-def test_the_log_of_a_running_session_is_a_whole_file(client, camera, tour, tmp_path):
-    session = client.open(camera, prior=tour[0][1])
-    states = [session.track(image, time_s) for time_s, _, image in tour[:5]]
-    path = tmp_path / "got.mcap"
-    path.write_bytes(session.log())
-    assert _messages(path)["/rendezview/state"] == states
-    session.close()
-
-
 def test_after_a_kill_everything_acknowledged_is_there_and_the_client_connects_again(
     start_service, camera, tour, tmp_path, monkeypatch, capsys
 ):

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.service.sensors import Sensors, plain
+from tests.service.sensors import Sensors, observed, plain
 
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beam import BeamMesh
@@ -16,10 +16,6 @@ from rendezview_service.messages.fusion_messages import FusionRequest
 from rendezview_service.messages.messages import ObservationMessage, State
 from rendezview_service.tracker.sensor_lines import split_records
 from rendezview_service.tracker.session_filter import SessionFilter
-
-
-def _observed(time_s: float, pose: Pose) -> Observation:
-    return Observation(Status.OK, time_s=time_s, pose=pose, covariance=1e-4 * np.eye(6))
 
 
 def test_a_state_has_the_keys_of_every_sensors_record():
@@ -36,27 +32,15 @@ def test_the_filter_begins_anew_where_the_cameras_clock_jumps(tour):
         text = json.dumps(sensors.pose(float(k), truth)).encode()
         (line,) = one.check("mirrors", text, float(k))
         one.take("mirrors", line)
-        state = one.track(_observed(float(k), truth))
+        state = one.track(observed(float(k), truth))
     assert state["status"] == "tracking"
-    state = one.track(_observed(1e6, truth))
+    state = one.track(observed(1e6, truth))
     assert state["status"] == "starting"
     assert "camera's time" in state["reason"]
     assert state["pose"]["translation_m"] == pytest.approx(truth.translation_m)
     for k in range(1, 3):
-        state = one.track(_observed(1e6 + k, truth))
+        state = one.track(observed(1e6 + k, truth))
     assert (state["status"], state["reason"]) == ("tracking", None)
-
-
-def test_a_frame_older_than_what_is_remembered_is_late(tour):
-    truth = tour[0][1]
-    one = SessionFilter(FusionRequest())
-    sensors = Sensors()
-    for k in range(40):
-        (line,) = one.check("m", json.dumps(sensors.pose(float(k), truth)).encode(), 0.0, 1e3)
-        one.take("m", line)
-    state = one.track(_observed(2.0, truth))
-    assert (state["status"], state["pose"]) == ("late", None)
-    assert "before the earliest remembered time" in state["reason"]
 
 
 def test_a_sensor_mounted_elsewhere_is_taken_into_the_camera_frame(tour):
@@ -85,7 +69,7 @@ def test_a_rangers_beam_is_cast_on_the_mesh_of_the_model(tour):
     corners = spot + 40.0 * np.array([sides[0], sides[1], -sides[0] - sides[1]])
     one = SessionFilter(FusionRequest(), mesh=BeamMesh(corners, np.array([[0, 1, 2]])))
     for k in range(5):
-        one.track(_observed(float(k), truth))
+        one.track(observed(float(k), truth))
     line = json.dumps({"time_s": 4.5, "range_m": 20.01, "sigma_m": 0.01}).encode()
     (read,) = one.check("laser", line, 4.5)
     verdict, state = one.take("laser", read)

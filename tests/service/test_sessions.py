@@ -110,6 +110,23 @@ def test_a_body_that_is_too_long_is_refused(session):
     assert refused.value.status == 413
 
 
+def _turned(w: float) -> dict:
+    return {"quat_wxyz": [w, 0, 0, 0], "translation_m": [0, 0, 5]}
+
+
+IMPOSSIBLE_FUSION = [
+    ({"ring": {"centre_m": [0, 0, 0], "axis": [0, 0, 0], "radius_m": 1}}, "direction"),
+    ({"ring": {"centre_m": [0, 0, 0], "axis": [0, 0, 1], "radius_m": -1}}, "radius_m"),
+    ({"mounts": {"a": _turned(0.0)}}, "quat"),
+    ({"mounts": {"a": _turned(1e-320)}}, "direction"),
+    ({"mounts": {"a": _turned(1e308)}}, "direction"),
+    ({"options": {"speed": 1}}, "speed"),
+    ({"options": {"history_s": 1e6}}, "history_s"),
+    ({"options": {"motion": {"angular": -1.0}}}, "angular"),
+    ({"surfaces": [{"point_m": [0, 0], "normal": [0, 0, 1]}]}, "point_m"),
+]
+
+
 def test_impossible_sessions_are_refused(client, camera):
     good = {k: getattr(camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")}
     for request, said in [
@@ -118,14 +135,16 @@ def test_impossible_sessions_are_refused(client, camera):
         ({"camera": good | {"distortion": [0.1, 0.2]}}, "distortion"),
         ({"camera": good | {"width": 16384, "height": 16384}}, "larger"),
         ({"camera": good, "id": "../../etc"}, "id"),
-        ({"camera": good, "sun_camera": [0, 0, 0]}, "sun_camera"),
+        ({"camera": good, "sun_camera": [0, 0, 0]}, "sun_camera: .*direction"),
+        ({"camera": good, "sun_camera": [1e308] * 3}, "direction"),
+        ({"camera": good, "sun_camera": [1e-320, 0.0, 0.0]}, "direction"),
         ({"camera": good, "speed": 3}, "speed"),
-        (
-            {"camera": good, "prior": {"quat_wxyz": [0, 0, 0, 0], "translation_m": [0, 0, 5]}},
-            "quat_wxyz",
-        ),
+        ({"camera": good, "prior": _turned(0.0)}, "quat_wxyz"),
+        ({"camera": good, "approach": {"port": {"centre_m": [0] * 3, "axis": [1e308, 0, 1e308]}}},
+         "direction"),
+        *[({"camera": good, "fusion": fusion}, said) for fusion, said in IMPOSSIBLE_FUSION],
         ({}, "camera"),
-    ]:
+    ]:  # fmt: skip
         with pytest.raises(ServiceError, match=said) as refused:
             client.request("POST", "/v1/sessions", json.dumps(request).encode())
         assert refused.value.status == 422

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import json
 import socket
-import struct
 import subprocess
 import tempfile
 
 import pytest
 from tests.left_behind import none_left_behind
+from tests.service.foxglove import FoxgloveViewer
 from tests.waiting import MOST_S, free_port, wait_until
 from websockets.sync.client import connect
 
@@ -26,41 +25,24 @@ def test_foxglove_receives_poses_pictures_and_states(watched, camera, tour) -> N
     with (
         watched.served.client() as client,
         client.open(camera, name="live", prior=tour[0][1], sensors=_FUSED) as session,
-        connect(f"ws://127.0.0.1:{watched.foxglove}", subprotocols=["foxglove.sdk.v1"]) as viewer,
+        connect(f"ws://127.0.0.1:{watched.foxglove}", subprotocols=["foxglove.sdk.v1"]) as stream,
     ):
-        channels: dict[str, int] = {}
-        subscribed: dict[int, str] = {}
-        seen: dict[str, bytes] = {}
+        viewer = FoxgloveViewer(stream)
         wanted = {"/live/state", "/live/target/pose", "/live/tf", "/live/camera/image",
                   "/live/camera/contour", "/live/target/fused"}  # fmt: skip
-        frames, subscriptions = itertools.count(), itertools.count()
+        frames = itertools.count()
 
         def all_seen() -> bool:
             k = next(frames)
             # The last picture again and again: a viewer may subscribe after all others were sent.
             picture, later_s = tour[min(k, len(tour) - 1)], max(0, k - len(tour) + 1)
             session.track(picture[2], picture[0] + later_s)
-            # Again where nothing has come: the package advertises a channel a moment before it
-            # takes subscriptions, and answers an early one with "Unknown channel ID".
-            for topic in channels.keys() - seen.keys():
-                subscribed[k := next(subscriptions)] = topic
-                asked = [{"id": k, "channelId": channels[topic]}]
-                viewer.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
-            with contextlib.suppress(TimeoutError):
-                while True:
-                    message = viewer.recv(0.2)
-                    if isinstance(message, str):
-                        told = json.loads(message)
-                        new = told.get("channels", []) if told["op"] == "advertise" else []
-                        channels.update({channel["topic"]: channel["id"] for channel in new})
-                    elif message[0] == 1:  # message data: subscription, time, content
-                        (number,) = struct.unpack("<I", message[1:5])
-                        seen[subscribed[number]] = message[13:]
-            return set(seen) >= wanted
+            viewer.listen(0.2)
+            return set(viewer.seen) >= wanted
 
-        wait_until(all_seen, lambda: (channels, list(seen)))
-    assert json.loads(seen["/live/state"])["session"] == "live"
-    assert b"\xff\xd8\xff" in seen["/live/camera/image"]
+        wait_until(all_seen, lambda: (viewer.channels, list(viewer.seen)))
+    assert json.loads(viewer.seen["/live/state"])["session"] == "live"
+    assert b"\xff\xd8\xff" in viewer.seen["/live/camera/image"]
 
 
 def test_rerun_receives_a_stream(watched, camera, tour) -> None:

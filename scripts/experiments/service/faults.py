@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from experiments.frame import tests_module
+from experiments.service import hostile, kills
 from experiments.service.serving import serve
 
 
@@ -19,7 +20,7 @@ def run(
     count: Annotated[int, "kills, faults, cases, or seconds of each hostile client"] = 100,
     minutes: Annotated[float, "after which no block of cases begins"] = 600.0, seed: int = 0,
 ) -> None:  # fmt: skip
-    """What must not be lost, fail, hang or leak, by the harnesses of tests/service.
+    """What must not be lost, fail, hang or leak, with the cases of tests/service.
 
     kills: kill -9 while two clients send frames; every acknowledged pose must be in the log. disks:
     faults of disks, files and processes under the writer of a log, all kinds in turns. fuzz:
@@ -34,8 +35,7 @@ def run(
     if model is None or (kind == "kills" and scene is None):
         sys.exit(f"{kind} needs a model{', and a scene' * (kind == 'kills')}")
     if kind == "kills":
-        campaign = tests_module("service.kills").campaign
-        sys.exit(not campaign(partial(serve, model), scene, count, seed))
+        sys.exit(not kills.campaign(partial(serve, model), scene, count, seed))
     if kind == "fuzz":
         served = serve(model, spare_worker="false", sender_hold_s=0.0)  # nobody else's session
         found = tests_module("service.fuzz").campaign(served, seed, count, minutes=minutes)
@@ -43,7 +43,6 @@ def run(
         sys.exit(bool(found.failures))
     with tempfile.TemporaryDirectory() as logs:
         served = serve(model, "--record", logs, record_all="false")
-        clients = tests_module("service.hostile_clients")
-        for line in clients.campaign(served, Path(logs), float(count)):
+        for line in hostile.campaign(served, Path(logs), float(count)):
             print(line, flush=True)
         served.stop()

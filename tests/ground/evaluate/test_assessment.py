@@ -70,23 +70,6 @@ def test_another_seed_gives_other_answers(tmp_path, refining_model, bumpy_mesh, 
     assert not reference[1].startswith(path.read_bytes())
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"frames": 0},
-        {"sun_phase_rad": (0.5, 0.1)},
-        {"range_radii": (0.5, 2.0)},
-        {"range_radii": (1.0, float("nan"))},
-        {"samples": 0},
-        {"earth": 1.5},
-        {"seed": -1},
-    ],
-)
-def test_options_out_of_range_are_refused_by_name(wrong):
-    with pytest.raises(RendezviewError, match=next(iter(wrong))):
-        AssessmentOptions(**wrong)
-
-
 def test_a_place_where_no_answers_can_be_written_is_refused_before_the_work(
     tmp_path, refining_model, bumpy_mesh, camera
 ):

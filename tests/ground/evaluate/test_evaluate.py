@@ -5,47 +5,16 @@ from __future__ import annotations
 import io
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
-from scipy.spatial.transform import Rotation
+from tests.ground.evaluate.rows import row, sequence
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
-from rendezview.io.results import ResultRow
-from rendezview.io.sequences import Frame, Sequence
 from rendezview_ground.evaluate import evaluate
 from rendezview_ground.evaluate.evaluation import Evaluation
-
-TRUTH = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
-
-
-def sequence(count: int = 4, without_truth: tuple[int, ...] = ()) -> Sequence:
-    def no_image() -> np.ndarray:
-        raise AssertionError("an evaluation reads no images")
-
-    camera = Camera.from_fov(64, 48, 1.0)
-    frames = tuple(
-        Frame(k, f"{k}.png", float(k), camera, None if k in without_truth else TRUTH, 1, no_image)
-        for k in range(count)
-    )
-    return Sequence(5, frames, Path("scene"))
-
-
-def row(im_id: int, angle_deg: float = 0.0, score: float = 1.0, **other: float) -> ResultRow:
-    turn = Rotation.from_euler("z", angle_deg, degrees=True).as_matrix()
-    return ResultRow(
-        int(other.get("scene_id", 5)),
-        im_id,
-        int(other.get("obj_id", 1)),
-        score,
-        Pose(turn, TRUTH.translation_m),
-        other.get("time_s"),
-    )
 
 
 def test_frames_without_a_row_have_no_pose_and_stay_in_the_count() -> None:
@@ -79,7 +48,9 @@ def test_a_row_of_no_frame_is_an_error_that_names_it() -> None:
 
 
 def test_of_several_rows_the_best_score_counts_and_a_note_says_so() -> None:
-    found = evaluate(sequence(), [row(0, 1.0, 0.5), row(0, 2.0, 0.9), row(0, 3.0, 0.7)])
+    found = evaluate(
+        sequence(), [row(0, 1.0, score=0.5), row(0, 2.0, score=0.9), row(0, 3.0, score=0.7)]
+    )
     assert found.statistics("rotation_rad").median == pytest.approx(math.radians(2.0))
     assert found.notes == ("2 rows more than one for a frame, the best score counts",)
 

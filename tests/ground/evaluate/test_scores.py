@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 from scipy.spatial.transform import Rotation
+from tests.ground.evaluate.rows import RANGE_M, row, sequence
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
-from rendezview.io.results import ResultRow
-from rendezview.io.sequences import Frame, Sequence
 from rendezview_ground.evaluate import evaluate
 from rendezview_ground.evaluate.comparison import (
     common_frames,
@@ -28,24 +26,6 @@ from rendezview_ground.evaluate.comparison import (
 from rendezview_ground.evaluate.nees import nees_text, normalised_errors
 from rendezview_ground.evaluate.scores import scores
 from rendezview_ground.evaluate.surface import ModelPoints
-
-RANGE_M = 10.0
-TRUTH = Pose(np.eye(3), np.array([0.0, 0.0, RANGE_M]))
-
-
-def sequence(count: int) -> Sequence:
-    camera = Camera.from_fov(640, 480, 1.0)
-    frames = tuple(
-        Frame(k, f"{k}.png", None, camera, TRUTH, 1, lambda: np.zeros((480, 640), np.uint8))
-        for k in range(count)
-    )
-    return Sequence(5, frames, Path("scene"))
-
-
-def row(im_id: int, angle_deg: float = 0.0, off_m: float = 0.0) -> ResultRow:
-    turn = Rotation.from_euler("z", angle_deg, degrees=True).as_matrix()
-    place = TRUTH.translation_m + np.array([off_m, 0.0, 0.0])
-    return ResultRow(5, im_id, 1, 1.0, Pose(turn, place), 0.01)
 
 
 def speed_score(angle_deg: float, off_m: float, threshold: bool) -> float:

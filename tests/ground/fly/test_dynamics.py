@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from rendezview.io.bundled import find_target
-from rendezview.trajectory.relative_orbit import transition
 from rendezview_ground.fly.dynamics import Command, OrbitDynamics
 from rendezview_ground.fly.options import ChaserOptions, FlyPlan, GuidanceOptions, TargetOptions
 from rendezview_ground.fly.port import Port, Relative
@@ -34,14 +33,6 @@ def drift(truth, steps: int, motion: OrbitDynamics, push=(0.0, 0.0, 0.0)):
     for _ in range(steps):
         truth = motion.step(truth, Command(np.array(push), truth.body_rate))
     return truth
-
-
-def test_free_motion_is_the_closed_form():
-    motion = dynamics()
-    start = motion.start()
-    end = drift(start, 300, motion)
-    n = PERFECT.target.mean_motion_rad_s
-    np.testing.assert_allclose(end.state, transition(n, 150.0) @ start.state, atol=1e-9)
 
 
 def test_thrusts_move_it_as_hills_equations_integrated_numerically():

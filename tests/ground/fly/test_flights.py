@@ -53,9 +53,16 @@ def test_a_camera_that_comes_back_leads_to_contact_after_a_hold(setup):
     assert modes.index("approach", next(k for k, m in enumerate(modes) if m != "approach")) > 0
 
 
+def flown(setup, controller, sensors=ModelledSensors):
+    """A flight by a controller, with modelled sensors."""
+    plan, port = setup.plan, setup.port
+    seen = sensors(plan, setup.beam, port.ring, port.centre_m, list(setup.patterns), 0)
+    return Loop(seen, FusedEstimator(), controller, OrbitDynamics(plan, port, 0)).run()
+
+
 def test_a_sensor_is_given_the_forecast_of_its_own_time(setup):
     """By the state of the step before, the ring seemed 4 cm off near contact, and was refused."""
-    plan, port, apart = setup.plan, setup.port, []
+    apart = []
 
     class Forecast(ModelledSensors):
         def read(self, truth, known):
@@ -66,9 +73,7 @@ def test_a_sensor_is_given_the_forecast_of_its_own_time(setup):
                 apart.append([np.linalg.norm(pose.translation_m - true) for pose in poses])
             return super().read(truth, known)
 
-    sensors = Forecast(plan, setup.beam, port.ring, port.centre_m, list(setup.patterns), 0)
-    dynamics = OrbitDynamics(plan, port, 0)
-    Loop(sensors, FusedEstimator(), Guidance(plan, port), dynamics).run()
+    flown(setup, Guidance(setup.plan, setup.port), Forecast)
     before, ahead = np.median(apart[len(apart) // 2 :], axis=0)
     assert before > 0.03
     assert ahead < 0.5 * before
@@ -180,10 +185,7 @@ def strangers_flight(setup):
             rate = estimate.rates[:3] + 0.2 * at.turn
             return Command(estimate.pose.rotation @ push, rate)
 
-    plan, port = setup.plan, setup.port
-    sensors = ModelledSensors(plan, setup.beam, port.ring, port.centre_m, list(setup.patterns), 0)
-    dynamics = OrbitDynamics(plan, port, 0)
-    return Loop(sensors, FusedEstimator(), ProportionalDerivative(port), dynamics).run()
+    return flown(setup, ProportionalDerivative(setup.port))
 
 
 def test_a_strangers_controller_takes_a_place_in_the_loop(setup):
@@ -218,10 +220,7 @@ def operated_flight(setup, orders: dict[float, str]):
                 self.order(orders[known.time_s])
             return super().command(known)
 
-    plan, port = setup.plan, setup.port
-    sensors = ModelledSensors(plan, setup.beam, port.ring, port.centre_m, list(setup.patterns), 0)
-    dynamics = OrbitDynamics(plan, port, 0)
-    return Loop(sensors, FusedEstimator(), Operated(plan, port), dynamics).run()
+    return flown(setup, Operated(setup.plan, setup.port))
 
 
 def test_an_ordered_hold_lasts_until_the_order_to_go_on(setup):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from tests.ground.mesh.mesh_samples import grey_mesh
 
 from rendezview.sensors.appearance.model.contours import (
     DEPTH_UNIT,
@@ -27,11 +28,6 @@ from rendezview_ground.render.crossings import faces_beside
 OPTIONS = TrainingOptions(contour_points=200, contour_resolution_px=256)
 
 
-def as_mesh(body: trimesh.Trimesh) -> Mesh:
-    faces = np.array(body.faces, dtype=np.int32)
-    return Mesh(np.array(body.vertices), faces, np.full((len(faces), 3), 0.6, np.float32), ())
-
-
 def points_of(mesh: Mesh, direction, range_radii=3.0):
     geometry = view_geometry(mesh, OPTIONS, None)
     direction = np.asarray(direction) / np.linalg.norm(direction)
@@ -49,7 +45,7 @@ def points_of(mesh: Mesh, direction, range_radii=3.0):
 
 
 def test_points_of_a_box_lie_on_its_edges():
-    mesh = as_mesh(trimesh.creation.box((2.0, 1.0, 0.5)))
+    mesh = grey_mesh([trimesh.creation.box((2.0, 1.0, 0.5))])
     points, view, _ = points_of(mesh, [1.0, 0.7, 0.5])
     on_face = np.isclose(np.abs(points), [1.0, 0.5, 0.25], atol=2e-4)
     assert len(points) > 150
@@ -59,7 +55,7 @@ def test_points_of_a_box_lie_on_its_edges():
 
 
 def test_points_of_a_ball_lie_on_its_rim_seen_from_the_camera():
-    mesh = as_mesh(trimesh.creation.icosphere(subdivisions=4))
+    mesh = grey_mesh([trimesh.creation.icosphere(subdivisions=4)])
     direction = np.array([0.3, -0.5, 0.8]) / np.linalg.norm([0.3, -0.5, 0.8])
     points, view, _ = points_of(mesh, direction)
     rim = points[view["kind"] == OUTLINE]
@@ -68,7 +64,7 @@ def test_points_of_a_ball_lie_on_its_rim_seen_from_the_camera():
 
 
 def test_the_outside_lies_to_the_right_of_the_tangent():
-    mesh = as_mesh(trimesh.creation.icosphere(subdivisions=3))
+    mesh = grey_mesh([trimesh.creation.icosphere(subdivisions=3)])
     direction = np.array([0.0, -1.0, 0.0])
     points, view, _ = points_of(mesh, direction)
     rotation = look_from(direction)
@@ -81,8 +77,8 @@ def test_the_outside_lies_to_the_right_of_the_tangent():
 def test_a_thin_bar_has_short_runs_and_few_points():
     bar = trimesh.creation.box((2.0, 0.008, 0.008))
     bar.apply_translation((0.0, 0.9, 0.0))
-    body = trimesh.util.concatenate([trimesh.creation.box((1.6, 1.0, 0.3)), bar])
-    points, view, geometry = points_of(as_mesh(body), [0.0, 0.0, 1.0])
+    mesh = grey_mesh([trimesh.creation.box((1.6, 1.0, 0.3)), bar])
+    points, view, geometry = points_of(mesh, [0.0, 0.0, 1.0])
     thin = points[:, 1] > 0.8
     assert np.mean(thin) < 0.1
     runs_m = view["run"][:, 0] * RUN_UNIT * geometry.target_radius_m
@@ -91,10 +87,8 @@ def test_a_thin_bar_has_short_runs_and_few_points():
 
 
 def test_profiles_have_the_surface_inside_the_edge_and_the_sky_beyond_a_thin_body():
-    body = trimesh.util.concatenate(
-        [trimesh.creation.box((1.6, 1.0, 0.3)), trimesh.creation.box((2.6, 0.04, 0.3))]
-    )
-    mesh = as_mesh(body)
+    bodies = [trimesh.creation.box((1.6, 1.0, 0.3)), trimesh.creation.box((2.6, 0.04, 0.3))]
+    mesh = grey_mesh(bodies)
     points, view, _ = points_of(mesh, [0.0, 0.0, 1.0])
     surfaces = view["surfaces"].astype(float)
     outline = view["kind"] == OUTLINE
@@ -114,7 +108,7 @@ def test_a_rim_ends_where_what_stands_before_it_hides_it():
     flange = trimesh.creation.box((*(2.0 * half * (eye_m + depth_m)), 0.1))
     plate.apply_translation((0.0, 0.0, -0.05))
     flange.apply_translation((0.0, 0.0, -0.05 - depth_m))
-    mesh = as_mesh(trimesh.util.concatenate([plate, flange]))
+    mesh = grey_mesh([plate, flange])
     centre_m, radius_m = mesh.bounding_sphere
     range_m = eye_m - centre_m[2]
     metres, view, geometry = points_of(mesh, [0.0, 0.0, 1.0], range_m / radius_m)
@@ -137,7 +131,7 @@ def test_a_profile_tells_where_paint_changes_along_the_normal():
         body.apply_translation((0.5 * (left + right), 0.0, 0.0))
         bodies.append(body)
         colours += [paint] * len(body.faces)
-    plate = as_mesh(trimesh.util.concatenate(bodies))
+    plate = grey_mesh(bodies)
     mesh = replace(plate, face_rgb=np.repeat(np.float32(colours)[:, None], 3, axis=1))
     metres, view, geometry = points_of(mesh, [0.0, 0.0, 1.0])
     at_left = np.isclose(metres[:, 0], -1.0, atol=1e-3) & (np.abs(metres[:, 1]) < 0.4)
@@ -170,7 +164,7 @@ def test_a_palette_has_every_surface_that_there_are_few_of():
 
 
 def test_faces_beside_share_an_edge():
-    mesh = as_mesh(trimesh.creation.box((1.0, 1.0, 1.0)))
+    mesh = grey_mesh([trimesh.creation.box((1.0, 1.0, 1.0))])
     beside = faces_beside(mesh)
     assert beside.min() >= 0
     for face, others in enumerate(beside):

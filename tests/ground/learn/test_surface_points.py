@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import trimesh
+from tests.ground.mesh.mesh_samples import grey_mesh
 
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.sensors.appearance.model.contours import POINT_UNIT
@@ -19,11 +20,6 @@ from rendezview_ground.mesh.mesh import Mesh
 OPTIONS = TrainingOptions(surface_points=400, contour_resolution_px=200)
 
 
-def as_mesh(body: trimesh.Trimesh) -> Mesh:
-    faces = np.array(body.faces, dtype=np.int32)
-    return Mesh(np.array(body.vertices), faces, np.full((len(faces), 3), 0.6, np.float32), ())
-
-
 def surface_of(mesh: Mesh, order: int = 2):
     geometry = view_geometry(mesh, OPTIONS, None)
     points, faces = candidate_points(mesh, geometry, OPTIONS)
@@ -36,7 +32,7 @@ def surface_of(mesh: Mesh, order: int = 2):
 
 
 def test_points_of_a_box_lie_on_its_faces_as_many_to_each_square_metre():
-    surface, metres, _, _ = surface_of(as_mesh(trimesh.creation.box((2.0, 1.0, 0.5))))
+    surface, metres, _, _ = surface_of(grey_mesh([trimesh.creation.box((2.0, 1.0, 0.5))]))
     on_face = np.isclose(np.abs(metres), [1.0, 0.5, 0.25], atol=2e-4)
     assert np.all(on_face.any(axis=1))
     share = on_face.mean(axis=0)
@@ -49,7 +45,7 @@ def test_points_of_a_box_lie_on_its_faces_as_many_to_each_square_metre():
 
 
 def test_of_a_box_just_the_faces_that_look_at_the_camera_are_seen():
-    _, metres, bits, nodes = surface_of(as_mesh(trimesh.creation.box((2.0, 1.0, 0.5))))
+    _, metres, bits, nodes = surface_of(grey_mesh([trimesh.creation.box((2.0, 1.0, 0.5))]))
     face = np.argmax(np.abs(metres) / [1.0, 0.5, 0.25], axis=1)
     outward = np.zeros_like(metres)
     outward[np.arange(len(metres)), face] = np.sign(metres[np.arange(len(metres)), face])
@@ -62,7 +58,7 @@ def test_what_stands_in_the_shadow_of_another_part_is_not_seen():
     plate = trimesh.creation.box((2.0, 2.0, 0.1))
     roof = trimesh.creation.box((2.0, 2.0, 0.1))
     roof.apply_translation([0.0, 0.0, 1.0])
-    _, metres, bits, nodes = surface_of(as_mesh(trimesh.util.concatenate([plate, roof])))
+    _, metres, bits, nodes = surface_of(grey_mesh([plate, roof]))
     inside = (np.abs(metres[:, 2] - 0.05) < 1e-3) & (np.abs(metres[:, :2]).max(axis=1) < 0.4)
     above = nodes[:, 2] > 0.95
     aside = (nodes[:, 2] > 0.1) & (nodes[:, 2] < 0.4)
@@ -73,6 +69,6 @@ def test_what_stands_in_the_shadow_of_another_part_is_not_seen():
 
 def test_a_part_inside_another_has_no_points():
     shell, core = trimesh.creation.box((2.0, 2.0, 2.0)), trimesh.creation.box((1.0, 1.0, 1.0))
-    _, metres, _, _ = surface_of(as_mesh(trimesh.util.concatenate([shell, core])))
+    _, metres, _, _ = surface_of(grey_mesh([shell, core]))
     assert len(metres) == 400
     assert np.abs(metres).max(axis=1).min() > 0.9

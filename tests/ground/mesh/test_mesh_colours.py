@@ -49,20 +49,16 @@ def test_ply_vertex_colours_are_averaged_after_linearising(tmp_path: Path) -> No
     np.testing.assert_allclose(mesh.face_rgb, [[mean, 0, 0]], atol=1e-6)
 
 
-def test_glb_base_colour_is_linear_already(tmp_path: Path) -> None:
-    made = box()
-    material = trimesh.visual.material.PBRMaterial(baseColorFactor=[0.2, 0.4, 0.8, 1.0])
+@pytest.mark.parametrize(("suffix", "linear"), [("glb", True), ("dae", False)])
+def test_a_base_colour_of_a_glb_is_linear_already_and_a_diffuse_of_a_dae_is_srgb(
+    tmp_path: Path, suffix: str, linear: bool
+) -> None:
+    made, rgb = box(), [0.2, 0.4, 0.8]
+    material = trimesh.visual.material.PBRMaterial(baseColorFactor=[*rgb, 1.0])
     made.visual = trimesh.visual.TextureVisuals(material=material)
-    mesh = load_mesh(export(tmp_path, "glb", made))
-    np.testing.assert_allclose(mesh.face_rgb, np.tile([0.2, 0.4, 0.8], (12, 1)), atol=1e-6)
-
-
-def test_dae_diffuse_is_srgb(tmp_path: Path) -> None:
-    made = box()
-    material = trimesh.visual.material.PBRMaterial(baseColorFactor=[0.2, 0.4, 0.8, 1.0])
-    made.visual = trimesh.visual.TextureVisuals(material=material)
-    mesh = load_mesh(export(tmp_path, "dae", made))
-    np.testing.assert_allclose(mesh.face_rgb[3], linear_from_srgb([0.2, 0.4, 0.8]), atol=1e-6)
+    mesh = load_mesh(export(tmp_path, suffix, made))
+    expected = rgb if linear else linear_from_srgb(rgb)
+    np.testing.assert_allclose(mesh.face_rgb, np.tile(expected, (12, 1)), atol=1e-6)
 
 
 def test_3mf_colours_of_object_triangle_and_colour_group(tmp_path: Path) -> None:

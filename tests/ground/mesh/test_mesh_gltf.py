@@ -39,10 +39,6 @@ def test_a_gltf_file_that_cannot_be_read_says_why(
         load_mesh(_gltf(tmp_path, change), None)
 
 
-def test_a_gltf_file_with_its_buffers_beside_it_is_read(tmp_path: Path) -> None:
-    assert len(load_mesh(_gltf(tmp_path, {}), None).faces) == 12
-
-
 def test_a_binary_file_of_the_first_version_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "old.glb"
     path.write_bytes(struct.pack("<4sIIII", b"glTF", 1, 20, 0, 0))

@@ -72,16 +72,6 @@ def test_a_solid_aside_has_the_turns_of_its_group(solid: trimesh.Trimesh, order:
         assert apart.max() < 1e-3 * moved.scale
 
 
-def test_a_box_with_its_origin_at_a_corner_turns_about_its_middle() -> None:
-    corner = SOLIDS.box((3.0, 2.0, 1.0))
-    corner.apply_translation([1.5, 1.0, 0.5])
-    found = find_symmetries(as_mesh(corner))
-    assert [symmetry.angle_rad for symmetry in found] == pytest.approx([math.pi, math.pi])
-    np.testing.assert_allclose(common_point(found), [1.5, 1.0, 0.5], atol=1e-9)
-    for symmetry in found:
-        np.testing.assert_allclose(np.abs(symmetry.axis).max(), 1.0, atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("solid", "expected"),
     [

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview_ground.simulate.background import (
     Earth,
@@ -87,16 +86,3 @@ def test_stars_fill_the_sky_evenly_and_repeat_with_the_seed() -> None:
 
 def test_no_stars_is_a_black_sky() -> None:
     assert not star_radiance(CAMERA, np.eye(3), Stars(count=0)).any()
-
-
-@pytest.mark.parametrize("radius_rad", [0.0, math.pi / 2, math.nan])
-def test_an_earth_of_impossible_size_is_refused(radius_rad: float) -> None:
-    with pytest.raises(RendezviewError, match="angular_radius_rad"):
-        Earth(angular_radius_rad=radius_rad)
-
-
-def test_impossible_stars_are_refused() -> None:
-    with pytest.raises(RendezviewError, match="count"):
-        Stars(count=-1)
-    with pytest.raises(RendezviewError, match="brightest"):
-        Stars(brightest=math.nan)

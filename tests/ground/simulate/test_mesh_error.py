@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from tests.ground.mesh.mesh_samples import grey_mesh
 
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate.mesh_error import deformed
@@ -17,10 +18,7 @@ def ball_with_boom() -> Mesh:
     for _ in range(3):
         boom = boom.subdivide()
     boom.apply_translation([2.0, 0.5, 0.0])
-    both = trimesh.util.concatenate([ball, boom])
-    assert isinstance(both, trimesh.Trimesh)
-    faces = np.asarray(both.faces, np.int32)
-    return Mesh(np.asarray(both.vertices), faces, np.full((len(faces), 3), 0.5, np.float32), ())
+    return grey_mesh([ball, boom])
 
 
 MESH = ball_with_boom()

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rendezview.errors import RendezviewError
 from rendezview_ground.simulate.sensor import (
     SensorOptions,
     automatic_exposure,
@@ -28,13 +27,6 @@ def test_a_perfect_sensor_is_linear_rounds_and_saturates() -> None:
     grey = expose(radiance, 200.0, PERFECT, rng())
     assert grey.dtype == np.uint8
     np.testing.assert_array_equal(grey, [[0, 20, 100, 255, 255]])
-
-
-def test_the_black_level_is_added_to_everything() -> None:
-    options = SensorOptions(blur_sigma_px=0.0, noise_sigma_grey=0.0, black_level_grey=12.0)
-    np.testing.assert_array_equal(
-        expose(np.array([[0.0, 0.5]], np.float32), 100.0, options, rng()), [[12, 62]]
-    )
 
 
 @pytest.mark.parametrize("sigma_px", [0.7, 1.5])
@@ -132,24 +124,3 @@ def test_automatic_exposure_of_the_dark_is_none() -> None:
     dark, covered = np.zeros((4, 4), np.float32), np.ones((4, 4), np.float32)
     assert automatic_exposure([(dark, covered)]) is None
     assert automatic_exposure([]) is None
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("exposure", 0.0),
-        ("exposure", math.inf),
-        ("overexposure", 0.0),
-        ("overexposure", math.inf),
-        ("bloom", 1.0),
-        ("bloom", -0.1),
-        ("bloom", math.nan),
-        ("blur_sigma_px", -1.0),
-        ("noise_sigma_grey", math.nan),
-        ("black_level_grey", 255.0),
-        ("electrons_per_grey", -3.0),
-    ],
-)
-def test_impossible_options_are_refused_by_name(name: str, value: float) -> None:
-    with pytest.raises(RendezviewError, match=name):
-        SensorOptions(**{name: value})

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from mcap.reader import make_reader
-from tests.service.served import Served
 
+from experiments.frame import tests_module
 from experiments.service.serving import Loop
 from rendezview import Client, RendezviewError
 from rendezview_service.logs.log_repair import mend
@@ -34,15 +33,7 @@ def send(url: str, scene: Path, name: str, acknowledged: dict[str, list[dict]]) 
                 states.append(state)
 
 
-def states_of(path: Path) -> dict[int, dict]:
-    """The states of a log by frame, by the reader of the mcap package."""
-    with open(path, "rb") as file:
-        messages = make_reader(file).iter_messages(topics=["/rendezview/state"])
-        states = [json.loads(message.data) for *_, message in messages]
-    return {state["frame"]: state for state in states}
-
-
-def campaign(serve: Callable[..., Served], scene: Path, kills: int, seed: int) -> bool:
+def campaign(serve: Callable[..., Any], scene: Path, kills: int, seed: int) -> bool:
     """Kill the recording service repeatedly; whether no acknowledged pose is lost.
 
     Each time a service starts with a log, two clients send frames as fast as they are answered,
@@ -80,7 +71,7 @@ def campaign(serve: Callable[..., Served], scene: Path, kills: int, seed: int) -
                     kept = [f.state for f in read_log(path).frames() if f.state is not None]
                     as_left = {state["frame"]: state for state in kept}
                     repaired = mend(path)
-                    mended = states_of(path)
+                    mended = tests_module("service.logged").states_of(path)
                 except Exception as error:  # any error of a reader
                     print(f"{path}: {error!r}")
                     unreadable += path.exists()

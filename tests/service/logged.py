@@ -1,0 +1,16 @@
+"""The states of a log, by another reader than ours."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from mcap.reader import make_reader
+
+
+def states_of(path: Path) -> dict[int, dict]:
+    """The states of a log by frame, by the reader of the mcap package."""
+    with open(path, "rb") as file:
+        messages = make_reader(file).iter_messages(topics=["/rendezview/state"])
+        states = [json.loads(message.data) for *_, message in messages]
+    return {state["frame"]: state for state in states}
