@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from copy import copy
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array
+from rendezview.geometry.pose import Array, minimal_rotation
 from rendezview.geometry.so3 import exp
 from rendezview.sensors.appearance.edges.network import Box, Sketch
+from rendezview.sensors.appearance.model.signature import BORESIGHT, twist
 from rendezview.sensors.appearance.model.sketches import (
     Float32s,
     ViewSketches,
@@ -49,6 +50,8 @@ _LEAST_OVERLAP = 0.35  # Source: the same
 _COMPARED = 600  # of 6000 placements and rolls, in finer cells. Source: the same; 480 find the same
 _SORTED = 16384  # likeliest views and rolls that are looked through. Source: by construction
 _BLOCK = 512  # of them are compared with each other at once. Source: its cost
+
+towards = partial(minimal_rotation, BORESIGHT)  # the least turn of the boresight to (3,)
 
 
 class _Tables:
@@ -263,18 +266,7 @@ def _rolls() -> tuple[Array, Array]:
 def nearest_view(views: ViewSketches, ahead: Array) -> tuple[int, float]:
     """The view nearest to an attitude (3, 3) of a camera that looks at the target, and its roll."""
     view = int(np.argmax(views.rotation[:, 2] @ ahead[2]))
-    between = ahead @ views.rotation[view].astype(np.float64).T
-    turn = np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
-    return view, float(turn)
-
-
-def towards(bearing: Array) -> Array:
-    """(3, 3) the least rotation that turns the boresight to a unit direction (3,)."""
-    axis = np.array([-bearing[1], bearing[0], 0.0])
-    sine = float(np.linalg.norm(axis))
-    if sine < 1e-12:
-        return np.eye(3)
-    return np.asarray(exp(axis / sine * np.arctan2(sine, bearing[2])))
+    return view, float(twist(ahead, views.rotation[view].astype(np.float64)))
 
 
 def _distinct(

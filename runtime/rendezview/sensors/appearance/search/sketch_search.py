@@ -21,11 +21,11 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.so3 import hat, log
+from rendezview.geometry.so3 import log
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import CUT_SPREADS
 from rendezview.sensors.appearance.edges.contour_at import target_box
-from rendezview.sensors.appearance.edges.measured import MeasuredEdges
+from rendezview.sensors.appearance.edges.measured import MeasuredEdges, about_origin
 from rendezview.sensors.appearance.edges.network import FINER, Box, Sketch, Sketcher, around
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
 from rendezview.sensors.appearance.edges.sketch import (
@@ -323,10 +323,9 @@ class SketchSearch:
         if finest is not None:
             arm = finest.rotation @ self.model.centre_m
             pose = Pose(finest.rotation, finest.centre_m - arm)
-        carry = np.eye(6)  # from the view centre to the target's origin
-        carry[3:, :3] = hat(pose.rotation @ self.model.centre_m)
         count = len(found)
-        scatter = carry @ (off.T @ off) @ carry.T / (count * max(count - 1, 1))
+        scatter = about_origin(off.T @ off, pose.rotation @ self.model.centre_m)
+        scatter /= count * max(count - 1, 1)
         spread_deg = float(np.rad2deg(np.linalg.norm(off[:, :3], axis=1).max()))
         return pose, spread_deg, scatter
 
