@@ -66,11 +66,8 @@ def place(model: ViewModel, match: Match, signature: Signature) -> tuple[Pose, A
         )[0]
     )
     # The view centre is off the centroid's line of sight by each view's offset, rolled.
-    roll = twist(attitude, views.centred_from_target[near])
-    c, s = np.cos(roll), np.sin(roll)
-    x, y = views.offset_m[near].T
-    offset_x, offset_y = share @ (c * x - s * y), share @ (s * x + c * y)
-    line = np.array([offset_x / range_m, offset_y / range_m, 1.0])
+    rolls = twist(attitude, views.centred_from_target[near])
+    line = np.append(share @ turned_offsets(views.offset_m[near], rolls) / range_m, 1.0)
     line /= np.sqrt(line @ line)
     # The trees vote for the direction from the view centre; turn the attitude to show it there.
     attitude = attitude @ minimal_rotation(match.direction, -attitude.T @ line)
@@ -82,6 +79,13 @@ def place(model: ViewModel, match: Match, signature: Signature) -> tuple[Pose, A
         model.held_out, model.sphere_radius_m, model.centre_m, pose, centre_camera, range_m
     )
     return pose, covariance
+
+
+def turned_offsets(offset_m: Array, roll_rad: Array | float) -> Array:
+    """Offsets (…, 2) of view centres off the centroid's line of sight, as views at rolls (…)."""
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    x, y = offset_m[..., 0], offset_m[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
 def _views_around(model: ViewModel, direction: Array) -> tuple[npt.NDArray[np.intp], Array]:
