@@ -76,7 +76,7 @@ class Catalogue:
         distances = self._distances(fft.rfft(readings), entries)
         off = np.arange(self.bins) - np.rint(around)[:, None]
         off -= self.bins * np.rint(off / self.bins)
-        distances[np.abs(off) > np.ceil(reach)] = np.inf
+        distances = np.where(np.abs(off) > np.ceil(reach), np.inf, distances)
         shifts = np.argmin(distances, axis=1)
         return shifts, distances[np.arange(len(shifts)), shifts]
 
