@@ -22,6 +22,7 @@ from rendezview.sensors.appearance.edges.predicted import (
     STATE,
     WEIGHT,
 )
+from rendezview.sensors.appearance.hypothesis import inlier_ratio
 from rendezview.sensors.appearance.model.contours import NO_POINT, OUTLINE
 from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
 
@@ -52,7 +53,6 @@ CLOSE_PX = 1.5  # px; spread of a refined pose's inliers … Source: fixed with 
 LOOSE_PX = 2.0 * CLOSE_PX  # px; … and of a roughly aligned one's. Source: by construction
 _LOOSE_STRIDE = 2  # one point in two is enough to judge that. Source: by construction
 AGREEING = 0.53  # of the spread: it counts exp(−½). Source: fixed with error_model.json
-_INNER_SHARE = 0.5  # of inner edges in the loose ratio. Source: by hand, docs/notes/refinement.md
 # Source: experiment pose-accuracy: one of 200 right poses lies below (commit b583915)
 _LEAST_RATIO = 0.65  # of the best loose ratio; poses below are dropped
 CUT_SPREADS = 2.5  # spreads; no residual beyond counts. Source: by hand, docs/notes/refinement.md
@@ -290,7 +290,7 @@ def align_each(
             outline, inner, _ = inlier_ratios(
                 image, lens, frame, views, rotation, centre, LOOSE_PX, _LOOSE_STRIDE, edges
             )
-            rough[k] = outline + _INNER_SHARE * inner
+            rough[k] = inlier_ratio(outline, inner)
     least = _LEAST_RATIO * rough.max(initial=0.0)
     for k in np.argsort(-rough, kind="stable")[:survivors]:
         if rough[k] < least or rough[k] <= 0.0:

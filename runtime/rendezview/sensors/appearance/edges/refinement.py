@@ -49,7 +49,7 @@ from rendezview.sensors.appearance.edges.stages import (
     INEXACT_CUT_PX,
     ROUGH,
 )
-from rendezview.sensors.appearance.hypothesis import Hypothesis
+from rendezview.sensors.appearance.hypothesis import Hypothesis, inlier_ratio
 from rendezview.sensors.appearance.model.contours import Contours
 from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.near_views import NearSphere
@@ -168,7 +168,7 @@ class Refiner:
             image, self._lens, sky.vector, self.views, rotation, centre, LOOSE_PX, 1,
             np.zeros((self._rows, COLUMNS)),
         )  # fmt: skip
-        return float((2.0 * outline + inner) / 3.0)
+        return inlier_ratio(outline, inner)
 
     def measured(self, image: Picture, sky: Sky, start: Pose) -> MeasuredEdges | None:
         """The edges at the pose next to ``start`` that fits them; None where it finds no hold."""
@@ -205,7 +205,7 @@ class Refiner:
             image, self._lens, frame, ROUGH, COARSE, self.views, rotations, centres,
             survivors, ratios,
         )  # fmt: skip
-        merit = (2.0 * ratios[:, 0] + ratios[:, 1]) / 3.0
+        merit = [inlier_ratio(*ratio[:2]) for ratio in ratios]
 
         def same(k: int, known: int) -> bool:
             cosine = 0.5 * (np.sum(rotations[k] * rotations[known]) - 1.0)

@@ -12,7 +12,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, minimal_rotation
 from rendezview.geometry.so3 import exp
 from rendezview.sensors.appearance.edges.network import Box, Sketch
-from rendezview.sensors.appearance.model.signature import BORESIGHT, twist
+from rendezview.sensors.appearance.model.signature import BORESIGHT
 from rendezview.sensors.appearance.model.sketches import (
     Float32s,
     ViewSketches,
@@ -198,21 +198,6 @@ class SketchRetrieval:
             alike[:, ~allowed] = -np.inf
         return alike
 
-    def placed(self, sketch: Sketch, rotations: Array) -> Array:
-        """View centres (K, 3) m that put the cover of the nearest views over the sketch's."""
-        centre, size = centroid(cover_of(sketch.maps))
-        ahead = towards(self._ray(sketch, centre))
-        views = np.empty(len(rotations), np.int64)
-        spins = np.empty((len(rotations), 3, 3))
-        for k, rotation in enumerate(rotations):
-            views[k], turn = nearest_view(self._sketches, ahead.T @ rotation)
-            spins[k] = exp(np.array([0.0, 0.0, turn]))
-        many = len(rotations)
-        bearings, ranges_m = self._placed(
-            sketch, np.tile(centre, (many, 1)), np.full(many, size), views, spins
-        )
-        return bearings * ranges_m[:, None]
-
     def _placed(
         self, sketch: Sketch, centres_px: Array, sizes_px: Array, views: Ints, spins: Array
     ) -> tuple[Array, Array]:
@@ -261,12 +246,6 @@ def _rolls() -> tuple[Array, Array]:
     """(R,) turns of the picture, rad, and the rotations (R, 3, 3) of the camera."""
     turns = 2.0 * np.pi * np.arange(_ROLLS) / _ROLLS
     return turns, np.array([exp(np.array([0.0, 0.0, turn])) for turn in turns])
-
-
-def nearest_view(views: ViewSketches, ahead: Array) -> tuple[int, float]:
-    """The view nearest to an attitude (3, 3) of a camera that looks at the target, and its roll."""
-    view = int(np.argmax(views.rotation[:, 2] @ ahead[2]))
-    return view, float(twist(ahead, views.rotation[view].astype(np.float64)))
 
 
 def _distinct(

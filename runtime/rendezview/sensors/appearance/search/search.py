@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from rendezview.sensors.appearance.outline.voted import VOTES_WORTH
 from rendezview.sensors.appearance.search.levels import Levels
 from rendezview.sensors.appearance.search.starts import (
     half_turns,
-    quarter_turns,
     rotated_about,
     rotated_by,
 )
@@ -62,35 +61,29 @@ _ASIDE_RAD = np.deg2rad(9.0)
 _ASIDE_RANGES = np.array([1.0, 0.87, 1.15])
 _KEPT_ASIDE = 3  # of the poses around it that are refined. Source: the same
 
-
-@dataclass(frozen=True, kw_only=True)
-class SearchOptions:
-    """How far to search."""
-
-    # Views and rolls that are aligned without a prior. Source: by hand, seeds of
-    # docs/notes/refinement.md
-    retrieved: int = 60
-    retrieved_first: int = 20  # the same where a sketch comes next. Source: commit cb7137c
-    refined: int = 6  # of them that are refined. Source: by hand, seeds of docs/notes/refinement.md
-    # The same near a prior. Source: by hand, seeds of docs/notes/refinement.md
-    refined_near: int = 3
-    # Source: commit f31a7df; poses 5° to 10° off the truth reached the limit before it
-    inlier_ratio: float = 0.5  # of the pose next to a prior: then nothing else is tried …
-    # … and before a bright sky, where clouds give edges too. Source: by hand, seeds of
-    # docs/notes/refinement.md
-    inlier_ratio_bright: float = 0.6
+# Views and rolls that are aligned without a prior. Source: by hand, seeds of
+# docs/notes/refinement.md
+_RETRIEVED = 60
+_RETRIEVED_FIRST = 20  # the same where a sketch comes next. Source: commit cb7137c
+_REFINED = 6  # of them that are refined. Source: by hand, seeds of docs/notes/refinement.md
+_REFINED_NEAR = 3  # the same near a prior. Source: by hand, seeds of docs/notes/refinement.md
+# Source: commit f31a7df; poses 5° to 10° off the truth reached the limit before it
+_ENOUGH = 0.5  # inlier ratio of the pose next to a prior: then nothing else is tried …
+# … and before a bright sky, where clouds give edges too. Source: by hand, seeds of
+# docs/notes/refinement.md
+_ENOUGH_BRIGHT = 0.6
 
 
 class PoseSearch:
     """Finds poses of one model in the frames of one camera, where it has a suitable size."""
 
     def __init__(self, model: ViewModel, camera: Camera) -> None:
-        self.model, self.options = model, SearchOptions()
+        self.model = model
         self.levels = Levels(model, camera)
         self.bounds: tuple[Bound, ...] = ()  # of all poses
         self._retrieval = Retrieval(model)
         self._forest_scores = model.forest_scores()  # None: the model has no forest
-        self._half_turns, self._quarter_turns = half_turns(model), quarter_turns(model)
+        self._half_turns = half_turns(model)
 
     def with_camera(self, camera: Camera, *bounds: Bound) -> PoseSearch:
         """The same search in the frames of another camera, and within more bounds."""
@@ -139,11 +132,11 @@ class PoseSearch:
         self, candidates: Candidates, outlines: Outlines, brief: bool, give_up: float
     ) -> Found | None:
         """``anywhere`` at the level of the candidates."""
-        options, beside_sketch = self.options, give_up > 0.0  # it is better at what is hard here
+        beside_sketch = give_up > 0.0  # it is better at what is hard here
         least = _WORTH_REFINING if beside_sketch else 0.0
-        rotations, centres = self._voted(outlines, options.retrieved, candidates.sky)
-        most = options.retrieved_first if brief or beside_sketch else options.retrieved
-        keep = _REFINED_OF_VOTED if brief else options.refined
+        rotations, centres = self._voted(outlines, _RETRIEVED, candidates.sky)
+        most = _RETRIEVED_FIRST if brief or beside_sketch else _RETRIEVED
+        keep = _REFINED_OF_VOTED if brief else _REFINED
         candidates.refine_best(rotations[:most], centres[:most], keep, least=least)
         if brief:
             return candidates.choose()
@@ -185,9 +178,6 @@ class PoseSearch:
             least = best.inlier_ratio - _MOST_BEHIND
             alike = rivals.look_alikes(best.pose, candidates.reach_rad)
             candidates.refine_closely(filter(candidates.may_be, alike), least=least)
-            if not candidates.sky.dark:  # boxes of rooms look alike after quarter turns
-                turned = rotated_by(best.pose, self._quarter_turns, self.model.centre_m)
-                candidates.refine(filter(candidates.may_be, turned), least=least)
             return True
 
         for _ in range(_ROUNDS):
@@ -223,9 +213,9 @@ class PoseSearch:
     ) -> Found | None:
         """The pose next to a prior that is right to a few degrees; None unless it is confident.
 
-        ``sufficient_inlier_ratio`` lowers what the options require: a search has confirmed it.
+        ``sufficient_inlier_ratio`` lowers what is enough otherwise: a search has confirmed it.
         """
-        usual = self.options.inlier_ratio if sky.dark else self.options.inlier_ratio_bright
+        usual = _ENOUGH if sky.dark else _ENOUGH_BRIGHT
         prior = near.prior
         single = self._candidates(image, sky, prior, None, near)
         refined = single.level.refiner.refine(single.image, single.sky, prior)
@@ -289,7 +279,7 @@ class PoseSearch:
         rotations, centres = self._starts_near(near, outlines, also)
         candidates = self._candidates(image, sky, near.prior, outlines, near)
         candidates.refine_next_to([near.prior])
-        candidates.refine_best(rotations, centres, self.options.refined_near)
+        candidates.refine_best(rotations, centres, _REFINED_NEAR)
         found = self._settled(candidates)
         if found is not None and found.confidence >= give_up:
             found = self._beside_look_alikes(candidates, found)
@@ -303,9 +293,9 @@ class PoseSearch:
         rotations = np.concatenate([rotations, *(p.rotation[None] for p in also)])
         centres = np.concatenate([centres, *(p.apply(self.model.centre_m)[None] for p in also)])
         if outlines is not None:
-            more, places = self._retrieval.of(outlines.signature, 3 * self.options.retrieved)
+            more, places = self._retrieval.of(outlines.signature, 3 * _RETRIEVED)
             cosines = 0.5 * (np.einsum("kij,ij->k", more, near.prior.rotation) - 1.0)
-            close = np.flatnonzero(cosines > np.cos(near.error_rad))[: self.options.retrieved]
+            close = np.flatnonzero(cosines > np.cos(near.error_rad))[:_RETRIEVED]
             rotations = np.concatenate([rotations, more[close]])
             centres = np.concatenate([centres, places[close]])
         return rotations, centres

@@ -156,8 +156,8 @@ class SketchSearch:
         alike, places = self.retrieval.starts(
             sketch, _RETRIEVED_NEAR, near.prior.rotation, near.error_rad + _VIEW_RAD
         )
-        rotations = np.concatenate([around, around, alike])
-        centres = np.concatenate([stay, self.retrieval.placed(sketch, around), places])
+        rotations = np.concatenate([around, alike])
+        centres = np.concatenate([stay, places])
         reading = self.read(sketch, sky)
         first = near.wider(_VIEW_RAD)
         poses = self._bounded(self.aligned(reading, rotations, centres), first)
