@@ -15,7 +15,13 @@ from scipy import fft
 from rendezview.geometry.geodesic import cosine_within
 from rendezview.geometry.pose import Array, minimal_rotation
 from rendezview.geometry.so3 import about_z
-from rendezview.sensors.appearance.model.signature import Readings, roll_against, twist
+from rendezview.sensors.appearance.model.shadowed_silhouettes import SHADOWED_BINS
+from rendezview.sensors.appearance.model.signature import (
+    Readings,
+    rebinning,
+    roll_against,
+    twist,
+)
 from rendezview.sensors.appearance.model.view_model import ViewModel
 
 Indices = npt.NDArray[np.intp]
@@ -31,7 +37,6 @@ _CORRELATED = 2000
 # One value in 17 gives the bound; no divisor of a number of bins. Source: by construction
 _SAMPLED = 17
 _SAME_ROLL_BINS = 3  # of 90, so 12°. Source: by construction
-_COARSE = 4  # readings averaged for the first search. Source: recognition-accuracy, seed 1
 # Rad around the roll that a neighbouring view gives. Source: recognition-accuracy, seed 1
 _ROLL_REACH_RAD = np.deg2rad(6.0)
 # Edges; candidates are at least this far apart. Source: recognition-accuracy, seed 1
@@ -115,7 +120,7 @@ class ViewSimilarity:
         self._sphere, self._edge = sphere, sphere.mean_edge_rad
         self._aligned_cosine = cosine_within(_ALIGNED_EDGES * self._edge)
         self._readings = model.views.readings.astype(np.float32)
-        self._group = _COARSE if model.bins % _COARSE == 0 else 1
+        self._rebinning = rebinning(model.bins, SHADOWED_BINS)
         self._catalogue = Catalogue(self._coarse(self._readings[:nodes]))
 
     def candidates(
@@ -172,8 +177,7 @@ class ViewSimilarity:
         return turned, float(np.sqrt(least / len(readings)))
 
     def _coarse(self, readings: Readings) -> Readings:
-        groups = readings.reshape(*readings.shape[:-1], -1, self._group)
-        return np.asarray(groups.mean(axis=-1), dtype=np.float32)
+        return np.asarray(readings @ self._rebinning, dtype=np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)

@@ -125,28 +125,28 @@ class PoseSearch:
         if times > 1:  # the outlines are finer than the picture
             outlines = Outlines([r[::times].copy() for r in outlines.rays], signature)
             candidates.outlines = outlines
-        found = self._from_outlines(candidates, outlines, brief, give_up)
-        return self.levels.finished(found, image, sky)
-
-    def _from_outlines(
-        self, candidates: Candidates, outlines: Outlines, brief: bool, give_up: float
-    ) -> Found | None:
-        """``anywhere`` at the level of the candidates."""
         beside_sketch = give_up > 0.0  # it is better at what is hard here
         least = _WORTH_REFINING if beside_sketch else 0.0
-        rotations, centres = self._voted(outlines, _RETRIEVED, candidates.sky)
         most = _RETRIEVED_FIRST if brief or beside_sketch else _RETRIEVED
         keep = _REFINED_OF_VOTED if brief else _REFINED
+        rotations, centres = self._voted(outlines, _RETRIEVED, candidates.sky)
         candidates.refine_best(rotations[:most], centres[:most], keep, least=least)
         if brief:
-            return candidates.choose()
+            return self.levels.finished(candidates.choose(), image, sky)
         best = candidates.most_inliers
         if best is not None:
             self._half_turned(candidates, best.pose, best.inlier_ratio)
+        return self._answer(candidates, image, sky, give_up)
+
+    def _answer(
+        self, candidates: Candidates, image: Picture, sky: Sky, give_up: float,
+        sketched: Found | None = None,
+    ) -> Found | None:  # fmt: skip
+        """The likeliest of all poses, beside look-alikes if its confidence reaches ``give_up``."""
         found = self._settled(candidates)
-        if found is None or found.confidence < give_up:
-            return found
-        return self._beside_look_alikes(candidates, found)
+        if found is not None and found.confidence >= give_up:
+            found = self._beside_look_alikes(candidates, found, sketched)
+        return self.levels.finished(found, image, sky)
 
     def _settled(self, candidates: Candidates) -> Found | None:
         """The best pose, or the best of those around it as long as it is not sure."""
@@ -266,10 +266,7 @@ class PoseSearch:
             best = candidates.most_inliers
             pose, inliers = (proposals[0], 0.0) if best is None else (best.pose, best.inlier_ratio)
             self._half_turned(candidates, pose, inliers)
-        found = self._settled(candidates)
-        if found is not None and found.confidence >= give_up:
-            found = self._beside_look_alikes(candidates, found, sketched)
-        return self.levels.finished(found, image, sky)
+        return self._answer(candidates, image, sky, give_up, sketched)
 
     def near(
         self, image: Picture, sky: Sky, near: Near, outlines: Outlines | None, also: list[Pose], *,
@@ -280,10 +277,7 @@ class PoseSearch:
         candidates = self._candidates(image, sky, near.prior, outlines, near)
         candidates.refine_next_to([near.prior])
         candidates.refine_best(rotations, centres, _REFINED_NEAR)
-        found = self._settled(candidates)
-        if found is not None and found.confidence >= give_up:
-            found = self._beside_look_alikes(candidates, found)
-        return self.levels.finished(found, image, sky)
+        return self._answer(candidates, image, sky, give_up)
 
     def _starts_near(
         self, near: Near, outlines: Outlines | None, also: list[Pose]
