@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from rendezview.geometry.pose import Array
-from rendezview.geometry.so3 import hat
+from rendezview.geometry.so3 import about_origin
 from rendezview.sensors.appearance.edges.grey import points_of_slopes
 from rendezview.sensors.appearance.edges.predicted import FOUND, RESIDUAL, STATE, WEIGHT
 
@@ -140,14 +140,6 @@ def sandwich(slopes: Array, weight: Array, loose: Array) -> Array:
     weighted = slopes * weight[:, None]
     response = np.linalg.inv(slopes.T @ weighted + np.diag(loose))
     return np.asarray(response @ (weighted.T @ weighted + np.diag(loose)) @ response.T)
-
-
-def about_origin(covariance: Array, arm: Array) -> Array:
-    """A covariance (D, D) at the view centre, the pose first, carried to the origin."""
-    carry = np.eye(len(covariance))
-    carry[3:6, :3] = hat(arm)
-    moved = carry @ covariance @ carry.T
-    return np.asarray(0.5 * (moved + moved.T))
 
 
 def nothing_known(radius_m: float) -> Array:

@@ -15,6 +15,7 @@ from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.so3 import about_origin
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import (
     CLOSE_PX,
@@ -35,7 +36,6 @@ from rendezview.sensors.appearance.edges.articulation import (
 from rendezview.sensors.appearance.edges.lit_inliers import lit_inliers
 from rendezview.sensors.appearance.edges.measured import (
     MeasuredEdges,
-    about_origin,
     nothing_known,
 )
 from rendezview.sensors.appearance.edges.predicted import COLUMNS

@@ -27,7 +27,7 @@ from rendezview.sensors.appearance.judge.rivals import RIVAL_RAD
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
-from rendezview.sensors.appearance.outline.voted import VOTES_WORTH
+from rendezview.sensors.appearance.outline.voted import likely
 from rendezview.sensors.appearance.search.levels import Levels
 from rendezview.sensors.appearance.search.starts import (
     half_turns,
@@ -202,10 +202,8 @@ class PoseSearch:
         rotations, centres = self._retrieval.of(signature, most, sky.sun_camera)
         if self._forest_scores is None:
             return rotations, centres
-        # Whole and sunlit silhouettes come in turns.
-        rank = np.log1p(np.arange(len(rotations)) // 2)
-        votes = VOTES_WORTH * self._forest_scores.scores(signature, rotations)
-        order = np.argsort(rank - votes, kind="stable")
+        scores = self._forest_scores.scores(signature, rotations)
+        order = np.argsort(-likely(scores), kind="stable")
         return rotations[order], centres[order]
 
     def at(

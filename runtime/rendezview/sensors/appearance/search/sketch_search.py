@@ -21,11 +21,11 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.so3 import log
+from rendezview.geometry.so3 import about_origin, log
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import CUT_SPREADS
 from rendezview.sensors.appearance.edges.contour_at import target_box
-from rendezview.sensors.appearance.edges.measured import MeasuredEdges, about_origin
+from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.network import FINER, Box, Sketch, Sketcher, around
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
 from rendezview.sensors.appearance.edges.sketch import (
