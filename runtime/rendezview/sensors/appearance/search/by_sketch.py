@@ -34,7 +34,6 @@ from rendezview.sensors.appearance.search.partial_views import (
 )
 
 Bools = npt.NDArray[np.bool_]
-Ints = npt.NDArray[np.int64]
 
 _ROLLS = 40  # 9° apart; alignment converges from half of that. Source: spacing of the nodes' views
 # Where the target leaves the frame: its whole size, of what is seen, and the shift of its centre
@@ -109,7 +108,8 @@ class SketchRetrieval:
         allowed: Bools | None = None
         if near is not None:
             apart_rad = 0.5 * SAME_VIEW_RAD
-            seen = towards(self._ray(sketch, centroid(cover_of(sketch.maps))[0])).T @ near
+            middle, _ = centroid(cover_of(sketch.maps))
+            seen = towards(self._rays(sketch, middle[None])[0]).T @ near
             traces = np.einsum("rij,vjk,ik->rv", spins, self._sketches.rotation, seen)
             allowed = traces > 1.0 + 2.0 * np.cos(within_rad)
         placements = self._placements(sketch)
@@ -153,7 +153,11 @@ class SketchRetrieval:
         which, roll, view = np.unravel_index(np.array(chosen, np.int64), alike.shape)
         middles = np.array([centre for centre, _ in placements])[which]
         sizes = np.array([size for _, size in placements])[which]
-        bearings, ranges_m = self._placed(sketch, middles, sizes, view, spins[roll])
+        scales = sizes / self._sketches.size_radii[view].astype(np.float64)  # px a target radius
+        off = np.einsum("kij,kj->ki", spins[roll][:, :2, :2], self._sketches.centre_radii[view])
+        focal = float(np.sqrt(self._camera.fx * self._camera.fy))
+        ranges_m = focal * sketch.scale * self._radius_m / scales
+        bearings = self._rays(sketch, middles - scales[:, None] * off)
         ahead = np.array([towards(bearing) for bearing in bearings]).reshape(-1, 3, 3)
         rotations = ahead @ spins[roll] @ self._sketches.rotation[view].astype(np.float64)
         return rotations, bearings * ranges_m[:, None]
@@ -197,22 +201,6 @@ class SketchRetrieval:
         if allowed is not None:
             alike[:, ~allowed] = -np.inf
         return alike
-
-    def _placed(
-        self, sketch: Sketch, centres_px: Array, sizes_px: Array, views: Ints, spins: Array
-    ) -> tuple[Array, Array]:
-        """Unit directions (K, 3) to the view centres and their distances (K,), for covers at
-        ``centres_px`` (K, 2) of ``sizes_px`` (K,), shown by ``views`` at rolls ``spins``."""
-        # Sketch px a target radius.
-        scales = sizes_px / self._sketches.size_radii[views].astype(np.float64)
-        off = np.einsum("kij,kj->ki", spins[:, :2, :2], self._sketches.centre_radii[views])
-        focal = float(np.sqrt(self._camera.fx * self._camera.fy))
-        ranges_m = focal * sketch.scale * self._radius_m / scales
-        return self._rays(sketch, centres_px - scales[:, None] * off), ranges_m
-
-    def _ray(self, sketch: Sketch, place_px: Array) -> Array:
-        """Unit direction (3,) to a place of the sketch."""
-        return np.asarray(self._rays(sketch, place_px[None])[0])
 
     def _rays(self, sketch: Sketch, places_px: Array) -> Array:
         """Unit directions (K, 3) to places (K, 2) of the sketch."""
