@@ -49,8 +49,6 @@ _WORTH_REFINING = 0.15
 # Inlier ratio of a look-alike after the first stages, behind the best pose's: of 300 that come
 # within 0.15 of its merit, 1 % are farther behind. Source: docs/notes/rivals.md
 _MOST_BEHIND = 0.3
-# Of look-alikes, and of poses around: of the best, and of the one that is best then.
-_ROUNDS = 2  # Source: by construction
 # Poses that pictures speak for, or that are better than the one whose surroundings led to them.
 _MOST_ASKED = 4  # Source: by construction, a bound of time
 # rad; a local optimum lies about that far from the right pose. Source: spacing of the nodes' views,
@@ -180,17 +178,14 @@ class PoseSearch:
             candidates.refine_closely(filter(candidates.may_be, alike), least=least)
             return True
 
-        for _ in range(_ROUNDS):
-            if found is None or not ask(found.best):
-                break
-            found = candidates.choose()
+        ask(found.best)
         on_sketch = None
         if sketched is not None:
             # Grey edges have no hold there: it has their least merit.
             candidates.add([replace(sketched.best, outline=0.0, inner=0.0)])
             on_sketch = sketched.aligned
         found = candidates.weighed(on_sketch)
-        for _ in range(_MOST_ASKED):  # pictures speak for another than edges do
+        for _ in range(_MOST_ASKED):  # edges, or pictures, speak for another
             if found is None or not ask(found.best):
                 break
             found = candidates.weighed(on_sketch)
