@@ -26,7 +26,7 @@ def body_of():
         first = sketcher.find(frame)
         if first is None:
             return Missing(Status.EMPTY, "the sketch shows nothing")
-        odds = first.odds(frame.shape, times)
+        odds = sketcher.closer(frame, first).odds(frame.shape, times)
         mask = np.where(odds > 0.0, 255, 0).astype(np.uint8)
         found = silhouette_of_mask(mask, SilhouetteOptions(rival_fraction=2.0, merge_gap=0.6))
         return found if isinstance(found, Missing) else found.enlarged(times)

@@ -118,18 +118,22 @@ class OutlineRecognition:
     def _sketched(
         self, frame: Picture, prior: Pose | None
     ) -> tuple[Sketch | None, Silhouette | Missing | None]:
-        """The sketch of a frame, and the body on it; None: it shows none."""
+        """The sketch of a frame, and the body on it; None: it shows none.
+
+        Without a prior, it is that of a finer one.
+        """
         region = self._region
         if prior is not None:
-            sketch = self.sketcher.near(frame, target_box(self.model, self.camera, prior))
+            sketch = finer = self.sketcher.near(frame, target_box(self.model, self.camera, prior))
         else:
             box = None if region is None else region.box_in_part
             look = self.sketcher.look
             sketch = self.sketcher.find(frame) if box is None else look(frame, around(box))
+            finer = None if sketch is None else self.sketcher.closer(frame, sketch)
         times = max(1, math.isqrt(frame.size // _AREA_PX))
-        if sketch is None:
-            return None, None
-        mask = np.where(sketch.odds(frame.shape, times) > 0.0, 255, 0).astype(np.uint8)
+        if finer is None:
+            return sketch, None
+        mask = np.where(finer.odds(frame.shape, times) > 0.0, 255, 0).astype(np.uint8)
         body = silhouette_of_mask(mask, self.silhouette_options)
         return sketch, body if isinstance(body, Missing) else body.enlarged(times)
 
