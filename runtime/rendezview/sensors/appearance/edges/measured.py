@@ -31,7 +31,6 @@ _OTHER_WAYS = 1.6
 # the range. Source: by construction, rounding
 _UNSEEN = 1e-9
 _LEAST_RMS_PX = 0.3  # px; no frame's edges fit better. Source: by construction
-_NO_WEIGHT = 1e-12  # keeps a mean finite. Source: by construction
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +74,8 @@ class MeasuredEdges:
     @property
     def residual_rms_px(self) -> float:
         """Root of the weighted mean square; 0 without edges."""
-        return float(np.sqrt(self.weight @ self.residual_px**2 / (self.weight.sum() + _NO_WEIGHT)))
+        total = float(self.weight.sum())
+        return float(np.sqrt(self.weight @ self.residual_px**2 / total)) if total > 0.0 else 0.0
 
     def covariance(self, loose: Array, arm: Array) -> Array:
         """(6, 6) of the pose of the target's origin, for independent edges of one pixel.
