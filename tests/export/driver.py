@@ -16,7 +16,7 @@ import numpy.typing as npt
 from rendezview.export import write_c
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.appearance.model.signature import Readings, Signature
+from rendezview.sensors.appearance.model.signature import Readings, Signature, twist
 from rendezview.sensors.appearance.outline.votes import Match, Matcher
 from rendezview.sensors.observation import Status
 
@@ -276,7 +276,9 @@ def runtime_search(
 ) -> ActiveNodes | None:
     """What `rdv_search` does, of the runtime's parts."""
     nodes = matcher.model.geodesic.within(-attitude[2], reach_rad)
-    on, trust = matcher.active_among(nodes, readings, attitude)
+    rolls = twist(attitude, matcher.model.views.centred_from_target[nodes])
+    trust = matcher.trust_of(matcher.model.forest.leaves(readings, nodes, rolls))
+    on, trust = nodes[trust > 0.0], trust[trust > 0.0]
     if len(on) == 0:
         return None
     direction, weights = matcher.consensus(on, trust)

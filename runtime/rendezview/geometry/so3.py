@@ -160,3 +160,14 @@ def about_z(angle_rad: float) -> Array:
     """(3, 3) rotation by an angle about z; about the boresight, in a camera frame."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def about_origin(covariance: Array, arm: Array) -> Array:
+    """A covariance (D, D) at one point of a body, its pose first, carried to the body's origin.
+
+    ``arm`` (3,) points from the origin to the point; a pose is a left rotation vector and a shift.
+    """
+    carry = np.eye(len(covariance))
+    carry[3:6, :3] = hat(arm)
+    moved = carry @ covariance @ carry.T
+    return np.asarray(0.5 * (moved + moved.T))

@@ -15,8 +15,8 @@ from rendezview.sensors.appearance.model.forest import (
     ODDS_UNIT,
     ForestTables,
     _ask_each,
-    roll_readings,
 )
+from rendezview.sensors.appearance.model.signature import roll_readings
 from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.learn.trees import forest as learner
 from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree

@@ -14,9 +14,9 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.edges import refinement
+from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.profile_fit import fit_profile
 from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
-from rendezview.sensors.appearance.edges.strain import StrainMoves
 from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.model.container import read_container, write_container
 from rendezview.sensors.appearance.sky import Sky
@@ -226,7 +226,7 @@ def test_less_of_the_outline_seen_gives_a_larger_covariance(
 ):
     # The coarse model's own misfit, which is larger where more is seen, is left out.
     monkeypatch.setattr(refinement, "_STRAIN_OF_RESIDUAL", 0.0)
-    monkeypatch.setattr(StrainMoves, "likely_variance", lambda moves, sigma_px: 0.0)
+    monkeypatch.setattr(MeasuredEdges, "likely_strain", lambda edges, loose, sigma_px: 0.0)
     refiner = Refiner(refining_model, camera)
     truth = random_pose(5)
     whole = shaded(bumpy_mesh, camera, truth, 5)

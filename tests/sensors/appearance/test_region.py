@@ -23,7 +23,7 @@ from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.appearance.search import windows
 from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
-from rendezview.sensors.appearance.search.starts import quarter_turns, rotated_by
+from rendezview.sensors.appearance.search.starts import half_turns, rotated_by
 from rendezview.sensors.observation import Status
 from rendezview_ground.simulate.scene import SceneOptions, render_frame
 
@@ -309,12 +309,12 @@ def test_a_target_that_its_look_alikes_leave_open_is_not_searched_in_windows(
     assert len(searches) == asked
 
 
-def test_quarter_turns_turn_the_target_about_its_middle(recognizer):
+def test_half_turns_turn_the_target_about_its_middle(recognizer):
     model, pose = recognizer.model, pose_of(recognizer.model, 1)
-    turned = rotated_by(pose, quarter_turns(model), model.centre_m)
-    assert len(turned) == 6
+    turned = rotated_by(pose, half_turns(model), model.centre_m)
+    assert len(turned) == 3
     for one in turned:
-        assert one.angle_to(pose) == pytest.approx(0.5 * np.pi)
+        assert one.angle_to(pose) == pytest.approx(np.pi)
         assert one.apply(model.centre_m) == pytest.approx(pose.apply(model.centre_m))
     apart = [a.angle_to(b) for k, a in enumerate(turned) for b in turned[:k]]
     assert min(apart) > 1.0

@@ -12,7 +12,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker, TrackerOptions, ViewModel
 from rendezview.sensors.appearance.judge.shading import Shading
-from rendezview.sensors.appearance.search.search import SearchOptions
+from rendezview.sensors.appearance.search import search
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 from rendezview_ground.simulate import SceneOptions, ShadingOptions, render_frame, sun_at_phase
@@ -108,13 +108,12 @@ def test_a_surface_whose_arrays_do_not_match_is_refused(refining_model, tmp_path
 
 
 def test_a_pose_that_a_search_bore_out_is_kept_with_less_support_for_a_while(
-    refining_model, bumpy_mesh, camera
+    refining_model, bumpy_mesh, camera, monkeypatch
 ):
     pose = seen_at(refining_model, 5)
     image = shaded(bumpy_mesh, camera, pose, 5, 10.0)
     recognizer = Recognizer(refining_model, camera)
-    assert recognizer.search is not None
-    recognizer.search.options = SearchOptions(inlier_ratio=2.0)  # no single pose is confident
+    monkeypatch.setattr(search, "_ENOUGH", 2.0)  # no single pose is confident
     tracker = Tracker(recognizer, pose, TrackerOptions(confirmed_frames=3))
     observations = [tracker.update(float(k), image) for k in range(9)]
     assert [s.found.single for s in observations] == [*2 * [False, True, True, True], False]

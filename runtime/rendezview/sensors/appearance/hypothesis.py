@@ -44,7 +44,12 @@ class Hypothesis:
     @property
     def inlier_ratio(self) -> float:
         """0 … 1: two thirds the outline's, one third the inner edges'."""
-        return (2.0 * self.outline + self.inner) / 3.0
+        return inlier_ratio(self.outline, self.inner)
+
+
+def inlier_ratio(outline: float, inner: float) -> float:
+    """Of shares of the outline and of inner edges: two thirds the outline's."""
+    return (2.0 * outline + inner) / 3.0
 
 
 Bound = Callable[[Pose], bool]  # whether a pose may be the answer at all

@@ -141,7 +141,7 @@ class Recognizer:
                 off by as large a share as radians.
             sun_camera: (3,) towards the Sun, camera frame, if it is known.
             enough_inliers: inlier ratio at which the pose next to the prior is accepted without
-                another search, where it is below that of the search's options.
+                another search, where it is below the usual one.
             angles_rad: (J,) of the joints with the prior, to a few degrees; ``None``: unknown.
             time_s: when the frame was taken; the observation carries it.
             roi: where the whole target is: a box (4,) x, y, width, height, px, right to a fifth; a

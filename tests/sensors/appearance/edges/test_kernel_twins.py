@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
-from rendezview.sensors.appearance.edges.alignment import covariance_of, normal_equations
+from rendezview.sensors.appearance.edges.alignment import normal_equations
 from rendezview.sensors.appearance.edges.grey import (
     measure_edges,
     read_profile,
@@ -17,6 +17,7 @@ from rendezview.sensors.appearance.edges.grey import (
     unfitted_weight,
 )
 from rendezview.sensors.appearance.edges.lighting import ROUNDS, facing_normals, light_strengths
+from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     FOUND,
@@ -28,6 +29,8 @@ from rendezview.sensors.appearance.edges.predicted import (
     WEIGHT,
     U,
     V,
+    edge_of_row,
+    predict_edges,
 )
 from rendezview.sensors.appearance.edges.profile import (
     expected_profile,
@@ -44,8 +47,6 @@ from rendezview.sensors.appearance.model.contours import (
 )
 from rendezview.sensors.appearance.model.view_tables import (
     ViewTables,
-    pose_slope_into,
-    project_edge,
     read_only,
 )
 from rendezview.sensors.appearance.search.starts import second_moments
@@ -93,7 +94,9 @@ def test_normal_equations():
 def test_covariance_of_independent_edges():
     rng = np.random.default_rng(2)
     edges, arm, loose = measured(rng), rng.normal(size=3), np.full(6, 1e-3)
-    found, spread_px = covariance_of(edges, 1.5, 0.1, loose, arm)
+    known = MeasuredEdges.of(edges, 1.5, np.eye(3), np.zeros(3))
+    spread_px = known.residual_rms_px
+    found = known.covariance(loose, arm) * spread_px**2
     jacobian, residual, w = weighted(edges, 1.5)
     rms = np.sqrt(np.sum(w * residual**2) / (np.sum(w) + 1e-12))
     bread = np.linalg.inv(jacobian.T * w @ jacobian + np.diag(loose))
@@ -308,37 +311,16 @@ def test_second_moments_leave_out_the_rows_without_a_point():
     assert second_moments(points, kinds) == pytest.approx(kept.T @ kept, rel=1e-15)
 
 
-def test_an_edge_projects_as_the_camera_does_and_hides_behind_it():
-    rng = np.random.default_rng(9)
-    rotation = np.ascontiguousarray(Rotation.random(random_state=rng).as_matrix())
-    lens, centre, slope = (lens_vector(CAMERA), True), np.array([0.3, -0.2, 7.0]), np.zeros(6)
-    point, tangent = rng.normal(size=3), np.array([80, -30, 60], np.int8)
-
-    def pixel(turn: np.ndarray, move: np.ndarray) -> np.ndarray:
-        turned = Rotation.from_rotvec(turn).as_matrix() @ (rotation @ point)
-        return CAMERA.project((turned + centre + move)[None])[0]
-
-    edge = project_edge(*point, tangent, lens, rotation, centre)
-    assert edge.is_visible
-    assert [edge.u, edge.v] == pytest.approx(pixel(np.zeros(3), np.zeros(3)), abs=1e-9)
-    pose_slope_into(edge, slope)
-    for a in range(6):
-        step = 1e-6 * np.eye(6)[a]
-        rate = (pixel(step[:3], step[3:]) - pixel(-step[:3], -step[3:])) / 2e-6
-        assert slope[a] == pytest.approx(rate @ [edge.nx, edge.ny], rel=1e-3, abs=0.05)
-    assert not project_edge(*point, tangent, lens, rotation, -centre).is_visible
-    sight = np.array([0, 0, 127], np.int8)  # along the boresight
-    axial = project_edge(0.0, 0.0, 0.0, sight, lens, np.eye(3), np.array([0.0, 0.0, 7.0]))
-    assert not axial.is_visible
-
-
 def test_the_expected_profile_at_the_models_own_view_has_the_stored_places():
     """An outline at (0, 0.5, 0) seen along z: surfaces of 100, 40, 40, 90, 90."""
     camera = Camera(400, 300, 500.0, 500.0, 199.0, 151.0)
     lens, centre, eye = (lens_vector(camera), False), np.array([0.0, 0.0, 10.0]), np.zeros(3)
     eye[2] = -10.0
     tangent = np.array([-127, 0, 0], np.int8)
-    edge = project_edge(0.0, 0.5, 0.0, tangent, lens, np.eye(3), centre)
+    rows = np.zeros((1, COLUMNS))
+    point, kept = read_only(np.array([[0, 500, 0]], np.int16)), read_only(tangent[None])
+    predict_edges(point, kept, 1, 1, lens, 1e-3, np.eye(3), centre, rows)
+    edge = edge_of_row(rows[0], 0.0, 0.5, 0.0, np.eye(3), centre)
     inside = np.array([0.03, 0.05, 0.06, 0.08])  # of the radius
     start = np.zeros((SURFACES - 1, 2), np.int8)
     start[:, 0] = np.rint(packed_start(inside))

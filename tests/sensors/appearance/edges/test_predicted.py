@@ -1,4 +1,4 @@
-"""The rows of a view's contour points, made in one loop, beside those made one by one."""
+"""The rows of a view's contour points, made in one loop, beside those made in plain code."""
 
 from __future__ import annotations
 
@@ -24,9 +24,11 @@ from rendezview.sensors.appearance.edges.predicted import (
 )
 from rendezview.sensors.appearance.model.contours import NO_POINT
 from rendezview.sensors.appearance.model.view_tables import (
+    LEAST_DEPTH_M,
+    LEAST_LENGTH,
+    LENS_STEP,
     Lens,
-    pose_slope_into,
-    project_edge,
+    ProjectedEdge,
     read_only,
 )
 
@@ -63,6 +65,32 @@ def predicted(points, lens: Lens, centre: Array, stride: int = 1) -> Array:
     return rows
 
 
+def project_edge(point: Array, tangent: Array, lens: Lens, centre: Array) -> ProjectedEdge:
+    """The projection of an edge through a point, target axes at the view centre, m."""
+    q, t = ROTATION @ point, ROTATION @ tangent
+    x, y = (q + centre)[:2] / (q + centre)[2]
+    camera, h = lens[0], LENS_STEP
+    (u, v), beside, below = (
+        distorted(*place, camera) for place in ((x, y), (x + h, y), (x, y + h))
+    )
+    m = np.stack([np.subtract(beside, (u, v)), np.subtract(below, (u, v))], axis=1) / h
+    b = camera[:2] * (m @ (t[:2] - np.array([x, y]) * t[2]))
+    length = float(np.hypot(*b))
+    nx, ny = b[1] / max(length, LEAST_LENGTH), -b[0] / max(length, LEAST_LENGTH)
+    gx, gy = np.array([nx, ny]) * camera[:2] @ m
+    depth = float((q + centre)[2])
+    return ProjectedEdge(
+        depth > LEAST_DEPTH_M and length >= LEAST_LENGTH, camera[0] * u + camera[2],
+        camera[1] * v + camera[3], nx, ny, gx, gy, x, y, 1.0 / depth, *q,
+    )  # fmt: skip
+
+
+def pose_slope(edge: ProjectedEdge) -> Array:
+    """(6,) of a place along the normal with the pose: rotation about the view centre, shift."""
+    shift = np.array([edge.gx, edge.gy, -(edge.gx * edge.x + edge.gy * edge.y)]) * edge.inverse
+    return np.concatenate([np.cross([edge.qx, edge.qy, edge.qz], shift), shift])
+
+
 @pytest.mark.parametrize(
     "lens",
     [lens_of(), lens_of(POLYNOMIAL), lens_of(PRISM), lens_of(FISHEYE, LensModel.FISHEYE)],
@@ -72,13 +100,11 @@ def predicted(points, lens: Lens, centre: Array, stride: int = 1) -> Array:
 def test_each_row_is_that_of_project_edge(points, lens, centre):
     rows, hidden = predicted(points, lens, centre), 0
     for row, point, tangent in zip(rows, *points, strict=True):
-        one = project_edge(*(point * UNIT_M), tangent, lens, ROTATION, centre)
+        one = project_edge(point * UNIT_M, tangent, lens, centre)
         assert row[STATE] == (NOT_FOUND if one.is_visible else OUTSIDE)
         hidden += not one.is_visible
         if one.is_visible and np.isfinite(one.u):  # NaN beyond the edge of a fisheye's picture
-            slope = np.zeros(6)
-            pose_slope_into(one, slope)
-            assert row[:6] == pytest.approx(slope, rel=1e-4, abs=1e-3)
+            assert row[:6] == pytest.approx(pose_slope(one), rel=1e-4, abs=1e-3)
             assert row[[U, V, NX, NY]] == pytest.approx([one.u, one.v, one.nx, one.ny], rel=1e-5)
             again = edge_of_row(row, *(point * UNIT_M), ROTATION, centre)
             assert again == pytest.approx(one, rel=1e-4, abs=1e-6)

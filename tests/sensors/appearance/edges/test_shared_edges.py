@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rendezview.sensors.appearance.edges.alignment import covariance_of
+from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     FOUND,
@@ -41,7 +41,8 @@ def rim(depth_m: float, radius_px: float, points: int = 48):
 
 def tilt_rad(edges) -> float:
     """σ about an axis across the line of sight."""
-    return float(np.sqrt(covariance_of(edges, CUT_PX, 0.1, LOOSE, np.zeros(3))[0][0, 0]))
+    known = MeasuredEdges.of(edges, CUT_PX, np.eye(3), np.zeros(3))
+    return 0.1 * float(np.sqrt(known.covariance(LOOSE, np.zeros(3))[0, 0]))
 
 
 def test_a_body_seen_end_on_has_the_attitude_that_its_near_rim_shows():

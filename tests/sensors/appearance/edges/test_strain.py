@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.sensors.appearance.edges.test_kernel_twins import measured, shift_of, weighted
 
+from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.predicted import FOUND, RESIDUAL, STATE, WEIGHT
-from rendezview.sensors.appearance.edges.strain import StrainMoves
 
 
 def of_points(rng: np.random.Generator, edges: np.ndarray, centre: np.ndarray) -> np.ndarray:
@@ -37,7 +37,8 @@ def test_covariance_of_a_strained_craft():
     points = of_points(rng, edges, centre)
     rotation = Rotation.random(random_state=rng).as_matrix()
     root = rng.normal(size=(6, 6))
-    found = StrainMoves.of(edges, 1.5, loose, rotation, centre).covariance(arm, root @ root.T)
+    known = MeasuredEdges.of(edges, 1.5, rotation, centre)
+    found = known.strained(loose, arm, root @ root.T)
     jacobian, _, w = weighted(edges, 1.5)
     kept = (edges[:, STATE] == FOUND) & (np.abs(edges[:, RESIDUAL]) < 1.5)
     strains = moves_by_strains(edges[kept], points[kept], rotation)
@@ -60,12 +61,13 @@ def test_strains_that_the_edges_show_are_told_apart_from_the_pose_and_from_noise
             # The pose at the least squares has absorbed what it can.
             edges[:, RESIDUAL] = moved - edges[:, :6] @ np.linalg.lstsq(edges[:, :6], moved)[0]
             by_hand = np.linalg.lstsq(np.hstack([edges[:, :6], strains]), moved)[0][6:]
-            moves = StrainMoves.of(edges, 1e3, loose, rotation, centre)
-            best = np.linalg.lstsq(moves.information, moves.right)[0]
+            known = MeasuredEdges.of(edges, 1e3, rotation, centre)
+            _, information, right = known.strain_moves(loose)
+            best = np.linalg.lstsq(information, right)[0]
             for strain in (best, by_hand):  # a uniform one is a range
                 strain[:3] -= strain[:3].mean()
             assert best == pytest.approx(by_hand, abs=1e-3 * np.abs(by_hand).max())
-            variances.append(moves.likely_variance(noise_px))
+            variances.append(known.likely_strain(loose, noise_px))
     none, small, large = (np.sqrt(np.mean(v)) for v in found.values())
     assert none < 0.001
     assert 0.002 < small < 0.004

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.geometry.geodesic import angle_between, cosine_within
+from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.edges.refinement import Refiner
@@ -18,9 +18,13 @@ from rendezview.sensors.appearance.model.forest import (
     ODDS_UNIT,
     ForestScores,
     ScoreForest,
-    roll_readings,
 )
-from rendezview.sensors.appearance.model.signature import Signature, rebinning, twist
+from rendezview.sensors.appearance.model.signature import (
+    Signature,
+    rebinning,
+    roll_readings,
+    twist,
+)
 from rendezview.sensors.appearance.outline.voted import VotedPose
 from rendezview.sensors.appearance.outline.votes import Matcher
 
@@ -99,25 +103,6 @@ def test_the_odds_of_a_node_are_those_of_its_own_trees(refining_model):
     assert not quiet.decided(nodes, readings, rolls).any()
 
 
-def test_near_an_attitude_the_nodes_of_large_odds_are_found(refining_model):
-    forest_scores, views = scores_of(refining_model), refining_model.views
-    sphere, rng = refining_model.geodesic, np.random.default_rng(6)
-    found_some = 0
-    for view in rng.integers(len(sphere.nodes), size=6):
-        readings, reach_rad = views.readings[view].astype(np.float32), 3.2 * sphere.mean_edge_rad
-        turn = Rotation.from_rotvec(0.05 * rng.normal(size=3)).as_matrix()
-        attitude = turn @ views.centred_from_target[view]
-        near = sphere.within(-attitude[2], reach_rad)
-        odds = forest_scores.node_odds(
-            readings, near, twist(attitude, views.centred_from_target[near])
-        )
-        nodes, found = forest_scores.near(readings, attitude, cosine_within(reach_rad), -2.0)
-        assert nodes.tolist() == near[odds > -2.0].tolist()
-        np.testing.assert_allclose(found, odds[odds > -2.0], atol=1e-12)
-        found_some += len(nodes)
-    assert found_some > 6
-
-
 def test_readings_roll_as_interpolation_does():
     rng = np.random.default_rng(1)
     readings = rng.uniform(0.0, 255.0, BINS).astype(np.float32)
@@ -140,22 +125,21 @@ def test_the_forest_of_a_view_prefers_its_own_attitude(refining_model):
     assert np.mean(right) > 0.9
 
 
-def test_silencing_the_forest_costs_work(refining_model, bumpy_mesh, camera, draw, monkeypatch):
-    """What the forest says decides how many poses are aligned, and in which order."""
-    aligned: list[int] = []
+def test_the_forest_decides_which_poses_come_first(
+    refining_model, bumpy_mesh, camera, draw, monkeypatch
+):
+    """What the forest says decides in which order poses are aligned."""
     first: list[np.ndarray] = []
     best = Refiner.best
 
     def counted(self, image, sky, rotations, centres, *args, **options):
-        aligned.append(len(rotations))
         first.append(rotations[0].copy())
         return best(self, image, sky, rotations, centres, *args, **options)
 
     monkeypatch.setattr(Refiner, "best", counted)
-    work, orders = {}, {}
+    orders = {}
     for name, model in (("learned", refining_model), ("silenced", silenced(refining_model))):
         recognizer = Recognizer(model, camera, sketch=False)
-        aligned.clear()
         starts = []
         for k in range(8):
             rng = np.random.default_rng([3, k])
@@ -165,8 +149,7 @@ def test_silencing_the_forest_costs_work(refining_model, bumpy_mesh, camera, dra
             first.clear()
             recognizer.recognize(draw(bumpy_mesh, pose, camera, rng))
             starts.append(first[0])
-        work[name], orders[name] = sum(aligned), np.array(starts)
-    assert work["learned"] < 0.8 * work["silenced"]
+        orders[name] = np.array(starts)
     assert not np.allclose(orders["learned"], orders["silenced"])
 
 

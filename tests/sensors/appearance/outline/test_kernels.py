@@ -10,7 +10,7 @@ from rendezview.sensors.appearance.model.signature import vector_area
 from rendezview.sensors.appearance.outline.interpolation import descend
 from rendezview.sensors.appearance.outline.silhouette import mean_above
 from rendezview.sensors.appearance.outline.similarity import (
-    best_shifts,
+    Catalogue,
     most_similar,
     roll_and_distance,
     spread_out,
@@ -96,13 +96,13 @@ def test_best_shifts_are_those_of_least_distance_within_reach(rng):
     readings = rng.integers(200, 800, (12, bins)).astype(np.float32)
     view = rng.integers(200, 800, bins).astype(np.float32)
     candidates, expected_rad = np.array([3, 7, 1, 11]), rng.uniform(-3.0, 3.0, 4)
-    rolls, distances = np.empty(4), np.empty(4)
-    best_shifts(view, readings, candidates, expected_rad, 4.5 * step, rolls, distances)
+    found, distances = Catalogue(readings).nearest(view, candidates, -expected_rad / step, 4.5)
+    distances = distances + np.sum(view**2)
     for k, node in enumerate(candidates):
         shifts = int(np.rint(-expected_rad[k] / step)) + np.arange(-5, 6)
         by_shift = distances_by_shift(view, readings[node], shifts)
         assert distances[k] == pytest.approx(by_shift.min(), rel=1e-5)
-        assert rolls[k] == pytest.approx(-shifts[np.argmin(by_shift)] * step)
+        assert found[k] == shifts[np.argmin(by_shift)] % bins
 
 
 def test_directions_are_spread_out_in_order(rng):

@@ -23,13 +23,12 @@ from rendezview.sensors.appearance.model.forest import (
     ODDS_UNIT,
     Bytes,
     ScoreForest,
-    roll_readings,
 )
 from rendezview.sensors.appearance.model.shadowed_silhouettes import (
     READING_UNIT,
     ShadowedSilhouettes,
 )
-from rendezview.sensors.appearance.model.signature import rebinning, twist
+from rendezview.sensors.appearance.model.signature import rebinning, roll_readings, twist
 from rendezview_ground.learn.jobs.stages import Arrays
 from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree

@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.estimation.least_squares import tukey_weight
 from rendezview.estimation.linear_algebra import solve_scaled
 from rendezview.geometry.pose import Array
-from rendezview.geometry.so3 import hat, orthonormalise, perturb_into
+from rendezview.geometry.so3 import orthonormalise, perturb_into
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.grey import measure_edges
 from rendezview.sensors.appearance.edges.lighting import fit_light
@@ -23,6 +22,7 @@ from rendezview.sensors.appearance.edges.predicted import (
     STATE,
     WEIGHT,
 )
+from rendezview.sensors.appearance.hypothesis import inlier_ratio
 from rendezview.sensors.appearance.model.contours import NO_POINT, OUTLINE
 from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
 
@@ -53,7 +53,6 @@ CLOSE_PX = 1.5  # px; spread of a refined pose's inliers … Source: fixed with 
 LOOSE_PX = 2.0 * CLOSE_PX  # px; … and of a roughly aligned one's. Source: by construction
 _LOOSE_STRIDE = 2  # one point in two is enough to judge that. Source: by construction
 AGREEING = 0.53  # of the spread: it counts exp(−½). Source: fixed with error_model.json
-_INNER_SHARE = 0.5  # of inner edges in the loose ratio. Source: by hand, docs/notes/refinement.md
 # Source: experiment pose-accuracy: one of 200 right poses lies below (commit b583915)
 _LEAST_RATIO = 0.65  # of the best loose ratio; poses below are dropped
 CUT_SPREADS = 2.5  # spreads; no residual beyond counts. Source: by hand, docs/notes/refinement.md
@@ -96,14 +95,6 @@ def nearest_views(
     return shell
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _weight(edge: Array, cut: float) -> float:
-    """Weight of one edge in the normal equations (Tukey); 0 where it does not count."""
-    if edge[STATE] != FOUND:
-        return 0.0
-    return edge[WEIGHT] * tukey_weight(edge[RESIDUAL], cut)  # type: ignore[no-any-return]
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def normal_equations(edges: Array, cut: float, matrix: Array, right: Array) -> tuple[int, float]:
     """Sums of w J Jᵀ and w J r over the edges with |r| < cut; how many, and the sum of w."""
@@ -129,60 +120,6 @@ def normal_equations(edges: Array, cut: float, matrix: Array, right: Array) -> t
         for b in range(a):
             matrix[b, a] = matrix[a, b]
     return used, weights
-
-
-def covariance_of(
-    edges: Array, cut: float, least_sigma_px: float, loose: Array, arm: Array
-) -> tuple[Array, float]:
-    """(6, 6) of a pose from the edges last measured, and their root mean square, pixels.
-
-    With weights w and independent edges of variance σ² the estimate (ΣwJJᵀ)⁻¹ ΣwJr has
-    covariance σ² (ΣwJJᵀ)⁻¹ Σw²JJᵀ (ΣwJJᵀ)⁻¹.
-
-    Args:
-        edges: (N, COLUMNS); the weight of residuals beyond ``cut`` is zero.
-        loose: (6,) information that there is anyway, so that all stays finite.
-        arm: (3,) from the target's origin to the view centre, camera axes; the covariance is the
-            origin's.
-    """
-    matrix, spread = np.diag(loose), np.diag(loose)
-    mean_square = _add_information(edges, cut, matrix, spread)
-    residual = float(np.sqrt(mean_square))
-    response = to_origin(arm) @ np.linalg.inv(matrix)
-    covariance = response @ spread @ response.T
-    covariance *= max(residual, least_sigma_px) ** 2
-    return 0.5 * (covariance + covariance.T), residual
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _add_information(edges: Array, cut: float, matrix: Array, spread: Array) -> float:
-    """Add ΣwJJᵀ to ``matrix`` (6, 6) and Σw²JJᵀ to ``spread`` (6, 6); the mean of r², by w."""
-    squares, weights = 0.0, 1e-12
-    row = np.empty(6)
-    for j in range(edges.shape[0]):
-        w = _weight(edges[j], cut)
-        if w == 0.0:
-            continue
-        squares += w * edges[j, RESIDUAL] ** 2
-        weights += w
-        for a in range(6):
-            row[a] = w * edges[j, a]
-            for b in range(6):
-                matrix[a, b] += row[a] * edges[j, b]
-                spread[a, b] += row[a] * w * edges[j, b]
-    return squares / weights
-
-
-def nothing_known(radius_m: float) -> Array:
-    """(6,) information of about a radian and a target radius: what no edge shows stays finite."""
-    return np.asarray(1e-4 * np.array([1.0] * 3 + [radius_m**-2] * 3))
-
-
-def to_origin(arm: Array) -> Array:
-    """(6, 6) from errors at the view centre to errors at the target's origin: t = centre − arm."""
-    shift = np.eye(6)
-    shift[3:, :3] = hat(arm)
-    return shift
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -353,7 +290,7 @@ def align_each(
             outline, inner, _ = inlier_ratios(
                 image, lens, frame, views, rotation, centre, LOOSE_PX, _LOOSE_STRIDE, edges
             )
-            rough[k] = outline + _INNER_SHARE * inner
+            rough[k] = inlier_ratio(outline, inner)
     least = _LEAST_RATIO * rough.max(initial=0.0)
     for k in np.argsort(-rough, kind="stable")[:survivors]:
         if rough[k] < least or rough[k] <= 0.0:

@@ -13,6 +13,7 @@ from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import exp
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.grey import point_of_slope
+from rendezview.sensors.appearance.edges.measured import sandwich
 from rendezview.sensors.appearance.edges.predicted import FOUND, NOT_FOUND, RESIDUAL, STATE, WEIGHT
 from rendezview.sensors.appearance.model.contours import POINT_UNIT
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -117,7 +118,6 @@ class Articulation:
         weighted = weight[:, None] * slopes
         joints = len(self.joints)
         known = np.concatenate([loose, np.full(joints, loose[0])])
-        information = slopes.T @ weighted + np.diag(known)
         lever_px = (
             _LEVER_RADII
             * self._model.target_radius_m
@@ -127,8 +127,9 @@ class Articulation:
         held = np.zeros(6 + joints)
         held[6:] = _DAMPING * weight.sum() * lever_px**2
         try:
-            step = np.linalg.solve(information + np.diag(held), weighted.T @ residual)
-            response = np.linalg.inv(information)
+            information = slopes.T @ weighted + np.diag(known + held)
+            step = np.linalg.solve(information, weighted.T @ residual)
+            covariance = sandwich(slopes, weight, known)
         except np.linalg.LinAlgError:
             return None
         if not np.isfinite(step).all():
@@ -139,10 +140,7 @@ class Articulation:
         angles_rad[:] = within(self.joints, angles_rad + step[6:])
         moved = slopes[:, 6:] @ step[6:]
         total = max(float(weight.sum()), 1e-12)
-        spread = weighted.T @ weighted + np.diag(known)
-        return JointStep(
-            float(np.sqrt(weight @ moved**2 / total)), response @ spread @ response.T, support
-        )
+        return JointStep(float(np.sqrt(weight @ moved**2 / total)), covariance, support)
 
     def _slopes(
         self, edges: Array, cut_px: float, nearest: int, rotation: Array, centre_m: Array

@@ -12,7 +12,12 @@ from rendezview.geometry.joint import apart, hinges_of
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.network import Box
-from rendezview.sensors.appearance.model.contours import DIRECTION_UNIT, NO_POINT, POINT_UNIT
+from rendezview.sensors.appearance.model.contours import (
+    DIRECTION_UNIT,
+    NO_POINT,
+    POINT_UNIT,
+    Contours,
+)
 from rendezview.sensors.appearance.model.view_model import ViewModel
 
 _FARTHEST_PX = 1e5  # from the picture, of a point that is kept. Source: a chosen limit
@@ -42,18 +47,11 @@ def contour_pixels(
     contours = model.contours
     if contours is None:
         return None
-    centre = pose.apply(model.centre_m)
-    nearest = np.zeros(1, dtype=np.int64)
-    rotation = pose.rotation.copy()  # numba compiles a copy for read-only arrays
-    shell = nearest_views(model.lattice.nodes, contours.shells_m, rotation, centre, nearest)
-    view = nearest[0]
-    kinds = contours.kind[shell, view]
-    used = kinds != NO_POINT
-    radius_m = model.target_radius_m
-    points_m = contours.point[shell, view][used] * (POINT_UNIT * radius_m)
-    tangents = contours.tangent[shell, view][used] * DIRECTION_UNIT
+    centre, radius_m = pose.apply(model.centre_m), model.target_radius_m
+    used, points_m = _nearest_points(model, contours, pose)
+    tangents = contours.tangent[used] * DIRECTION_UNIT
     if angles_rad is not None and contours.part is not None:
-        part = contours.part[shell, view][used]
+        part = contours.part[used]
         off_rad = apart(model.joints, angles_rad, model.angles_rad)
         for number, (k, hinge) in enumerate(hinges_of(model.joints)):
             own, angle = part == number + 1, float(off_rad[k])
@@ -66,7 +64,21 @@ def contour_pixels(
     along = np.nan_to_num(beyond_px - points_px)
     length = np.linalg.norm(along, axis=1, keepdims=True)
     directions = np.divide(along, length, out=np.zeros_like(along), where=length > 0.0)
-    return ContourPixels(points_px[inside], directions[inside], kinds[used][inside])
+    return ContourPixels(points_px[inside], directions[inside], contours.kind[used][inside])
+
+
+def _nearest_points(
+    model: ViewModel, contours: Contours, pose: Pose
+) -> tuple[tuple[int, int, npt.NDArray[np.intp]], Array]:
+    """Where the contour points of the view nearest to a pose are in the tables, and the points
+    (N, 3) m from the view centre, target axes."""
+    nearest = np.zeros(1, dtype=np.int64)
+    centre = pose.apply(model.centre_m)
+    rotation = pose.rotation.copy()  # numba compiles a copy for read-only arrays
+    shell = nearest_views(model.lattice.nodes, contours.shells_m, rotation, centre, nearest)
+    view = int(nearest[0])
+    used = shell, view, np.flatnonzero(contours.kind[shell, view] != NO_POINT)
+    return used, contours.point[used] * (POINT_UNIT * model.target_radius_m)
 
 
 def target_box(model: ViewModel, camera: Camera, pose: Pose) -> Box:
@@ -74,15 +86,10 @@ def target_box(model: ViewModel, camera: Camera, pose: Pose) -> Box:
 
     All −1, outside the picture, where nothing of it is ahead of the camera.
     """
-    contours, nearest = model.contours, np.zeros(1, dtype=np.int64)
-    if contours is None:
+    if model.contours is None:
         return NOWHERE
-    centre = pose.apply(model.centre_m)
-    rotation = pose.rotation.copy()  # numba compiles a copy for read-only arrays
-    shell = nearest_views(model.lattice.nodes, contours.shells_m, rotation, centre, nearest)
-    exists = contours.kind[shell, nearest[0]] != NO_POINT
-    points = contours.point[shell, nearest[0]][exists] * (POINT_UNIT * model.target_radius_m)
-    in_camera = points @ pose.rotation.T + centre
+    _, points_m = _nearest_points(model, model.contours, pose)
+    in_camera = points_m @ pose.rotation.T + pose.apply(model.centre_m)
     px = np.asarray(camera.project(in_camera[in_camera[:, 2] > 0.0]))
     if not len(px) or not np.isfinite(px).all():
         return NOWHERE

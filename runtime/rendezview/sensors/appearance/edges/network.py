@@ -123,16 +123,8 @@ class Sketcher:
         whole = -0.5, -0.5, width - 0.5, height - 0.5
         glance = self.look(frame, whole, _GLANCE_PX, turned=turned)
         box = _box_of(glance)
-        if box is None:
-            return None
-        sketch = self.look(frame, around(box), turned=turned)
-        better = _box_of(sketch)
-        if better is None:
-            return None
-        if _differ(box, better):
-            sketch = self.look(frame, around(better), turned=turned)
-            better = _box_of(sketch)
-        return sketch if better is not None else None
+        sketch = None if box is None else self.near(frame, box, turned=turned)
+        return None if sketch is None or _box_of(sketch) is None else sketch
 
     def near(
         self, frame: Picture, box: Box, fineness: int = 1, *, turned: bool = False

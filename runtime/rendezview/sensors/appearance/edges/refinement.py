@@ -15,6 +15,7 @@ from rendezview.estimation.hypotheses import choose
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.so3 import about_origin
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import (
     CLOSE_PX,
@@ -25,9 +26,7 @@ from rendezview.sensors.appearance.edges.alignment import (
     VIEWS,
     align,
     align_each,
-    covariance_of,
     inlier_ratios,
-    nothing_known,
 )
 from rendezview.sensors.appearance.edges.articulation import (
     LEAST_SUPPORT,
@@ -35,7 +34,10 @@ from rendezview.sensors.appearance.edges.articulation import (
     JointStep,
 )
 from rendezview.sensors.appearance.edges.lit_inliers import lit_inliers
-from rendezview.sensors.appearance.edges.measured import MeasuredEdges
+from rendezview.sensors.appearance.edges.measured import (
+    MeasuredEdges,
+    nothing_known,
+)
 from rendezview.sensors.appearance.edges.predicted import COLUMNS
 from rendezview.sensors.appearance.edges.shared_edges import without_shared
 from rendezview.sensors.appearance.edges.stages import (
@@ -47,8 +49,7 @@ from rendezview.sensors.appearance.edges.stages import (
     INEXACT_CUT_PX,
     ROUGH,
 )
-from rendezview.sensors.appearance.edges.strain import StrainMoves
-from rendezview.sensors.appearance.hypothesis import Hypothesis
+from rendezview.sensors.appearance.hypothesis import Hypothesis, inlier_ratio
 from rendezview.sensors.appearance.model.contours import Contours
 from rendezview.sensors.appearance.model.error_model import ErrorModel
 from rendezview.sensors.appearance.model.near_views import NearSphere
@@ -191,7 +192,7 @@ class Refiner:
             image, self._lens, sky.vector, self.views, rotation, centre, spread_px, 1,
             np.zeros((self._rows, COLUMNS)),
         )  # fmt: skip
-        return float((2.0 * outline + inner) / 3.0)
+        return inlier_ratio(outline, inner)
 
     def measured(self, image: Picture, sky: Sky, start: Pose) -> MeasuredEdges | None:
         """The edges at the pose next to ``start`` that fits them; None where it finds no hold."""
@@ -228,7 +229,7 @@ class Refiner:
             image, self._lens, frame, ROUGH, COARSE, self.views, rotations, centres,
             survivors, ratios,
         )  # fmt: skip
-        merit = (2.0 * ratios[:, 0] + ratios[:, 1]) / 3.0
+        merit = [inlier_ratio(*ratio[:2]) for ratio in ratios]
 
         def same(k: int, known: int) -> bool:
             cosine = 0.5 * (np.sum(rotations[k] * rotations[known]) - 1.0)
@@ -294,17 +295,11 @@ class Refiner:
         The edges give both; what the strain of the mesh does to the pose is added. An angle whose
         parts have few edges in place could be any.
         """
-        unscaled = step.covariance
-        to_origin = np.eye(len(unscaled))
-        x, y, z = rotation @ self.model.centre_m
-        to_origin[3:6, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-        own = to_origin @ unscaled @ to_origin.T
         # As the covariance of the pose alone was scaled: its residual, inflation and views.
-        scale = refined.edge_variance_px2
-        joint = scale * own
+        own = about_origin(step.covariance, rotation @ self.model.centre_m)
+        joint = refined.edge_variance_px2 * own
         if refined.strain_covariance is not None:
             joint[:6, :6] += refined.strain_covariance
-        joint = 0.5 * (joint + joint.T)
         for k, turned in enumerate(self.model.joints):
             if step.support[k] < LEAST_SUPPORT:
                 range_rad = turned.highest_rad - turned.lowest_rad
@@ -332,23 +327,23 @@ class Refiner:
     ) -> Hypothesis:
         """The pose with its covariance and inlier ratios; ``edges`` are those last measured."""
         arm, none = rotation @ self.centre_m, self._nothing_known
-        known = without_shared(edges, self._cut_px, self._radius_m, float(centre[2]))
-        covariance, spread_px = covariance_of(known, self._cut_px, _LEAST_SIGMA_PX, none, arm)
-        residual = spread_px
-        if known is not edges:
-            _, residual = covariance_of(edges, self._cut_px, _LEAST_SIGMA_PX, none, arm)
-        moves = StrainMoves.of(known, self._cut_px, none, rotation, centre)
+        each = MeasuredEdges.of(edges, self._cut_px, rotation, centre)
+        alone = without_shared(edges, self._cut_px, self._radius_m, float(centre[2]))
+        known = each
+        if alone is not edges:
+            known = MeasuredEdges.of(alone, self._cut_px, rotation, centre)
+        residual, sigma_px = each.residual_rms_px, max(known.residual_rms_px, _LEAST_SIGMA_PX)
         strain = self._strain
         if self.model.shape_error == 0.0:
             scale_px = self.camera.fx * self._radius_m / centre[2]
             more_px2 = max(residual**2 - _FAR_RESIDUAL_PX**2, 0.0)
-            variance = moves.likely_variance(max(residual, _LEAST_SIGMA_PX))
+            variance = known.likely_strain(none, max(residual, _LEAST_SIGMA_PX))
             variance += _STRAIN_OF_RESIDUAL**2 * more_px2 / scale_px**2
             strain = strain + variance * np.eye(6)
-        strained = moves.covariance(arm, strain) + self._shared_offset(centre)
+        strained = known.strained(none, arm, strain) + self._shared_offset(centre)
         if self.model.shape_error > 0.0:
             # As for an exact model: the classifier was fitted to that.
-            _, residual = covariance_of(edges, CUT_PX, _LEAST_SIGMA_PX, none, arm)
+            residual = MeasuredEdges.of(edges, CUT_PX, rotation, centre).residual_rms_px
         outline, inner, visible = inlier_ratios(
             image, self._lens, frame, self.views, rotation, centre, CLOSE_PX, 1, edges
         )
@@ -356,20 +351,20 @@ class Refiner:
         if self.sphere is not None:
             outline, points = lit_inliers(edges, image, float(frame[1]))
             inner, visible = outline, 1.0
-        inflation = ErrorModel.packaged().inflation(outline, spread_px, frame[2])
+        inflation = ErrorModel.packaged().inflation(outline, known.residual_rms_px, frame[2])
         inflation *= self._stages[-1, VIEWS]  # which show the same edges
         if self.sphere is not None:
             inflation *= _NEAR_INFLATION
         pose = Pose(rotation, centre - arm)
         return Hypothesis(
             pose,
-            inflation * covariance + strained,
+            inflation * sigma_px**2 * known.covariance(none, arm) + strained,
             outline,
             inner,
             visible,
             residual,
             light,
-            inflation * max(spread_px, _LEAST_SIGMA_PX) ** 2,
+            inflation * sigma_px**2,
             strained,
             points=points,
         )

@@ -18,11 +18,10 @@ from rendezview.geometry.so3 import orthonormalise
 from rendezview.sensors.appearance.edges.alignment import (
     CUT_SPREADS,
     Stage,
-    covariance_of,
     nearest_views,
-    nothing_known,
     take_step,
 )
+from rendezview.sensors.appearance.edges.measured import MeasuredEdges, nothing_known
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     FOUND,
@@ -37,7 +36,6 @@ from rendezview.sensors.appearance.edges.predicted import (
     point_count,
     predict_edges,
 )
-from rendezview.sensors.appearance.edges.strain import StrainMoves
 from rendezview.sensors.appearance.model.contours import CREASE, OUTLINE, POINT_UNIT
 from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
 
@@ -288,7 +286,7 @@ def pose_covariance(
     Args:
         arm: (3,) from the target's origin to the view centre, camera axes; the covariance is the
             origin's.
-        strain: (6, 6) of the strain, see ``StrainMoves``.
+        strain: (6, 6) of the strain, as in ``MeasuredEdges.strained``.
     """
     edges = np.zeros((views.point.shape[2], COLUMNS))
     edges[:, STATE] = OUTSIDE
@@ -296,8 +294,7 @@ def pose_covariance(
     measure_sketch(
         maps, lens, views, rotation, centre, int(stage[0]), spread, 1, float(stage[4]), edges
     )
-    loose = nothing_known(views.radius_m)
-    cut = CUT_SPREADS * spread
-    covariance, residual = covariance_of(edges, cut, _LEAST_SIGMA_PX, loose, arm)
-    strained = StrainMoves.of(edges, cut, loose, rotation, centre).covariance(arm, strain)
-    return covariance, strained, residual
+    known = MeasuredEdges.of(edges, CUT_SPREADS * spread, rotation, centre)
+    loose, residual = nothing_known(views.radius_m), known.residual_rms_px
+    covariance = max(residual, _LEAST_SIGMA_PX) ** 2 * known.covariance(loose, arm)
+    return covariance, known.strained(loose, arm, strain), residual

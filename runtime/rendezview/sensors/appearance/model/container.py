@@ -146,6 +146,18 @@ def _read(path: Path) -> tuple[memoryview, bytes]:
     return buffer.data[:done], checksum.digest()
 
 
+def check_shapes(part: str, owner: object, /, **wanted: tuple[int, ...]) -> None:
+    """Arrays of a part of a model have the shapes that belong together.
+
+    Raises:
+        ValueError: one has not; which one is said.
+    """
+    for name, shape in wanted.items():
+        found = getattr(owner, name).shape
+        if found != shape:
+            raise ValueError(f"{part}.{name} has shape {found} instead of {shape}")
+
+
 def _array(data: memoryview, body: int, end: int, entry: dict[str, Any]) -> npt.NDArray[Any]:
     if entry["dtype"] not in _DTYPES:
         raise ValueError(entry["dtype"])

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.model.container import check_shapes
 
 OUTLINE, STEP, CREASE = 0, 1, 2  # against the sky, against a far surface, between two facets
 # Kind of the rows that fill up a view with few points.
@@ -82,17 +83,10 @@ class Contours:
             ValueError: they do not; which one is said.
         """
         shape = (len(self.shells_m), views, self.kind.shape[-1])
-        wanted: dict[str, tuple[int, ...]] = {
-            "point": (*shape, 3),
-            "tangent": (*shape, 3),
-        }
-        wanted |= {"kind": shape, "run": (*shape, 2), "strip": (*shape, SURFACES)}
-        wanted |= {"start": (*shape, SURFACES - 1, 2), "palette": (KINDS_OF_SURFACE, 4)}
-        if self.part is not None:
-            wanted["part"] = shape
-        for name, size in wanted.items():
-            if getattr(self, name).shape != size:
-                found = getattr(self, name).shape
-                raise ValueError(f"contours.{name} has shape {found} instead of {size}")
+        check_shapes(
+            "contours", self, point=(*shape, 3), tangent=(*shape, 3), kind=shape,
+            run=(*shape, 2), strip=(*shape, SURFACES), start=(*shape, SURFACES - 1, 2),
+            palette=(KINDS_OF_SURFACE, 4), **({} if self.part is None else {"part": shape}),
+        )  # fmt: skip
         if not (len(self.shells_m) and np.all(self.shells_m > 0.0)):
             raise ValueError("contours.shells_m must hold positive distances")

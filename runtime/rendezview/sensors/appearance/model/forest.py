@@ -23,6 +23,7 @@ from rendezview.sensors.appearance.model.signature import (
     Signature,
     rebinning,
     roll_against,
+    roll_readings,
 )
 
 Bytes = npt.NDArray[np.uint8]
@@ -118,24 +119,6 @@ class ForestScores:
         )  # fmt: skip
         return out * ODDS_UNIT
 
-    def near(
-        self, readings: Readings, attitude: Array, cosine: float, least_odds: float
-    ) -> tuple[npt.NDArray[np.intp], Array]:
-        """The nodes (K,) around an attitude whose odds are large enough, ascending, with the odds.
-
-        Args:
-            readings: (N,) of a signature.
-            attitude: (3, 3) of the camera turned to the centroid, from target.
-            cosine: of the angle from the attitude's direction of view.
-            least_odds: mean log odds of the forest must be above.
-        """
-        found, odds = np.empty(len(self._nodes), dtype=np.intp), np.empty(len(self._nodes))
-        count = _ask_near(
-            _coarse(readings), attitude, self._nodes, self._rotations, cosine,
-            least_odds / ODDS_UNIT, self._tables, found, odds,
-        )  # fmt: skip
-        return found[:count].copy(), odds[:count] * ODDS_UNIT
-
     def node_odds(self, readings: Readings, nodes: npt.NDArray[np.intp], rolls_rad: Array) -> Array:
         """(K,) mean log odds of single nodes, each with the view's own roll against it.
 
@@ -177,26 +160,6 @@ def _score(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ask_near(
-    readings: Readings, a: Array, nodes: Array, rotations: Array, cosine: float, least: float,
-    forest: ForestTables, found: npt.NDArray[np.intp], odds: Array,
-) -> int:  # fmt: skip
-    """Nodes about an attitude (3, 3) with mean odds above the least, in units; how many."""
-    rolled = np.empty(len(readings), dtype=np.float32)
-    count = 0
-    for n in range(len(nodes)):
-        near = -(a[2, 0] * nodes[n, 0] + a[2, 1] * nodes[n, 1] + a[2, 2] * nodes[n, 2])
-        if near < cosine:
-            continue
-        roll_readings(readings, roll_against(a, rotations[n]), rolled)
-        mean = _ask(rolled, n, forest)
-        if mean > least:
-            found[count], odds[count] = n, mean
-            count += 1
-    return count
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _ask_each(
     readings: Readings, nodes: npt.NDArray[np.intp], rolls_rad: Array, forest: ForestTables,
     out: Array,
@@ -223,17 +186,3 @@ def _ask(rolled: Readings, node: int, forest: ForestTables) -> float:
         odds = entry >> 8 & 255
         total += odds - 256 if odds > 127 else odds
     return total / trees  # type: ignore[no-any-return]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def roll_readings(readings: Readings, roll_rad: float, out: Readings) -> None:
-    """Fill (N,) with readings rolled back by an angle, between bins by interpolation."""
-    bins = len(readings)
-    shift = -roll_rad * bins / (2.0 * np.pi)
-    whole = int(np.floor(shift))
-    part = np.float32(shift - whole)
-    j = whole % bins
-    for i in range(bins):
-        k = j + 1 if j + 1 < bins else 0
-        out[i] = (np.float32(1.0) - part) * readings[j] + part * readings[k]
-        j = k

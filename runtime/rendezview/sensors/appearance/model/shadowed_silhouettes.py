@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.model.container import check_shapes
 
 SHADOWED_BINS = 90  # 4° each. Source: by construction, format of the model file
 # Of a stored reading, thousandths of sqrt(area).
@@ -36,17 +37,9 @@ class ShadowedSilhouettes:
             ValueError: they do not; which one is said.
         """
         count = len(self.sun)
-        wanted: dict[str, tuple[int, ...]] = {
-            "suns": (len(self.suns), 3),
-            "view": (count,),
-            "quat_wxyz": (count, 4),
-            "readings": (count, SHADOWED_BINS),
-            "area_m2": (count,),
-            "offset_m": (count, 2),
-        }
-        for name, size in wanted.items():
-            if getattr(self, name).shape != size:
-                found = getattr(self, name).shape
-                raise ValueError(f"lit.{name} has shape {found} instead of {size}")
+        check_shapes(
+            "lit", self, suns=(len(self.suns), 3), view=(count,), quat_wxyz=(count, 4),
+            readings=(count, SHADOWED_BINS), area_m2=(count,), offset_m=(count, 2),
+        )  # fmt: skip
         if count and (int(self.view.max()) >= views or int(self.sun.max()) >= len(self.suns)):
             raise ValueError("a shadowed silhouette refers to a view or a Sun that the model lacks")

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.model.container import check_shapes
 
 # σ of the mesh's surface about the shape's, of the target's radius. Source: half the tolerance by
 # which training simplifies it
@@ -36,17 +37,10 @@ class Shape:
         Raises:
             ValueError: they do not; which one is said.
         """
-        wanted = {
-            "vertices_m": (len(self.vertices_m), 3),
-            "faces": (len(self.faces), 3),
-            "albedo": (len(self.faces),),
-            "turns": (len(self.alike), 3, 3),
-            "shifts_m": (len(self.alike), 3),
-            "alike": (len(self.alike),),
-        }
-        for name, size in wanted.items():
-            found = getattr(self, name).shape
-            if found != size:
-                raise ValueError(f"shape.{name} has shape {found} instead of {size}")
+        count = len(self.alike)
+        check_shapes(
+            "shape", self, vertices_m=(len(self.vertices_m), 3), faces=(len(self.faces), 3),
+            albedo=(len(self.faces),), turns=(count, 3, 3), shifts_m=(count, 3), alike=(count,),
+        )  # fmt: skip
         if len(self.faces) == 0 or self.faces.min() < 0 or self.faces.max() >= len(self.vertices_m):
             raise ValueError("shape.faces names vertices that are not there")

@@ -212,16 +212,25 @@ def rolled(readings: Readings, roll_rad: float) -> Readings:
     A view of attitude ``about_z(roll) @ node`` becomes comparable with the node: bin b
     of the result is the view's reading at the angle of b less the roll.
     """
-    bins = readings.shape[0]
+    out = np.empty(readings.shape[0], dtype=np.float32)
+    roll_readings(readings, roll_rad, out)
+    for b in range(len(out)):
+        out[b] = np.rint(out[b])
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def roll_readings(readings: Readings, roll_rad: float, out: Readings) -> None:
+    """Fill (N,) with readings rolled back by an angle, between bins by interpolation."""
+    bins = len(readings)
     shift = -roll_rad * bins / (2.0 * np.pi)
     whole = int(np.floor(shift))
     part = np.float32(shift - whole)
-    out = np.empty(bins, dtype=np.float32)
-    for b in range(bins):
-        j = (b + whole) % bins
+    j = whole % bins
+    for i in range(bins):
         k = j + 1 if j + 1 < bins else 0
-        out[b] = np.rint((np.float32(1.0) - part) * readings[j] + part * readings[k])
-    return out
+        out[i] = (np.float32(1.0) - part) * readings[j] + part * readings[k]
+        j = k
 
 
 @lru_cache(maxsize=8)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.model.container import check_shapes
 
 COVER, EDGE, CREASE = 0, 1, 2  # maps of a sketch, probabilities
 MAPS = 3  # Source: by construction
@@ -38,16 +39,10 @@ class ViewSketches:
             ValueError: they do not; which one is said.
         """
         count = len(self.size_radii)
-        wanted: dict[str, tuple[int, ...]] = {
-            "rotation": (count, 3, 3),
-            "maps": (count, MAPS, GRID, GRID),
-            "centre_radii": (count, 2),
-            "size_radii": (count,),
-        }
-        for name, size in wanted.items():
-            if getattr(self, name).shape != size:
-                found = getattr(self, name).shape
-                raise ValueError(f"sketches.{name} has shape {found} instead of {size}")
+        check_shapes(
+            "sketches", self, rotation=(count, 3, 3), maps=(count, MAPS, GRID, GRID),
+            centre_radii=(count, 2), size_radii=(count,),
+        )  # fmt: skip
         if not (count and np.all(self.size_radii > 0.0)):
             raise ValueError("sketches.size_radii must hold positive numbers")
 

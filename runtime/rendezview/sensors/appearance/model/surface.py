@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.geodesic import MAX_ORDER, Geodesic
+from rendezview.sensors.appearance.model.container import check_shapes
 
 ALBEDO_UNIT = 1.0 / 255.0  # Source: by construction, a byte
 
@@ -37,16 +38,10 @@ class Surface:
             ValueError: they do not; which one is said.
         """
         count = len(self.albedo)
-        wanted = {
-            "albedo": (count,),
-            "point": (count, 3),
-            "normal": (count, 3),
-            "seen": (len(self.seen), (count + 7) // 8),
-        }
-        for name, size in wanted.items():
-            if getattr(self, name).shape != size:
-                found = getattr(self, name).shape
-                raise ValueError(f"surface.{name} has shape {found} instead of {size}")
+        check_shapes(
+            "surface", self, albedo=(count,), point=(count, 3), normal=(count, 3),
+            seen=(len(self.seen), (count + 7) // 8),
+        )  # fmt: skip
         _order_of(len(self.seen))
 
 

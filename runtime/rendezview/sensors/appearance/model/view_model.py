@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +16,11 @@ from rendezview.geometry.joint import Joint, apart
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.target import DockingRing, Reflector
-from rendezview.sensors.appearance.model.container import read_container, write_container
+from rendezview.sensors.appearance.model.container import (
+    check_shapes,
+    read_container,
+    write_container,
+)
 from rendezview.sensors.appearance.model.contours import Contours, surfaces_of_cells
 from rendezview.sensors.appearance.model.forest import ForestScores, ScoreForest
 from rendezview.sensors.appearance.model.near_views import NearSphere
@@ -27,8 +30,6 @@ from rendezview.sensors.appearance.model.sketches import ViewSketches
 from rendezview.sensors.appearance.model.surface import Surface
 from rendezview.sensors.appearance.model.trees import Forest
 from rendezview.sensors.beam import BeamMesh
-
-_Part = TypeVar("_Part")
 
 # sphere radii, range of the far readings: perspective is weak there. Source:
 # docs/notes/trajectory.md, interpolation
@@ -140,8 +141,7 @@ class ViewModel:
 
     @property
     def shape_uncertainty(self) -> Array:
-        """(6, 6) covariance of the strain between model and craft, as ``StrainMoves`` has
-        it: shears times √2."""
+        """(6, 6) covariance of the strain between model and craft, shears times √2."""
         known = np.zeros((6, 6)) if self.shape_covariance is None else self.shape_covariance
         factors = np.array([1.0] * 3 + [np.sqrt(2.0)] * 3)
         return np.asarray(factors[:, None] * known * factors + self.shape_error**2 * np.eye(6))
@@ -205,7 +205,7 @@ class ViewModel:
     def _stored(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
         """Header and arrays of the file, without the other configurations."""
         arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in _ARRAYS}
-        for own_name, name in _PARTS.items():
+        for own_name, (name, _) in _PARTS.items():
             part = getattr(self, own_name)
             if part is None:
                 continue
@@ -246,21 +246,15 @@ class ViewModel:
             arrays["contours.strip"], arrays["contours.start"] = surfaces_of_cells(cells, kind)
             arrays.pop("contours.rim", None)
         configurations = header.get("sheets", [])
+        parts: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
+        parts |= {own: _part(arrays, name, kind) for own, (name, kind) in _PARTS.items()}
         model = cls(
             name=str(header["name"]),
             order=int(header["order"]),
             sphere_radius_m=float(header["sphere_radius_m"]),
             target_radius_m=float(header["target_radius_m"]),
             smooth_bins=int(header["smooth_bins"]),
-            views=_views(arrays),
-            forest=Forest(**{f.name: arrays[f"forest.{f.name}"] for f in fields(Forest)}),
             held_out=HeldOut(**header["held_out"]),
-            contours=_part(arrays, "contours", Contours),
-            lit=_part(arrays, "lit", ShadowedSilhouettes),
-            surface=_part(arrays, "surface", Surface),
-            score_forest=_part(arrays, "voters", ScoreForest),
-            sketches=_part(arrays, "sketches", ViewSketches),
-            shape=_part(arrays, "shape", Shape),
             symmetries=tuple(Symmetry.of_record(s) for s in header.get("symmetries", [])),
             shape_error=float(header.get("shape_error", 0.0)),
             shape_covariance=_shape_covariance(header),
@@ -279,60 +273,41 @@ class ViewModel:
                 for k, configuration in enumerate(configurations)
             ),
             provenance=dict(header["provenance"]),
-            **{name: arrays[name] for name in _ARRAYS},
+            **parts,
         )
         model._check()
         return model
 
     def _check(self) -> None:
         count, nodes = len(self.lattice.nodes), len(self.geodesic.nodes)
-        shapes: dict[str, tuple[npt.NDArray[Any], tuple[int, ...]]] = {
-            "views.centred_from_target": (self.views.centred_from_target, (count, 3, 3)),
-            "views.readings": (self.views.readings, (count, self.bins)),
-            "views.area_m2": (self.views.area_m2, (count,)),
-            "views.area_slope": (self.views.area_slope, (count,)),
-            "views.offset_m": (self.views.offset_m, (count, 2)),
-            "centre_m": (self.centre_m, (3,)),
-            "forest.roots": (self.forest.roots, (nodes,)),
-            "leaf_on": (self.leaf_on, self.forest.component.shape),
-            "leaf_off": (self.leaf_off, self.forest.component.shape),
-            "training_accuracy": (self.training_accuracy, (nodes,)),
-            "held_out_accuracy": (self.held_out_accuracy, (nodes,)),
-        }
+        leaves = self.forest.component.shape
+        check_shapes(
+            "views", self.views, centred_from_target=(count, 3, 3), readings=(count, self.bins),
+            area_m2=(count,), area_slope=(count,), offset_m=(count, 2),
+        )  # fmt: skip
         if self.views.far_change is not None:
-            far = self.views.far_change
-            shapes["views.far_change"] = (far, (count, (self.bins + 1) // 2))
+            check_shapes("views", self.views, far_change=(count, (self.bins + 1) // 2))
+        check_shapes("forest", self.forest, roots=(nodes,))
+        check_shapes(
+            "model", self, centre_m=(3,), leaf_on=leaves, leaf_off=leaves,
+            training_accuracy=(nodes,), held_out_accuracy=(nodes,),
+        )  # fmt: skip
         if self.contours is not None:
             self.contours.check(count)
         if self.lit is not None:
             self.lit.check(count)
-        for sphere in self.near:
-            sphere.check()
-        if self.surface is not None:
-            self.surface.check()
         if self.score_forest is not None:
             self.score_forest.check(nodes)
-        if self.sketches is not None:
-            self.sketches.check()
-        if self.shape is not None:
-            self.shape.check()
+        for part in (*self.near, self.surface, self.sketches, self.shape):
+            if part is not None:
+                part.check()
         if len(self.angles_rad) != len(self.joints):
             raise ValueError(f"{len(self.angles_rad)} angles of {len(self.joints)} joints")
         for configuration in self.configurations:
             if len(configuration.joints) != len(self.joints) or configuration.order != self.order:
                 raise ValueError("its configurations are of different targets")
-        for name, (array, shape) in shapes.items():
-            if array.shape != shape:
-                raise ValueError(f"{name} has shape {array.shape} instead of {shape}")
         if self.forest.component.max(initial=-1) >= self.bins:
             raise ValueError("a tree looks at a bin beyond the signature")
-
-
-def _views(arrays: dict[str, npt.NDArray[Any]]) -> Views:
-    found = _part(arrays, "views", Views)
-    if found is None:
-        raise KeyError("views")
-    return found
 
 
 def _shape_covariance(header: dict[str, Any]) -> Array | None:
@@ -345,12 +320,10 @@ def _shape_covariance(header: dict[str, Any]) -> Array | None:
     return covariance
 
 
-def _part(
-    arrays: dict[str, npt.NDArray[Any]], name: str, kind: Callable[..., _Part]
-) -> _Part | None:
-    """A part that is optional in a model."""
+def _part(arrays: dict[str, npt.NDArray[Any]], name: str, kind: type[Any]) -> Any:
+    """A part of a model, None where it has none; all have views and a forest."""
     found = _below(arrays, f"{name}.")
-    return kind(**found) if found else None
+    return kind(**found) if found or name in ("views", "forest") else None
 
 
 def _below(arrays: dict[str, npt.NDArray[Any]], start: str) -> dict[str, npt.NDArray[Any]]:
@@ -358,15 +331,15 @@ def _below(arrays: dict[str, npt.NDArray[Any]], start: str) -> dict[str, npt.NDA
     return {key.removeprefix(start): a for key, a in arrays.items() if key.startswith(start)}
 
 
-# Fields, and their names in the file. Source: by construction, format of the model file
-_PARTS = {
-    "views": "views",
-    "forest": "forest",
-    "contours": "contours",
-    "lit": "lit",
-    "surface": "surface",
-    "score_forest": "voters",
-    "sketches": "sketches",
-    "shape": "shape",
+# Fields: their names in the file, and types. Source: by construction, format of the model file
+_PARTS: dict[str, tuple[str, type[Any]]] = {
+    "views": ("views", Views),
+    "forest": ("forest", Forest),
+    "contours": ("contours", Contours),
+    "lit": ("lit", ShadowedSilhouettes),
+    "surface": ("surface", Surface),
+    "score_forest": ("voters", ScoreForest),
+    "sketches": ("sketches", ViewSketches),
+    "shape": ("shape", Shape),
 }
 _ARRAYS = ("centre_m", "leaf_on", "leaf_off", "training_accuracy", "held_out_accuracy")

@@ -66,17 +66,4 @@ class CutOut:
 
     def in_frame(self, found: Silhouette) -> Silhouette:
         """A silhouette of this picture in the pixels of the frame."""
-        (left, top), times = self.corner_px, self.times
-        last = times - 1
-        x0, y0, x1, y1 = (side * times for side in found.box_px)
-        for outline in found.outlines_px:  # traced here, so nobody else has them yet
-            outline *= times
-            outline[:, 0] += left + 0.5 * last
-            outline[:, 1] += top + 0.5 * last
-        return Silhouette(
-            found.outlines_px,
-            found.area_px * times**2,
-            (x0 + left, y0 + top, x1 + last + left, y1 + last + top),
-            found.sky_grey,
-            found.level_grey,
-        )
+        return found.enlarged(self.times).moved(*self.corner_px)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
-from rendezview.geometry.so3 import hat
+from rendezview.geometry.so3 import about_origin
 from rendezview.sensors.appearance.model.signature import Signature, twist
 from rendezview.sensors.appearance.model.view_model import HeldOut, ViewModel
 from rendezview.sensors.appearance.outline.votes import Match
@@ -66,22 +66,23 @@ def place(model: ViewModel, match: Match, signature: Signature) -> tuple[Pose, A
         )[0]
     )
     # The view centre is off the centroid's line of sight by each view's offset, rolled.
-    roll = twist(attitude, views.centred_from_target[near])
-    c, s = np.cos(roll), np.sin(roll)
-    x, y = views.offset_m[near].T
-    offset_x, offset_y = share @ (c * x - s * y), share @ (s * x + c * y)
-    line = np.array([offset_x / range_m, offset_y / range_m, 1.0])
+    rolls = twist(attitude, views.centred_from_target[near])
+    line = np.append(share @ turned_offsets(views.offset_m[near], rolls) / range_m, 1.0)
     line /= np.sqrt(line @ line)
     # The trees vote for the direction from the view centre; turn the attitude to show it there.
     attitude = attitude @ minimal_rotation(match.direction, -attitude.T @ line)
     camera_from_centred = signature.centred_from_camera.T
     rotation = camera_from_centred @ attitude
-    centre_camera = camera_from_centred @ (range_m * line)
-    pose = Pose(rotation, centre_camera - rotation @ model.centre_m)
-    covariance = covariance_of_place(
-        model.held_out, model.sphere_radius_m, model.centre_m, pose, centre_camera, range_m
-    )
-    return pose, covariance
+    centre = camera_from_centred @ (range_m * line)
+    pose = Pose(rotation, centre - rotation @ model.centre_m)
+    return pose, covariance_of_place(model, model.held_out, pose)
+
+
+def turned_offsets(offset_m: Array, roll_rad: Array | float) -> Array:
+    """Offsets (…, 2) of view centres off the centroid's line of sight, as views at rolls (…)."""
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    x, y = offset_m[..., 0], offset_m[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
 def _views_around(model: ViewModel, direction: Array) -> tuple[npt.NDArray[np.intp], Array]:
@@ -93,30 +94,18 @@ def _views_around(model: ViewModel, direction: Array) -> tuple[npt.NDArray[np.in
     return near, share / share.sum()
 
 
-def covariance_of_place(
-    held_out: HeldOut,
-    sphere_radius_m: float,
-    centre_m: Array,
-    pose: Pose,
-    centre_camera: Array,
-    range_m: float,
-) -> Array:
+def covariance_of_place(model: ViewModel, errors: HeldOut, pose: Pose) -> Array:
     """(6, 6) from errors as on held-out views: direction, roll, range and bearing.
 
     A turn of the target about its view centre moves its frame's origin too, so rotation
     and translation are correlated through the arm between the two.
     """
-    sight = centre_camera / np.linalg.norm(centre_camera)
-    along = np.outer(sight, sight)
+    centre = pose.apply(model.centre_m)
+    along = np.outer(centre, centre) / (centre @ centre)
     across = np.eye(3) - along
-    rotation = held_out.direction_rad**2 * across + held_out.roll_rad**2 * along
-    bearing_m = held_out.bearing_rad * sphere_radius_m
-    centre = (held_out.range_fraction * range_m) ** 2 * along + bearing_m**2 * across
-    # t = centre − R centre_m: a left rotation w adds −w × (R centre_m) = arm @ w
-    arm = hat(pose.rotation @ centre_m)
+    bearing_m = errors.bearing_rad * model.sphere_radius_m
     covariance = np.zeros((6, 6))
-    covariance[:3, :3] = rotation
-    covariance[:3, 3:] = rotation @ arm.T
-    covariance[3:, :3] = arm @ rotation
-    covariance[3:, 3:] = centre + arm @ rotation @ arm.T
-    return covariance
+    covariance[:3, :3] = errors.direction_rad**2 * across + errors.roll_rad**2 * along
+    covariance[3:, 3:] = bearing_m**2 * across
+    covariance[3:, 3:] += errors.range_fraction**2 * (centre @ centre) * along
+    return about_origin(covariance, pose.rotation @ model.centre_m)

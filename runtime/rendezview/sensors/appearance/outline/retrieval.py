@@ -25,7 +25,7 @@ from rendezview.sensors.appearance.model.signature import (
     twist,
 )
 from rendezview.sensors.appearance.model.view_model import ViewModel
-from rendezview.sensors.appearance.outline.placement import range_from_area
+from rendezview.sensors.appearance.outline.placement import range_from_area, turned_offsets
 from rendezview.sensors.appearance.outline.similarity import Catalogue, spread_out
 
 # rad; the catalogue's Suns are 32° apart.
@@ -147,7 +147,7 @@ class Retrieval:
         attitude = turn @ pose.rotation
         view = int(np.argmax(self._directions @ -attitude[2]))
         roll = float(twist(attitude, views.centred_from_target[view]))
-        offset = _rolled_offset(views.offset_m[view], roll)
+        offset = turned_offsets(views.offset_m[view], roll)
         centroid = turn.T @ np.array([-offset[0] / range_m, -offset[1] / range_m, 1.0])
         centred_from_camera = minimal_rotation(centroid, BORESIGHT)
         maxima = np.zeros(model.bins)
@@ -191,13 +191,8 @@ def _placed(
     about = np.zeros((len(c), 3, 3))
     about[:, 0, 0], about[:, 0, 1], about[:, 1, 0], about[:, 1, 1] = c, -s, s, c
     about[:, 2, 2] = 1.0
-    x, y = offsets_m[:, 0], offsets_m[:, 1]
-    line = np.stack([(c * x - s * y) / range_m, (s * x + c * y) / range_m, np.ones(len(c))], axis=1)
+    offsets = turned_offsets(offsets_m, rolls_rad) / range_m[:, None]
+    line = np.concatenate([offsets, np.ones((len(c), 1))], axis=1)
     line *= (range_m / np.linalg.norm(line, axis=1))[:, None]
     camera_from_centred = signature.centred_from_camera.T
     return camera_from_centred @ about @ attitudes, line @ camera_from_centred.T
-
-
-def _rolled_offset(offset_m: Array, roll_rad: float) -> Array:
-    c, s = np.cos(roll_rad), np.sin(roll_rad)
-    return np.array([c * offset_m[0] - s * offset_m[1], s * offset_m[0] + c * offset_m[1]])

@@ -180,18 +180,28 @@ def find_silhouette(
         )
     if not borders:
         return Missing(Status.EMPTY, f"nothing stands out above grey level {level:.0f}")
-    blobs = _Blobs.of(borders)
-    chosen = _choose(blobs, options, expected_px)
+    chosen = _choose(_Blobs.of(borders), options, expected_px)
     if isinstance(chosen, Missing):
         return chosen
-    box, area_px = box_around([blobs.box[k] for k in chosen]), sum(blobs.area[k] for k in chosen)
-    at_border = _border_problem(box, area_px, image.shape[1], image.shape[0])
+    borders, area_px = chosen
+    return _outlined(borders, area_px, image.shape, image, sky, level, options.reach_px)
+
+
+def _outlined(
+    borders: list[Border], area_px: float, shape: tuple[int, ...], grey: Picture = _NO_GREY,
+    sky: float = math.nan, level: float = math.nan, reach_px: int = 0,
+) -> Silhouette | Missing:  # fmt: skip
+    """The silhouette of some blobs of a picture (H, W), unless they touch its border.
+
+    ``grey`` as of ``crack_outline``: none of a drawn mask.
+    """
+    box = box_around([box_of(border) for border in borders])
+    at_border = _border_problem(box, area_px, shape[1], shape[0])
     if at_border is not None:
         return at_border
-    outlines = (
-        crack_outline(borders[k], image, sky, level - sky, options.reach_px) for k in chosen
-    )
-    return Silhouette(tuple(outlines), area_px, box, sky, level)
+    contrast = level - sky if grey.size else 0.0
+    each = (crack_outline(b, grey, sky if grey.size else 0.0, contrast, reach_px) for b in borders)
+    return Silhouette(tuple(each), area_px, box, sky, level)
 
 
 def _without_background(image: Picture, background: Picture) -> Picture:
@@ -254,24 +264,17 @@ def silhouette_of_mask(
     if options is not None:
         if not borders:
             return Missing(Status.EMPTY, "nothing that looks like a spacecraft stands out")
-        blobs = _Blobs.of(borders)
-        chosen = _choose(blobs, options, None)
+        chosen = _choose(_Blobs.of(borders), options, None)
         if isinstance(chosen, Missing):
             return chosen
-        borders, area_px = [borders[k] for k in chosen], sum(blobs.area[k] for k in chosen)
-    outlines = tuple(crack_outline(border, _NO_GREY, 0.0, 0.0, 0) for border in borders)
-    box = box_around([box_of(border) for border in borders])
-    height, width = mask.shape
-    at_border = _border_problem(box, area_px, width, height)
-    if at_border is not None:
-        return at_border
-    return Silhouette(outlines, area_px, box, math.nan, math.nan)
+        borders, area_px = chosen
+    return _outlined(borders, area_px, mask.shape)
 
 
 def _choose(
     blobs: _Blobs, options: SilhouetteOptions, expected_px: Sequence[float] | Array | None
-) -> list[int] | Missing:
-    """The blobs that are the target: the largest (or the nearest), and those close to it."""
+) -> tuple[list[Border], float] | Missing:
+    """Borders and area of the target: the largest blob (or the nearest), and those close to it."""
     area, box = blobs.area, blobs.box
     main = max(area, key=lambda k: area[k])
     bodies = [k for k in area if area[k] >= options.rival_fraction * area[main]]
@@ -297,7 +300,7 @@ def _choose(
             Status.RIVALS,
             f"{1 + len(rivals)} bodies of like size and no prior pose to choose by",
         )
-    return chosen
+    return [blobs.borders[k] for k in chosen], sum(area[k] for k in chosen)
 
 
 def _border_problem(box: Box, area_px: float, width: int, height: int) -> Missing | None:

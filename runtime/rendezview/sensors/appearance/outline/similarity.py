@@ -15,7 +15,13 @@ from scipy import fft
 from rendezview.geometry.geodesic import cosine_within
 from rendezview.geometry.pose import Array, minimal_rotation
 from rendezview.geometry.so3 import about_z
-from rendezview.sensors.appearance.model.signature import Readings, roll_against, twist
+from rendezview.sensors.appearance.model.shadowed_silhouettes import SHADOWED_BINS
+from rendezview.sensors.appearance.model.signature import (
+    Readings,
+    rebinning,
+    roll_against,
+    twist,
+)
 from rendezview.sensors.appearance.model.view_model import ViewModel
 
 Indices = npt.NDArray[np.intp]
@@ -31,7 +37,6 @@ _CORRELATED = 2000
 # One value in 17 gives the bound; no divisor of a number of bins. Source: by construction
 _SAMPLED = 17
 _SAME_ROLL_BINS = 3  # of 90, so 12°. Source: by construction
-_COARSE = 4  # readings averaged for the first search. Source: recognition-accuracy, seed 1
 # Rad around the roll that a neighbouring view gives. Source: recognition-accuracy, seed 1
 _ROLL_REACH_RAD = np.deg2rad(6.0)
 # Edges; candidates are at least this far apart. Source: recognition-accuracy, seed 1
@@ -66,9 +71,17 @@ class Catalogue:
         rows, shifts = np.divmod(first, self.bins)
         return entries[rows], shifts
 
-    def nearest(self, readings: Readings) -> tuple[Indices, Array]:
-        """Of each entry the shift of the least distance, in bins, and that distance."""
-        distances = self._distances(fft.rfft(readings), np.arange(len(self._squares)))
+    def nearest(
+        self, readings: Readings, entries: Indices, around: Array, reach: float
+    ) -> tuple[Indices, Array]:
+        """Of some entries (E,) the shift of the least distance, in bins, and that distance.
+
+        Only shifts up to ``reach`` bins from ``around`` (E,) count.
+        """
+        distances = self._distances(fft.rfft(readings), entries)
+        off = np.arange(self.bins) - np.rint(around)[:, None]
+        off -= self.bins * np.rint(off / self.bins)
+        distances = np.where(np.abs(off) > np.ceil(reach), np.inf, distances)
         shifts = np.argmin(distances, axis=1)
         return shifts, distances[np.arange(len(shifts)), shifts]
 
@@ -107,9 +120,8 @@ class ViewSimilarity:
         self._sphere, self._edge = sphere, sphere.mean_edge_rad
         self._aligned_cosine = cosine_within(_ALIGNED_EDGES * self._edge)
         self._readings = model.views.readings.astype(np.float32)
-        self._group = _COARSE if model.bins % _COARSE == 0 else 1
-        self._coarse_nodes = self._coarse(self._readings[:nodes])
-        self._catalogue = Catalogue(self._coarse_nodes)
+        self._rebinning = rebinning(model.bins, SHADOWED_BINS)
+        self._catalogue = Catalogue(self._coarse(self._readings[:nodes]))
 
     def candidates(
         self, readings: Readings, prior: Array | None, prior_error_rad: float, most: int
@@ -124,16 +136,15 @@ class ViewSimilarity:
         """
         coarse = self._coarse(readings)
         step = 2.0 * np.pi / len(coarse)
-        if prior is None:
-            shifts, distances = self._catalogue.nearest(coarse)
-            # The node's reading at bin b is the view's at bin b − roll.
-            nodes, rolls = np.arange(len(shifts)), -step * shifts
-        else:
+        # The node's reading at bin b is the view's at bin b − roll.
+        nodes, expected = np.arange(len(self.node_rotations)), np.zeros(1)
+        reach = float(len(coarse))
+        if prior is not None:
             nodes = self._sphere.within(-prior[2], prior_error_rad + self._edge)
-            expected = twist(prior, self.node_rotations[nodes])
-            rolls, distances = np.empty(len(nodes)), np.empty(len(nodes))
-            reach = prior_error_rad + step
-            best_shifts(coarse, self._coarse_nodes, nodes, expected, reach, rolls, distances)
+            expected = -twist(prior, self.node_rotations[nodes]) / step
+            reach = prior_error_rad / step + 1.0
+        shifts, distances = self._catalogue.nearest(coarse, nodes, expected, reach)
+        rolls = -step * shifts
         order = np.argsort(distances, kind="stable")
         apart = np.cos(_APART_EDGES * self._edge)
         result = []
@@ -166,8 +177,7 @@ class ViewSimilarity:
         return turned, float(np.sqrt(least / len(readings)))
 
     def _coarse(self, readings: Readings) -> Readings:
-        groups = readings.reshape(*readings.shape[:-1], -1, self._group)
-        return np.asarray(groups.mean(axis=-1), dtype=np.float32)
+        return np.asarray(readings @ self._rebinning, dtype=np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
@@ -202,39 +212,6 @@ def roll_and_distance(
         if bend > 0.0:
             shift += 0.5 * (distance[best - 1] - distance[best + 1]) / bend
     return -shift * step, distance[best]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def best_shifts(
-    view: Readings,
-    readings: Readings,
-    candidates: Indices,
-    expected_rad: Array,
-    reach_rad: float,
-    rolls_rad: Array,
-    distances: Array,
-) -> None:
-    """For each of some views (K,) the roll near the expected one at the least distance.
-
-    Whole bins only; ``rolls_rad`` and ``distances`` (K,) receive roll and squared distance.
-    """
-    bins = view.shape[0]
-    step = 2.0 * np.pi / bins
-    half = min(int(np.ceil(reach_rad / step)), bins // 2)
-    twice = np.concatenate((view, view))
-    for k in range(candidates.shape[0]):
-        node = readings[candidates[k]]
-        middle = int(np.rint(-expected_rad[k] / step))
-        distances[k] = np.inf
-        for shift in range(middle - half, middle + half + 1):
-            part = twice[shift % bins : shift % bins + bins]
-            total = np.float32(0.0)
-            for b in range(bins):
-                d = part[b] - node[b]
-                total += d * d
-            if total < distances[k]:
-                distances[k] = total
-                rolls_rad[k] = -shift * step
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

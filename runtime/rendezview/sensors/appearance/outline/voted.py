@@ -17,7 +17,7 @@ from rendezview.sensors.appearance.outline.retrieval import Retrieval
 _STARTS = 60  # most similar silhouettes, whole and sunlit. Source: that of the search on edges
 _STARTS_NEAR = 1000  # before those far from a prior are left out. Source: by construction
 _BESIDE_RAD = np.deg2rad(5.0)  # rad; of a view beyond the prior's error. Source: views' spacing
-VOTES_WORTH = 0.3  # of the log of the rank by similarity. Source: tree-ablation (0.1), seed 4101
+_VOTES_WORTH = 0.3  # of the log of the rank by similarity. Source: tree-ablation (0.1), seed 4101
 _LEAST_VOTES = -0.5  # log odds about the pose. Source: experiment tree-ablation (0.1), seed 4101
 # The same near a prior, which leaves fewer other views to tell from.
 _LEAST_VOTES_NEAR = 0.5  # Source: experiment recognition-accuracy, seed 77
@@ -61,9 +61,7 @@ class VotedPose:
                 return None
             rotations, centres = rotations[near][:_STARTS], centres[near][:_STARTS]
         scores = self._forest_scores.scores(signature, rotations)
-        # Whole and sunlit silhouettes come in turns.
-        rank = np.log1p(np.arange(len(rotations)) // 2)
-        best = int(np.argmax(VOTES_WORTH * scores - rank))
+        best = int(np.argmax(likely(scores)))
         rotation = self._averaged(signature, rotations[best])
         votes = float(self._forest_scores.scores(signature, rotation[None])[0])
         cosines = 0.5 * (np.einsum("kij,ij->k", rotations, rotations[best]) - 1.0)
@@ -81,11 +79,7 @@ class VotedPose:
             range_fraction=_RANGE_FRACTION,
             bearing_rad=2.0 * held_out.bearing_rad,
         )
-        range_m = float(np.linalg.norm(centre))
-        covariance = covariance_of_place(
-            errors, model.sphere_radius_m, model.centre_m, pose, centre, range_m
-        )
-        return pose, covariance
+        return pose, covariance_of_place(model, errors, pose)
 
     def _averaged(self, signature: Signature, rotation: Array) -> Array:
         """The mean of attitudes tilted about one, weighted by the odds that each is right."""
@@ -97,3 +91,11 @@ class VotedPose:
             mean = weights @ self._turns / weights.sum()
             attitude = Rotation.from_rotvec(mean).as_matrix() @ attitude
         return np.asarray(centred.T @ attitude)
+
+
+def likely(scores: Array) -> Array:
+    """(K,) how likely views are by their rank in `Retrieval.of` and the log odds of the forest.
+
+    Whole and sunlit silhouettes come there in turns.
+    """
+    return np.asarray(_VOTES_WORTH * scores - np.log1p(np.arange(len(scores)) // 2))

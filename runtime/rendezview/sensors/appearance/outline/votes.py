@@ -9,7 +9,6 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.hypotheses import choose
-from rendezview.geometry.geodesic import cosine_within
 from rendezview.geometry.pose import Array, Pose, rotation_angle
 from rendezview.sensors.appearance.model.signature import Readings, Signature, twist
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -140,13 +139,9 @@ class Matcher:
 
     def _vote(self, readings: Readings, attitude: Array) -> Match | None:
         """Active nodes around an attitude, and the direction on which they agree."""
-        if self.forest_scores is None:
-            near = self._sphere.within(-attitude[2], self._reach_rad)
-            nodes, trust = self.active_among(near, readings, attitude)
-        else:
-            cosine = cosine_within(self._reach_rad)
-            nodes, odds = self.forest_scores.near(readings, attitude, cosine, LEAST_ODDS)
-            trust = _trust_of_odds(odds)
+        near = self._sphere.within(-attitude[2], self._reach_rad)
+        trust = self.decided(near, readings, twist(attitude, self._views.node_rotations[near]))
+        nodes, trust = near[trust > 0.0], trust[trust > 0.0]
         if len(nodes) == 0:
             return None
         direction, weights = self.consensus(nodes, trust)
@@ -160,19 +155,8 @@ class Matcher:
         if self.forest_scores is None:
             return self.trust_of(self.model.forest.leaves(readings, nodes, rolls_rad))
         odds = self.forest_scores.node_odds(readings, nodes, rolls_rad)
-        return np.where(odds > LEAST_ODDS, _trust_of_odds(odds), 0.0)
-
-    def active_among(
-        self, nodes: Indices, readings: Readings, centred_from_target: Array
-    ) -> tuple[Indices, Array]:
-        """The active ones of some nodes (K,) at a known attitude, with the trust in each.
-
-        Each tree gets the view's own roll against its node.
-        """
-        rolls = twist(centred_from_target, self._views.node_rotations[nodes])
-        trust = self.trust_of(self.model.forest.leaves(readings, nodes, rolls))
-        active = trust > 0.0
-        return nodes[active], trust[active]
+        trust = 1.0 / (1.0 + np.exp(-STEEPNESS * (odds - EVEN_ODDS)))
+        return np.where(odds > LEAST_ODDS, trust, 0.0)
 
     def trust_of(self, leaves: npt.NDArray[np.int32]) -> Array:
         """The confidence of a leaf (K,) that its node is active, 0 … 1; 0 where it is inactive."""
@@ -206,11 +190,6 @@ class Matcher:
                 "outline: give a prior, or look at more frames",
             )
         return None
-
-
-def _trust_of_odds(odds: Array) -> Array:
-    """The trust (K,) in active nodes of some odds."""
-    return np.asarray(1.0 / (1.0 + np.exp(-STEEPNESS * (odds - EVEN_ODDS))))
 
 
 def _apart(a: Match, b: Match) -> float:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from copy import copy
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array
+from rendezview.geometry.pose import Array, minimal_rotation
 from rendezview.geometry.so3 import exp
 from rendezview.sensors.appearance.edges.network import Box, Sketch
+from rendezview.sensors.appearance.model.signature import BORESIGHT
 from rendezview.sensors.appearance.model.sketches import (
     Float32s,
     ViewSketches,
@@ -33,7 +34,6 @@ from rendezview.sensors.appearance.search.partial_views import (
 )
 
 Bools = npt.NDArray[np.bool_]
-Ints = npt.NDArray[np.int64]
 
 _ROLLS = 40  # 9° apart; alignment converges from half of that. Source: spacing of the nodes' views
 # Where the target leaves the frame: its whole size, of what is seen, and the shift of its centre
@@ -49,6 +49,8 @@ _LEAST_OVERLAP = 0.35  # Source: the same
 _COMPARED = 600  # of 6000 placements and rolls, in finer cells. Source: the same; 480 find the same
 _SORTED = 16384  # likeliest views and rolls that are looked through. Source: by construction
 _BLOCK = 512  # of them are compared with each other at once. Source: its cost
+
+towards = partial(minimal_rotation, BORESIGHT)  # the least turn of the boresight to (3,)
 
 
 class _Tables:
@@ -106,7 +108,8 @@ class SketchRetrieval:
         allowed: Bools | None = None
         if near is not None:
             apart_rad = 0.5 * SAME_VIEW_RAD
-            seen = towards(self._ray(sketch, centroid(cover_of(sketch.maps))[0])).T @ near
+            middle, _ = centroid(cover_of(sketch.maps))
+            seen = towards(self._rays(sketch, middle[None])[0]).T @ near
             traces = np.einsum("rij,vjk,ik->rv", spins, self._sketches.rotation, seen)
             allowed = traces > 1.0 + 2.0 * np.cos(within_rad)
         placements = self._placements(sketch)
@@ -150,7 +153,11 @@ class SketchRetrieval:
         which, roll, view = np.unravel_index(np.array(chosen, np.int64), alike.shape)
         middles = np.array([centre for centre, _ in placements])[which]
         sizes = np.array([size for _, size in placements])[which]
-        bearings, ranges_m = self._placed(sketch, middles, sizes, view, spins[roll])
+        scales = sizes / self._sketches.size_radii[view].astype(np.float64)  # px a target radius
+        off = np.einsum("kij,kj->ki", spins[roll][:, :2, :2], self._sketches.centre_radii[view])
+        focal = float(np.sqrt(self._camera.fx * self._camera.fy))
+        ranges_m = focal * sketch.scale * self._radius_m / scales
+        bearings = self._rays(sketch, middles - scales[:, None] * off)
         ahead = np.array([towards(bearing) for bearing in bearings]).reshape(-1, 3, 3)
         rotations = ahead @ spins[roll] @ self._sketches.rotation[view].astype(np.float64)
         return rotations, bearings * ranges_m[:, None]
@@ -195,37 +202,6 @@ class SketchRetrieval:
             alike[:, ~allowed] = -np.inf
         return alike
 
-    def placed(self, sketch: Sketch, rotations: Array) -> Array:
-        """View centres (K, 3) m that put the cover of the nearest views over the sketch's."""
-        centre, size = centroid(cover_of(sketch.maps))
-        ahead = towards(self._ray(sketch, centre))
-        views = np.empty(len(rotations), np.int64)
-        spins = np.empty((len(rotations), 3, 3))
-        for k, rotation in enumerate(rotations):
-            views[k], turn = nearest_view(self._sketches, ahead.T @ rotation)
-            spins[k] = exp(np.array([0.0, 0.0, turn]))
-        many = len(rotations)
-        bearings, ranges_m = self._placed(
-            sketch, np.tile(centre, (many, 1)), np.full(many, size), views, spins
-        )
-        return bearings * ranges_m[:, None]
-
-    def _placed(
-        self, sketch: Sketch, centres_px: Array, sizes_px: Array, views: Ints, spins: Array
-    ) -> tuple[Array, Array]:
-        """Unit directions (K, 3) to the view centres and their distances (K,), for covers at
-        ``centres_px`` (K, 2) of ``sizes_px`` (K,), shown by ``views`` at rolls ``spins``."""
-        # Sketch px a target radius.
-        scales = sizes_px / self._sketches.size_radii[views].astype(np.float64)
-        off = np.einsum("kij,kj->ki", spins[:, :2, :2], self._sketches.centre_radii[views])
-        focal = float(np.sqrt(self._camera.fx * self._camera.fy))
-        ranges_m = focal * sketch.scale * self._radius_m / scales
-        return self._rays(sketch, centres_px - scales[:, None] * off), ranges_m
-
-    def _ray(self, sketch: Sketch, place_px: Array) -> Array:
-        """Unit direction (3,) to a place of the sketch."""
-        return np.asarray(self._rays(sketch, place_px[None])[0])
-
     def _rays(self, sketch: Sketch, places_px: Array) -> Array:
         """Unit directions (K, 3) to places (K, 2) of the sketch."""
         in_frame = (places_px - np.array([sketch.left_px, sketch.top_px])) / sketch.scale
@@ -258,23 +234,6 @@ def _rolls() -> tuple[Array, Array]:
     """(R,) turns of the picture, rad, and the rotations (R, 3, 3) of the camera."""
     turns = 2.0 * np.pi * np.arange(_ROLLS) / _ROLLS
     return turns, np.array([exp(np.array([0.0, 0.0, turn])) for turn in turns])
-
-
-def nearest_view(views: ViewSketches, ahead: Array) -> tuple[int, float]:
-    """The view nearest to an attitude (3, 3) of a camera that looks at the target, and its roll."""
-    view = int(np.argmax(views.rotation[:, 2] @ ahead[2]))
-    between = ahead @ views.rotation[view].astype(np.float64).T
-    turn = np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
-    return view, float(turn)
-
-
-def towards(bearing: Array) -> Array:
-    """(3, 3) the least rotation that turns the boresight to a unit direction (3,)."""
-    axis = np.array([-bearing[1], bearing[0], 0.0])
-    sine = float(np.linalg.norm(axis))
-    if sine < 1e-12:
-        return np.eye(3)
-    return np.asarray(exp(axis / sine * np.arctan2(sine, bearing[2])))
 
 
 def _distinct(

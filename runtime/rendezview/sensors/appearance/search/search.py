@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,11 +25,10 @@ from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
-from rendezview.sensors.appearance.outline.voted import VOTES_WORTH
+from rendezview.sensors.appearance.outline.voted import likely
 from rendezview.sensors.appearance.search.levels import Levels
 from rendezview.sensors.appearance.search.starts import (
     half_turns,
-    quarter_turns,
     rotated_about,
     rotated_by,
 )
@@ -42,18 +41,12 @@ _CONFIDENT = 0.98  # probability; such a pose next to a prior needs no shading
 _ENDS = 0.995
 _CONFIRMED = 0.9  # the same after a search. Source: as of a restart, TrackerOptions
 _REFINED_OF_VOTED = 2  # Source: experiment tree-ablation (0.1), seed 4101
-# Log odds of the nodes about a pose: a forest that knows nothing gives −2.2, the share of a node's
-# views among its samples. Source: experiment tree-ablation (0.1), seed 4101
-_LEAST_VOTES = -2.0
-_LEAST_LEAD = 0.5  # log odds above every half turn. Source: tree-ablation (0.1), seed 4101
 # Inlier ratio after coarse alignment, before a sketch: of 252 right poses of Mitsuba none had less.
 # Source: docs/notes/photographs.md
 _WORTH_REFINING = 0.15
 # Inlier ratio of a look-alike after the first stages, behind the best pose's: of 300 that come
 # within 0.15 of its merit, 1 % are farther behind. Source: docs/notes/rivals.md
 _MOST_BEHIND = 0.3
-# Of look-alikes, and of poses around: of the best, and of the one that is best then.
-_ROUNDS = 2  # Source: by construction
 # Poses that pictures speak for, or that are better than the one whose surroundings led to them.
 _MOST_ASKED = 4  # Source: by construction, a bound of time
 # rad; a local optimum lies about that far from the right pose. Source: spacing of the nodes' views,
@@ -64,38 +57,29 @@ _ASIDE_RAD = np.deg2rad(9.0)
 _ASIDE_RANGES = np.array([1.0, 0.87, 1.15])
 _KEPT_ASIDE = 3  # of the poses around it that are refined. Source: the same
 
-
-@dataclass(frozen=True, kw_only=True)
-class SearchOptions:
-    """How far to search."""
-
-    # Views and rolls that are aligned without a prior. Source: by hand, seeds of
-    # docs/notes/refinement.md
-    retrieved: int = 60
-    # With a forest: the likeliest are aligned first, and two of them refined. Where edges and the
-    # forest agree on a pose, nothing else is tried. Source: tree-ablation (0.1), seed 4101
-    voted_first: int = 8
-    retrieved_first: int = 20  # the same where a sketch comes next. Source: commit cb7137c
-    refined: int = 6  # of them that are refined. Source: by hand, seeds of docs/notes/refinement.md
-    # The same near a prior. Source: by hand, seeds of docs/notes/refinement.md
-    refined_near: int = 3
-    # Source: commit f31a7df; poses 5° to 10° off the truth reached the limit before it
-    inlier_ratio: float = 0.5  # of the pose next to a prior: then nothing else is tried …
-    # … and before a bright sky, where clouds give edges too. Source: by hand, seeds of
-    # docs/notes/refinement.md
-    inlier_ratio_bright: float = 0.6
+# Views and rolls that are aligned without a prior. Source: by hand, seeds of
+# docs/notes/refinement.md
+_RETRIEVED = 60
+_RETRIEVED_FIRST = 20  # the same where a sketch comes next. Source: commit cb7137c
+_REFINED = 6  # of them that are refined. Source: by hand, seeds of docs/notes/refinement.md
+_REFINED_NEAR = 3  # the same near a prior. Source: by hand, seeds of docs/notes/refinement.md
+# Source: commit f31a7df; poses 5° to 10° off the truth reached the limit before it
+_ENOUGH = 0.5  # inlier ratio of the pose next to a prior: then nothing else is tried …
+# … and before a bright sky, where clouds give edges too. Source: by hand, seeds of
+# docs/notes/refinement.md
+_ENOUGH_BRIGHT = 0.6
 
 
 class PoseSearch:
     """Finds poses of one model in the frames of one camera, where it has a suitable size."""
 
     def __init__(self, model: ViewModel, camera: Camera) -> None:
-        self.model, self.options = model, SearchOptions()
+        self.model = model
         self.levels = Levels(model, camera)
         self.bounds: tuple[Bound, ...] = ()  # of all poses
         self._retrieval = Retrieval(model)
         self._forest_scores = model.forest_scores()  # None: the model has no forest
-        self._half_turns, self._quarter_turns = half_turns(model), quarter_turns(model)
+        self._half_turns = half_turns(model)
 
     def with_camera(self, camera: Camera, *bounds: Bound) -> PoseSearch:
         """The same search in the frames of another camera, and within more bounds."""
@@ -137,32 +121,28 @@ class PoseSearch:
         if times > 1:  # the outlines are finer than the picture
             outlines = Outlines([r[::times].copy() for r in outlines.rays], signature)
             candidates.outlines = outlines
-        found = self._from_outlines(candidates, outlines, brief, give_up)
-        return self.levels.finished(found, image, sky)
-
-    def _from_outlines(
-        self, candidates: Candidates, outlines: Outlines, brief: bool, give_up: float
-    ) -> Found | None:
-        """``anywhere`` at the level of the candidates."""
-        options, beside_sketch = self.options, give_up > 0.0  # it is better at what is hard here
+        beside_sketch = give_up > 0.0  # it is better at what is hard here
         least = _WORTH_REFINING if beside_sketch else 0.0
-        rotations, centres = self._voted(outlines, options.retrieved, candidates.sky)
-        if self._forest_scores is not None and candidates.sky.dark:
-            agreed = self._agreed(candidates, outlines, rotations, centres, least)
-            if agreed is not None:
-                return self._beside_look_alikes(candidates, agreed)
-        most = options.retrieved_first if brief or beside_sketch else options.retrieved
-        keep = _REFINED_OF_VOTED if brief else options.refined
+        most = _RETRIEVED_FIRST if brief or beside_sketch else _RETRIEVED
+        keep = _REFINED_OF_VOTED if brief else _REFINED
+        rotations, centres = self._voted(outlines, _RETRIEVED, candidates.sky)
         candidates.refine_best(rotations[:most], centres[:most], keep, least=least)
         if brief:
-            return candidates.choose()
+            return self.levels.finished(candidates.choose(), image, sky)
         best = candidates.most_inliers
         if best is not None:
             self._half_turned(candidates, best.pose, best.inlier_ratio)
+        return self._answer(candidates, image, sky, give_up)
+
+    def _answer(
+        self, candidates: Candidates, image: Picture, sky: Sky, give_up: float,
+        sketched: Found | None = None,
+    ) -> Found | None:  # fmt: skip
+        """The likeliest of all poses, beside look-alikes if its confidence reaches ``give_up``."""
         found = self._settled(candidates)
-        if found is None or found.confidence < give_up:
-            return found
-        return self._beside_look_alikes(candidates, found)
+        if found is not None and found.confidence >= give_up:
+            found = self._beside_look_alikes(candidates, found, sketched)
+        return self.levels.finished(found, image, sky)
 
     def _settled(self, candidates: Candidates) -> Found | None:
         """The best pose, or the best of those around it as long as it is not sure."""
@@ -194,22 +174,16 @@ class PoseSearch:
             least = best.inlier_ratio - _MOST_BEHIND
             alike = rivals.look_alikes(best.pose, candidates.reach_rad)
             candidates.refine_closely(filter(candidates.may_be, alike), least=least)
-            if not candidates.sky.dark:  # boxes of rooms look alike after quarter turns
-                turned = rotated_by(best.pose, self._quarter_turns, self.model.centre_m)
-                candidates.refine(filter(candidates.may_be, turned), least=least)
             return True
 
-        for _ in range(_ROUNDS):
-            if found is None or not ask(found.best):
-                break
-            found = candidates.choose()
+        ask(found.best)
         on_sketch = None
         if sketched is not None:
             # Grey edges have no hold there: it has their least merit.
             candidates.add([replace(sketched.best, outline=0.0, inner=0.0)])
             on_sketch = sketched.aligned
         found = candidates.weighed(on_sketch)
-        for _ in range(_MOST_ASKED):  # pictures speak for another than edges do
+        for _ in range(_MOST_ASKED):  # edges, or pictures, speak for another
             if found is None or not ask(found.best):
                 break
             found = candidates.weighed(on_sketch)
@@ -221,37 +195,18 @@ class PoseSearch:
         rotations, centres = self._retrieval.of(signature, most, sky.sun_camera)
         if self._forest_scores is None:
             return rotations, centres
-        # Whole and sunlit silhouettes come in turns.
-        rank = np.log1p(np.arange(len(rotations)) // 2)
-        votes = VOTES_WORTH * self._forest_scores.scores(signature, rotations)
-        order = np.argsort(rank - votes, kind="stable")
+        scores = self._forest_scores.scores(signature, rotations)
+        order = np.argsort(-likely(scores), kind="stable")
         return rotations[order], centres[order]
-
-    def _agreed(
-        self, candidates: Candidates, outlines: Outlines, rotations: Array, centres: Array,
-        least: float,
-    ) -> Found | None:  # fmt: skip
-        """The pose on which edges and forest agree, from the likeliest starts; None without one."""
-        assert self._forest_scores is not None
-        first = slice(0, self.options.voted_first)
-        starts = rotations[first].copy(), centres[first].copy()
-        candidates.refine_best(*starts, _REFINED_OF_VOTED, least=least)
-        found = candidates.choose()
-        if found is None or found.confidence < _ENDS or found.votes is None:
-            return None
-        turned = found.best.pose.rotation @ self._half_turns
-        other = float(np.max(self._forest_scores.scores(outlines.signature, turned)))
-        leads = found.votes >= _LEAST_VOTES and found.votes - other >= _LEAST_LEAD
-        return found if leads else None
 
     def at(
         self, image: Picture, sky: Sky, near: Near, sufficient_inlier_ratio: float = 1.0
     ) -> Found | None:
         """The pose next to a prior that is right to a few degrees; None unless it is confident.
 
-        ``sufficient_inlier_ratio`` lowers what the options require: a search has confirmed it.
+        ``sufficient_inlier_ratio`` lowers what is enough otherwise: a search has confirmed it.
         """
-        usual = self.options.inlier_ratio if sky.dark else self.options.inlier_ratio_bright
+        usual = _ENOUGH if sky.dark else _ENOUGH_BRIGHT
         prior = near.prior
         single = self._candidates(image, sky, prior, None, near)
         refined = single.level.refiner.refine(single.image, single.sky, prior)
@@ -298,10 +253,7 @@ class PoseSearch:
             best = candidates.most_inliers
             pose, inliers = (proposals[0], 0.0) if best is None else (best.pose, best.inlier_ratio)
             self._half_turned(candidates, pose, inliers)
-        found = self._settled(candidates)
-        if found is not None and found.confidence >= give_up:
-            found = self._beside_look_alikes(candidates, found, sketched)
-        return self.levels.finished(found, image, sky)
+        return self._answer(candidates, image, sky, give_up, sketched)
 
     def near(
         self, image: Picture, sky: Sky, near: Near, outlines: Outlines | None, also: list[Pose], *,
@@ -311,11 +263,8 @@ class PoseSearch:
         rotations, centres = self._starts_near(near, outlines, also)
         candidates = self._candidates(image, sky, near.prior, outlines, near)
         candidates.refine_next_to([near.prior])
-        candidates.refine_best(rotations, centres, self.options.refined_near)
-        found = self._settled(candidates)
-        if found is not None and found.confidence >= give_up:
-            found = self._beside_look_alikes(candidates, found)
-        return self.levels.finished(found, image, sky)
+        candidates.refine_best(rotations, centres, _REFINED_NEAR)
+        return self._answer(candidates, image, sky, give_up)
 
     def _starts_near(
         self, near: Near, outlines: Outlines | None, also: list[Pose]
@@ -325,9 +274,9 @@ class PoseSearch:
         rotations = np.concatenate([rotations, *(p.rotation[None] for p in also)])
         centres = np.concatenate([centres, *(p.apply(self.model.centre_m)[None] for p in also)])
         if outlines is not None:
-            more, places = self._retrieval.of(outlines.signature, 3 * self.options.retrieved)
+            more, places = self._retrieval.of(outlines.signature, 3 * _RETRIEVED)
             cosines = 0.5 * (np.einsum("kij,ij->k", more, near.prior.rotation) - 1.0)
-            close = np.flatnonzero(cosines > np.cos(near.error_rad))[: self.options.retrieved]
+            close = np.flatnonzero(cosines > np.cos(near.error_rad))[:_RETRIEVED]
             rotations = np.concatenate([rotations, more[close]])
             centres = np.concatenate([centres, places[close]])
         return rotations, centres

@@ -21,7 +21,7 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.so3 import hat, log
+from rendezview.geometry.so3 import about_origin, log
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import CUT_SPREADS
 from rendezview.sensors.appearance.edges.contour_at import target_box
@@ -156,8 +156,8 @@ class SketchSearch:
         alike, places = self.retrieval.starts(
             sketch, _RETRIEVED_NEAR, near.prior.rotation, near.error_rad + _VIEW_RAD
         )
-        rotations = np.concatenate([around, around, alike])
-        centres = np.concatenate([stay, self.retrieval.placed(sketch, around), places])
+        rotations = np.concatenate([around, alike])
+        centres = np.concatenate([stay, places])
         reading = self.read(sketch, sky)
         first = near.wider(_VIEW_RAD)
         poses = self._bounded(self.aligned(reading, rotations, centres), first)
@@ -323,10 +323,9 @@ class SketchSearch:
         if finest is not None:
             arm = finest.rotation @ self.model.centre_m
             pose = Pose(finest.rotation, finest.centre_m - arm)
-        carry = np.eye(6)  # from the view centre to the target's origin
-        carry[3:, :3] = hat(pose.rotation @ self.model.centre_m)
         count = len(found)
-        scatter = carry @ (off.T @ off) @ carry.T / (count * max(count - 1, 1))
+        scatter = about_origin(off.T @ off, pose.rotation @ self.model.centre_m)
+        scatter /= count * max(count - 1, 1)
         spread_deg = float(np.rad2deg(np.linalg.norm(off[:, :3], axis=1).max()))
         return pose, spread_deg, scatter
 

@@ -44,29 +44,18 @@ def rotated_about_axes(pose: Pose, centre_m: Array, error_rad: float) -> list[Po
 
 def half_turns(model: ViewModel) -> Array:
     """(3, 3, 3) rotations by 180° about the principal axes of the model's contour points."""
-    return np.array([2.0 * np.outer(axis, axis) - np.eye(3) for axis in _axes(model)])
-
-
-def quarter_turns(model: ViewModel) -> Array:
-    """(6, 3, 3) rotations by ±90° about the principal axes of the model's contour points."""
-    turns = [sign * 0.5 * np.pi * axis for axis in _axes(model) for sign in (1.0, -1.0)]
-    return np.asarray(Rotation.from_rotvec(turns).as_matrix())
+    contours = model.contours
+    if contours is None:
+        raise ValueError("the model has no contour points")
+    shape = (-1, contours.point.shape[-1])
+    _, axes = np.linalg.eigh(second_moments(contours.point.reshape(shape), contours.kind.ravel()))
+    return np.array([2.0 * np.outer(axis, axis) - np.eye(3) for axis in axes.T])
 
 
 def rotated_by(pose: Pose, turns: Array, centre_m: Array) -> list[Pose]:
     """A pose with the target rotated by each of some turns (K, 3, 3) about the view centre."""
     rotations = pose.rotation @ turns
     return list(map(Pose, rotations, pose.apply(centre_m) - rotations @ centre_m))
-
-
-def _axes(model: ViewModel) -> Array:
-    """(3, 3) the principal axes of the model's contour points, a row each."""
-    contours = model.contours
-    if contours is None:
-        raise ValueError("the model has no contour points")
-    shape = (-1, contours.point.shape[-1])
-    _, axes = np.linalg.eigh(second_moments(contours.point.reshape(shape), contours.kind.ravel()))
-    return np.asarray(axes.T)
 
 
 def second_moments(points: npt.NDArray[np.int16], kinds: npt.NDArray[np.uint8]) -> Array:
