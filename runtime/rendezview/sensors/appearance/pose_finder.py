@@ -18,7 +18,7 @@ from rendezview.sensors.appearance.by_outline import OutlineRecognition, Traced
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
 from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.near import Near
-from rendezview.sensors.appearance.judge.rivals import Rivals
+from rendezview.sensors.appearance.judge.rivals import RIVAL_RAD, Rivals
 from rendezview.sensors.appearance.judge.sketch_choice import NEAR_RAD
 from rendezview.sensors.appearance.model.joint_angles import JointAngles
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -318,7 +318,12 @@ class PoseFinder:
         if sketched is not None and found is not None and found.weighed:
             sketched = sketched.beside(found.weighed, self.model.symmetries)
         answers = [one for one in (sketched, found) if one is not None]
-        given = best_by(lambda one: one.confidence, filter(self._confident, answers))
+        sure = list(filter(self._confident, answers))
+        given = next(iter(sure), None)  # of one answer the sketch's: hard light moves grey edges
+        if len(sure) > 1:
+            first, second = (one.best.pose for one in sure)
+            if angle_between(first, second, self.model.symmetries) > RIVAL_RAD:
+                given = best_by(lambda one: one.confidence, sure)
         if given is not None and given is sketched:
             # Grey edges are the finer ones, where they are seen: alone, or as the sketch confirms.
             there = Near(given.best.pose, NEAR_RAD, self.model.centre_m)
