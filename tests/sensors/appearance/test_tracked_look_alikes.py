@@ -122,3 +122,9 @@ def test_after_a_restart_a_pose_is_no_surer_than_the_search_that_found_it(place)
     given = [look.confidence for look in looks if look.pose is not None]
     assert given == [0.95] * len(given)
     assert len(given) >= 3
+
+
+@pytest.mark.parametrize("posterior", [-0.1, 1.1, float("nan")])
+def test_a_probability_that_is_none_is_refused(posterior):
+    with pytest.raises(ValueError, match="prior_posterior must be 0 to 1"):
+        Tracker(LookAlikes(), A, prior_posterior=posterior)

@@ -13,11 +13,10 @@ from rendezview.calibration.as_built.shape import Mounting, ShapeOptions
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture, check_frame, shrunk
-from rendezview.sensors.appearance.edges.alignment import nearest_views
+from rendezview.sensors.appearance.edges.contour_at import nearest_points
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.network import Sketch
 from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
-from rendezview.sensors.appearance.model.contours import NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.search.levels import (
@@ -172,10 +171,8 @@ def _of_nearest_view(
     """(N,) which part each contour point of the view nearest to a pose is of; −1: of none."""
     contours = model.contours
     assert contours is not None
-    nodes, view = model.lattice.nodes, np.zeros(1, dtype=np.int64)
-    shell = nearest_views(nodes, contours.shells_m, edges.rotation, edges.centre_m, view)
-    exists = contours.kind[shell, view[0]] != NO_POINT
-    points = contours.point[shell, view[0]][exists] * (POINT_UNIT * model.target_radius_m)
+    pose = pose_of(edges.rotation, edges.centre_m, model)
+    _, points = nearest_points(model, contours, pose)
     of = np.full(len(points), -1, dtype=np.intp)
     for k, part in enumerate(shape.parts):
         of[part.holds(points) & (of < 0)] = k

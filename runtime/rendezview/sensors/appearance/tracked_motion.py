@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
-
-if TYPE_CHECKING:
-    from rendezview.sensors.appearance.judge.found import Found
-    from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.model.view_model import ViewModel
 
 # target radii; a centre predicted nearer than this is not used. Source: by construction, inside the
 # target

@@ -100,7 +100,12 @@ class Tracker:
             options: when to let go of the last pose.
             integrity: each pose gets a protection level and alarms; ``None``: it gets none.
             prior_posterior: probability of the prior among its look-alikes.
+
+        Raises:
+            ValueError: the probability is none.
         """
+        if not 0.0 <= prior_posterior <= 1.0:
+            raise ValueError(f"prior_posterior must be 0 to 1: {prior_posterior}")
         check_recognizer(recognizer)
         check_prior(prior)
         self.recognizer = recognizer

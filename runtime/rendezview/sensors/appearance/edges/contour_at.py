@@ -48,7 +48,7 @@ def contour_pixels(
     if contours is None:
         return None
     centre, radius_m = pose.apply(model.centre_m), model.target_radius_m
-    used, points_m = _nearest_points(model, contours, pose)
+    used, points_m = nearest_points(model, contours, pose)
     tangents = contours.tangent[used] * DIRECTION_UNIT
     if angles_rad is not None and contours.part is not None:
         part = contours.part[used]
@@ -67,7 +67,7 @@ def contour_pixels(
     return ContourPixels(points_px[inside], directions[inside], contours.kind[used][inside])
 
 
-def _nearest_points(
+def nearest_points(
     model: ViewModel, contours: Contours, pose: Pose
 ) -> tuple[tuple[int, int, npt.NDArray[np.intp]], Array]:
     """Where the contour points of the view nearest to a pose are in the tables, and the points
@@ -88,7 +88,7 @@ def target_box(model: ViewModel, camera: Camera, pose: Pose) -> Box:
     """
     if model.contours is None:
         return NOWHERE
-    _, points_m = _nearest_points(model, model.contours, pose)
+    _, points_m = nearest_points(model, model.contours, pose)
     in_camera = points_m @ pose.rotation.T + pose.apply(model.centre_m)
     px = np.asarray(camera.project(in_camera[in_camera[:, 2] > 0.0]))
     if not len(px) or not np.isfinite(px).all():

@@ -158,6 +158,8 @@ class Refiner:
         Coarse stages that lead away from a start that explains more, as edges of shadows do, are
         left out.
         """
+        if self.articulation is not None:
+            return self._moved(image, sky, start, self._stages[int(closely) :], least)
         before = self._ratio(image, sky, *self._centred(start), CLOSE_PX)
         first = None
         for k in range(int(closely), len(self._stages)):
@@ -165,7 +167,7 @@ class Refiner:
             if moved is not None and moved.inlier_ratio >= _HELD_SHARE * before:
                 return moved
             first = first or moved
-            if before <= least or self.articulation is not None:
+            if before <= least:
                 break
         return first
 
