@@ -64,6 +64,14 @@ def test_circles_of_nearly_the_range_are_rivals_and_named():
     assert by_range(found, 40.0, 0.4).edge is None
 
 
+def test_a_circle_that_a_range_hardly_fits_is_no_better_than_a_chance_one():
+    found = edges(0.3)[TRUE::3]  # the ring's own
+    assert not by_range(found, 6.0, 0.18).doubtful
+    hardly = by_range(found, 6.0 / 1.078, 0.18)  # 2.4 σ: so do other circles of a vehicle
+    assert (hardly.edge, hardly.rivals, hardly.doubtful) == (0, (), True)
+    assert "does not tell whether" in hardly.reason
+
+
 def test_the_pattern_of_known_circles_needs_no_range():
     for tilt in (0.02, 0.3, 0.6):
         which = which_circle(CAMERA, edges(tilt), Knowledge(RADIUS_M, CIRCLES))

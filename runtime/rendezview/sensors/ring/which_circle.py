@@ -221,7 +221,7 @@ def _decided(
     choice = choose(-cost, same, within=RIVAL_COST, most=_MOST_RIVALS)
     assert choice is not None
     rivals = tuple((int(found.edge[i]), int(found.circle[i])) for i in choice.rivals)
-    doubtful = bool(cost[best] > -RIVAL_COST) and bool(known.circles or known.memory)
+    doubtful = bool(cost[best] > -RIVAL_COST)
     reason = ""
     if rivals:
         places = " or ".join(_words(found, i, ranges, known) for i in choice.answers)
