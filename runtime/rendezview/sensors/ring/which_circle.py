@@ -46,8 +46,8 @@ RIVAL_COST = 5.0  # more than the best's; a rival within it may be the ring. Sou
 _MOST_RIVALS = 5  # named. Source: by construction, a bound of time
 # From here edges of one group are known to be of one plane. Source: the groups' own tolerance
 _PLANE_TILT_RAD = math.radians(10.0)
-# How far a known circle's picture may lie from its ellipse: a share of its size, and so many px.
-# Source: ring-vehicle (0.1), seed 22
+# So near to where a known circle should be, an ellipse is no other reading: a share of its size,
+# and so many px. Source: ring-vehicle (0.1), seed 22
 _KNOWN_SHARE, _KNOWN_PX = 0.015, 1.0
 # A ring has two edges at least. Of the circles that fitted the range by chance (ring-vehicle
 # (0.1) of HST, seed 25) 19 of 26 stood alone, of the right ones on client, HST and ISS none of 194.
@@ -165,25 +165,26 @@ def _cost_of_known(
 ) -> Array:
     """(N,) cost of the target's other circles at each hypothesis: found, missed, or out of sight.
 
-    Between found and missed the cost rises with the square of the misfit.
+    What lies before or beside an edge moves its ellipse by far more than its σ now and then: with
+    plain pictures and Mitsuba's the misfits are those of a Cauchy distribution.
     """
     cost = np.zeros(len(found.edge))
     if not known.circles:
         return cost
     shapes = np.array([edge.ellipse.shape for edge in edges])
+    share = np.array([_size_sigma(edge) for edge in edges])
     for j, (height_m, circle_m) in known.every_circle:
         expected = shapes_of_circles(
             camera, found.centre_m + height_m * found.axis, found.axis, circle_m
         )
         size = _size_px(expected)
-        limit = _limit_px(size)
-        miss = np.abs(expected[:, None, :] - shapes).max(axis=2) / limit[:, None]
-        miss[np.arange(len(cost)), found.edge] = np.inf  # an ellipse is one circle
-        # A chance ellipse has any size: so often it lies within the limit.
-        chance = np.fmin(2.0 * limit / (SIZES * size), _SHOWN)
-        missed = 2.0 * np.log((1.0 - chance) / (1.0 - _SHOWN))
-        gain = missed + 2.0 * np.log(_SHOWN / chance)
-        own = missed - gain * (1.0 - np.fmin(miss.min(axis=1), 1.0) ** 2)
+        off = np.abs(expected[:, None, :] - shapes).max(axis=2)
+        off[np.arange(len(cost)), found.edge] = np.inf  # an ellipse is one circle
+        sigma = np.hypot(share * _size_px(shapes), share[found.edge][:, None] * size[:, None])
+        shown = 2.0 / (math.pi * sigma * (1.0 + (off / sigma) ** 2))
+        # A chance ellipse has any size, at either side.
+        odds = shown.max(axis=1) * 0.5 * SIZES * size
+        own = -2.0 * np.log(_SHOWN * odds + 1.0 - _SHOWN)
         visible = (
             (found.circle != j)
             & np.isfinite(size)
@@ -243,7 +244,7 @@ def _words(found: _Proposed, i: int, ranges: Array, known: Knowledge) -> str:
 
 
 def _miss(expected: Array | None, shape: Array) -> float:
-    """How far an ellipse is from where a circle should be; 1 is the limit."""
+    """How far an ellipse is from where a circle should be; from 1 on it is another reading."""
     if expected is None:
         return math.inf
     return float(np.abs(shape - expected).max() / _limit_px(_size_px(expected)))
@@ -255,7 +256,7 @@ def _size_px(shapes: Array) -> Array:
 
 
 def _limit_px(size_px: Array) -> Array:
-    """(…) how far a known circle's picture may lie from its ellipse."""
+    """(…) how near to a known circle an ellipse is no other reading."""
     return np.asarray(_KNOWN_SHARE * size_px + _KNOWN_PX)
 
 
