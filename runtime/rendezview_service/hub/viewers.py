@@ -23,8 +23,9 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 
 from rendezview.errors import RendezviewError
+from rendezview_service.client.messages import pose_of_state
 from rendezview_service.hub.health import info_of
-from rendezview_service.hub.rerun_readings import ReadingsRecorder, transform
+from rendezview_service.hub.rerun_recorder import RerunRecorder
 from rendezview_service.hub.ros_viewer import RosViewer
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
@@ -42,7 +43,6 @@ _AXES_M = 1.0  # of the fused pose. Source: chosen
 _CONTOUR_RGBA = (0.35, 0.88, 1.0, 1.0)  # as on the page. Source: chosen
 # In its package. Source: `rerun_cli/__main__.py` of rerun-sdk 0.41
 _RERUN_PLACES = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
-_NUMBERS = ("confidence", "score", "range_m", "track_ms", "latency_ms")
 
 Json = dict[str, Any]
 
@@ -219,38 +219,24 @@ class RerunViewer:
         _await_listener(server, at.strip("[]"), port)
         self._stream.connect_grpc(self.address)
         self._open.callback(self._stream.disconnect)
-        self._begun: dict[str, ReadingsRecorder] = {}
+        self._begun: dict[str, RerunRecorder] = {}
 
     def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
         """A `WatchState` and its JPEG, or nothing."""
-        rr, state, at = self._rr, message["state"], info.id
-        record = self._stream.log
-        self._stream.set_time("frame", sequence=state["frame"])
-        self._stream.set_time("time", timestamp=state["received_unix_s"])
-        if at not in self._begun:
-            self._begun[at] = ReadingsRecorder(rr, record, f"{at}/", _AXES_M)
-            record(at, rr.ViewCoordinates.RDF, static=True)
-            camera = info.camera
-            scale = min(1.0, _WIDTH_PX / camera.width)
-            pinhole = rr.Pinhole(
-                focal_length=[scale * camera.fx, scale * camera.fy],
-                principal_point=[scale * camera.cx, scale * camera.cy],
-                resolution=[scale * camera.width, scale * camera.height],
-            )
-            record(f"{at}/camera/image", pinhole, static=True)
-        record(f"{at}/target", transform(rr, state["pose"]))
-        scale = min(1.0, _WIDTH_PX / info.camera.width)
-        self._begun[at].show(state, camera_of(info.camera), scale)
-        if picture:
-            image = rr.EncodedImage(contents=picture, media_type="image/jpeg")
-            record(f"{at}/camera/image", image)
-            contour = message["contour"] or {"points_px": []}
-            points = [(scale * u, scale * v) for u, v in contour["points_px"]]
-            record(f"{at}/camera/image/contour", rr.Points2D(points, radii=1.0))
-        numbers = {name: state[name] for name in _NUMBERS} | (state.get("approach") or {})
-        for name, value in numbers.items():
-            if isinstance(value, int | float):
-                record(f"{at}/plots/{name}", rr.Scalars(float(value)))
+        rr, state = self._rr, message["state"]
+        if info.id not in self._begun:
+            self._begun[info.id] = RerunRecorder(rr, self._stream, f"{info.id}/", _AXES_M)
+        shown = rr.EncodedImage(contents=picture, media_type="image/jpeg") if picture else None
+        self._begun[info.id].show(
+            state["frame"],
+            state["received_unix_s"],
+            state,
+            pose_of_state(state),
+            camera=camera_of(info.camera),
+            picture=shown,
+            scale=min(1.0, _WIDTH_PX / info.camera.width),
+            contour_px=(message["contour"] or {"points_px": ()})["points_px"],
+        )
 
     def close(self) -> None:
         """End the server."""
