@@ -14,7 +14,6 @@ from typing import Any
 
 from starlette.types import Message, Scope
 
-from rendezview_service.cluster.heartbeat import beacon
 from rendezview_service.cluster.tunnel import Sockets, exchange
 from rendezview_service.http.app import make_routes
 from rendezview_service.hub.checkpoint import checkpoint_path, read_checkpoint
@@ -48,7 +47,6 @@ class Slot:
         self._service = Service(self._settings, shares_models=True)
         self._app = make_routes(self._service)
         self._sockets = Sockets(self._app)
-        self._beacon: tuple[str, int, asyncio.Server] | None = None
         self._held: str | None = None
         self._begun = False
 
@@ -61,11 +59,6 @@ class Slot:
             await self._service.start()
             self._service.settings = self._settings
         return os.getpid()
-
-    async def beacon(self) -> tuple[str, int, int]:
-        """Host and port of a connection that lasts as long as this process; its number."""
-        self._beacon = self._beacon or await beacon()
-        return *self._beacon[:2], os.getpid()
 
     async def ready(self) -> bool:
         """Whether it can take a session."""
