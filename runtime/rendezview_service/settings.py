@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, ValidationError
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import describe, read_toml
@@ -89,17 +89,6 @@ class Settings(BaseSettings):
     job_s: float = Field(default=21_600.0, gt=0.0)  # of one training
     job_bytes: int = Field(default=16_000_000_000, ge=1_000_000_000)  # of each of its processes
     log_level: Literal["debug", "info", "warning", "error"] = "info"
-
-    @classmethod
-    def settings_customise_sources(
-        cls,
-        settings_cls: type[BaseSettings],
-        init_settings: PydanticBaseSettingsSource,
-        env_settings: PydanticBaseSettingsSource,
-        dotenv_settings: PydanticBaseSettingsSource,
-        file_secret_settings: PydanticBaseSettingsSource,
-    ) -> tuple[PydanticBaseSettingsSource, ...]:
-        return init_settings, env_settings
 
     @property
     def record_folder(self) -> Path | None:

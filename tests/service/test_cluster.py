@@ -18,7 +18,7 @@ from tests.service.logged import states_of
 from tests.service.ray_nodes import Gateway, Nodes, slots_of, wait_for
 from tests.waiting import MOST_S, wait_until
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 from rendezview.errors import RendezviewError
 from rendezview_service.client import Client
@@ -82,6 +82,11 @@ def _patient(cluster: Cluster, gateway: int, image: np.ndarray, time_s: float) -
     return state
 
 
+def _watch(watcher: ClientConnection) -> None:
+    while True:
+        watcher.recv(MOST_S)
+
+
 def test_nodes_gateways_and_models_change_under_a_session(
     cluster, camera, tour, refining_model, tmp_path
 ) -> None:
@@ -133,8 +138,7 @@ def test_nodes_gateways_and_models_change_under_a_session(
         ended.start()
         states += [_patient(cluster, 0, image, time_s) for time_s, _, image in tour[8:12]]
         with pytest.raises(ConnectionClosed):
-            while True:
-                watcher.recv(MOST_S)
+            _watch(watcher)
         assert watcher.close_code == 1012  # open it again
     ended.join(MOST_S)
     place, before = cluster.node_of("run"), place

@@ -19,9 +19,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
-
 from rendezview.errors import RendezviewError
 from rendezview_service.client.messages import pose_of_state
 from rendezview_service.hub.health import info_of
@@ -29,7 +26,6 @@ from rendezview_service.hub.rerun_recorder import RerunRecorder
 from rendezview_service.hub.ros_viewer import RosViewer
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
-from rendezview_service.logs.log_schemas import descriptors, frame_transform, pose_in_frame, stamp
 from rendezview_service.messages.messages import SessionInfo
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import camera_of
@@ -40,7 +36,7 @@ _SERVER_START_S = 30.0  # s; a program that is read from the disk. Source: a cho
 _SERVER_END_S = 3.0  # s, for a program to end, then it is killed. Source: chosen
 _RATE_HZ, _WIDTH_PX = 15.0, 640  # of what is sent. Source: chosen
 _AXES_M = 1.0  # of the fused pose. Source: chosen
-_CONTOUR_RGBA = (0.35, 0.88, 1.0, 1.0)  # as on the page. Source: chosen
+_CONTOUR_COLOUR = {"r": 0.35, "g": 0.88, "b": 1.0, "a": 1.0}  # as on the page. Source: chosen
 # In its package. Source: `rerun_cli/__main__.py` of rerun-sdk 0.41
 _RERUN_PLACES = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
 
@@ -119,56 +115,52 @@ class FoxgloveViewer:
 
     def __init__(self, host: str, port: int) -> None:
         import foxglove
+        from foxglove import messages
 
-        self._package, self._context = foxglove, foxglove.Context()
-        self._server = foxglove.start_server(
-            name="rendezview", host=host, port=port, context=self._context
-        )
-        self._channels: dict[str, Any] = {}
-
-    def _send(self, topic: str, message: Any) -> None:
-        """Send a message of protobuf, or JSON."""
-        as_json = isinstance(message, dict)
-        if topic not in self._channels:
-            schema: Any = {"type": "object"}
-            if not as_json:
-                name = message.DESCRIPTOR.full_name
-                schema = self._package.Schema(
-                    name=name, encoding="protobuf", data=descriptors(message)
-                )
-            encoding = "json" if as_json else "protobuf"
-            self._channels[topic] = self._package.Channel(
-                topic, message_encoding=encoding, schema=schema, context=self._context
-            )
-        self._channels[topic].log(message if as_json else message.SerializeToString())
+        self._send, self._types = foxglove.log, messages
+        self._server = foxglove.start_server(name="rendezview", host=host, port=port)
 
     def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
         """A `WatchState` and its JPEG, or nothing."""
-        state, at, time_s = message["state"], f"/{info.id}", message["state"]["received_unix_s"]
-        frames = f"{info.id}/camera", f"{info.id}/target"
-        self._send(f"{at}/state", state)
+        send, types, state, at = self._send, self._types, message["state"], f"/{info.id}"
+        camera, target = f"{info.id}/camera", f"{info.id}/target"
+        now = types.Timestamp.from_epoch_secs(state["received_unix_s"])
+        send(f"{at}/state", state)
         if info.flight is not None:
-            self._send(f"{at}/flight", info.flight.model_dump(mode="json"))
+            send(f"{at}/flight", info.flight.model_dump(mode="json"))
         poses = {"pose": state["pose"], "fused": (state.get("fused") or {}).get("pose")}
         for name, pose in poses.items():
             if pose is not None:
-                self._send(f"{at}/target/{name}", pose_in_frame(time_s, pose, frames[0]))
+                place, turn = self._place_and_turn(pose)
+                there = types.Pose(position=place, orientation=turn)
+                posed = types.PoseInFrame(timestamp=now, frame_id=camera, pose=there)
+                send(f"{at}/target/{name}", posed)
         if state["pose"] is not None:
-            self._send(f"{at}/tf", frame_transform(time_s, state["pose"], *frames))
+            place, turn = self._place_and_turn(state["pose"])
+            frames = {"parent_frame_id": camera, "child_frame_id": target}
+            moved = types.FrameTransform(timestamp=now, translation=place, rotation=turn, **frames)
+            send(f"{at}/tf", moved)
         if picture:
-            stamped = {"timestamp": stamp(time_s), "frame_id": frames[0]}
-            image = CompressedImage(data=picture, format="jpeg", **stamped)
-            self._send(f"{at}/camera/image", image)
-            marks, scale = ImageAnnotations(), _WIDTH_PX / max(info.camera.width, _WIDTH_PX)
+            stamped = {"timestamp": now, "frame_id": camera}
+            image = types.CompressedImage(data=picture, format="jpeg", **stamped)
+            send(f"{at}/camera/image", image)
+            scale, drawn = _WIDTH_PX / max(info.camera.width, _WIDTH_PX), []
             if message["contour"] is not None:
-                points = [
-                    {"x": scale * u, "y": scale * v} for u, v in message["contour"]["points_px"]
-                ]
-                drawn = marks.points.add(timestamp=stamp(time_s), points=points, thickness=2.0)
-                drawn.type = drawn.POINTS
-                colour = drawn.outline_color
-                colour.r, colour.g, colour.b, colour.a = _CONTOUR_RGBA
-            self._send(f"{at}/camera/contour", marks)
+                points = message["contour"]["points_px"]
+                contour = types.PointsAnnotation(
+                    timestamp=now,
+                    type=types.PointsAnnotationType.Points,
+                    points=[types.Point2(x=scale * u, y=scale * v) for u, v in points],
+                    outline_color=types.Color(**_CONTOUR_COLOUR),
+                    thickness=2.0,
+                )
+                drawn.append(contour)
+            send(f"{at}/camera/contour", types.ImageAnnotations(points=drawn))
+
+    def _place_and_turn(self, pose: dict[str, list[float]]) -> tuple[Any, Any]:
+        place = dict(zip("xyz", pose["translation_m"], strict=True))
+        turn = dict(zip("wxyz", pose["quat_wxyz"], strict=True))
+        return self._types.Vector3(**place), self._types.Quaternion(**turn)
 
     def close(self) -> None:
         """End the server."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import logging
 import mmap
 import os
@@ -27,6 +28,7 @@ from rendezview_service.hub.sessions import Session
 from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.messages.wire import Header, Unpacker, mapped, pack, shared_memory
 from rendezview_service.settings import Settings
+from rendezview_service.tracker.tracking import session_notes
 
 log = logging.getLogger("rendezview_service")
 
@@ -52,9 +54,8 @@ class WorkerGone(Exception):
 class WorkerHandle(asyncio.Protocol):
     """Starts one worker process, sends it inputs, and gives its answers to the sessions."""
 
-    def __init__(self, memory_bytes: int, frame_timeout_s: float) -> None:
-        self._memory_bytes = memory_bytes
-        self._frame_timeout_s = frame_timeout_s
+    def __init__(self, settings: Settings) -> None:
+        self._settings, self._memory_bytes = settings, settings.frame_bytes
         self.sessions: set[Session] = set()
         self.on_gone: Callable[[WorkerHandle], None] = lambda worker: None
         self.on_progress: Callable[[int], None] = lambda loops: None  # compiled so far
@@ -85,7 +86,13 @@ class WorkerHandle(asyncio.Protocol):
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         command = [sys.executable, "-m", "rendezview_service.worker.worker"]
         self._process = subprocess.Popen(
-            [*command, str(theirs.fileno()), str(memory), str(self._memory_bytes)],
+            [
+                *command,
+                str(theirs.fileno()),
+                str(memory),
+                str(self._memory_bytes),
+                self._settings.model_dump_json(),
+            ],
             pass_fds=(theirs.fileno(), memory),
             stdin=subprocess.DEVNULL,
             env=environment,
@@ -182,10 +189,11 @@ class WorkerHandle(asyncio.Protocol):
             self._current = session, waiting
             request = session.header_of(waiting)
             # Every late line makes the filter repeat what came after it.
-            count = min(waiting.lines, request["most_lines"]) if waiting.sensor is not None else 1
+            most = self._settings.measurement_lines
+            count = 1 if waiting.sensor is None else min(waiting.lines, most)
             waiting.move_to(self._memory)
             self._transport.write(pack(request))
-            limit_s = count * self._frame_timeout_s
+            limit_s = count * self._settings.frame_timeout_s
             self._sent_at_s, self._spent_before_s = time.monotonic(), self._processor_s()
             self._timer = Timer(limit_s, partial(self._late, limit_s))
 
@@ -307,32 +315,27 @@ class WorkerHandle(asyncio.Protocol):
         self.on_gone(self)
 
 
-def open_request(session: Session, settings: Settings) -> Header:
+def open_request(session: Session) -> Header:
     """Track a session from its next frame on, and record it if it has a log."""
-    log_path = session.log.base
+    session_log, base = session.log, session.log.base
+    notes = session_notes(
+        session.id,
+        session.request_now,
+        session.stored.info.target or "?",
+        session.stored.copy,
+        model_file=session.stored.path.name,
+        opened_unix_s=repr(session.created_unix_s),
+        log=session_log.id,
+        first_frame=str(session.frame_base),
+        handover=json.dumps(session.handover),
+        forgotten="yes" if session.is_fused else "no",
+    )
     return {
         "kind": "open",
         "session": session.id,
-        "opened_unix_s": session.created_unix_s,
-        "request": session.request_now.model_dump(mode="json"),
+        "notes": notes,
         "sight": sight_of(session.request, session.stored.copy),
-        "model_file": session.stored.path.name,
-        "sensors": settings.sensors,
-        "forgotten": session.is_fused,
-        "handover": session.handover,
-        "first_frame": session.frame_base,
-        "log": session.log.id,
-        "log_path": None if log_path is None else str(log_path),
-        "log_model": settings.record_model,
-        "recording": {
-            "images": settings.record_images,
-            "sync": settings.sync,
-            "compression": settings.compression,
-            "part_bytes": settings.log_part_bytes,
-            "part_s": settings.log_part_s,
-            "wait_s": settings.log_wait_s,
-            "memory_bytes": settings.log_memory_bytes,
-        },
+        "log_path": None if base is None else str(base),
     }
 
 

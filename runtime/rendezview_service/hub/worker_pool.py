@@ -158,7 +158,7 @@ class WorkerPool:
             raise NotReady(COMPILING) from None
 
     def _new(self) -> WorkerHandle:
-        worker = WorkerHandle(self._settings.frame_bytes, self._settings.frame_timeout_s)
+        worker = WorkerHandle(self._settings)
         worker.on_gone = self._gone
         worker.on_progress = self._compiled
         return worker

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
@@ -139,10 +140,7 @@ class ApproachMonitor:
         if speed[2] > _LEAST_RATE_M_S and place[2] < 0.0:
             contact_s = float(-place[2] / speed[2])
             place_at = math.hypot(*(place[:2] + contact_s * speed[:2]))
-        ahead = back[:, 2]
-        yaw = math.atan2(ahead[0], ahead[2])
-        pitch = math.atan2(-ahead[1], math.hypot(ahead[0], ahead[2]))
-        flat = (_about_y(yaw) @ _about_x(pitch)).T @ back
+        yaw, pitch, roll = Rotation.from_matrix(back).as_euler("YXZ").tolist()
         return {
             "along_m": float(-place[2]),
             "right_m": float(place[0]),
@@ -151,7 +149,7 @@ class ApproachMonitor:
             "right_rate_m_s": float(speed[0]),
             "up_rate_m_s": float(-speed[1]),
             "off_axis_rad": math.atan2(sideways, -place[2]),
-            "roll_rad": math.atan2(flat[1, 0], flat[0, 0]),
+            "roll_rad": roll,
             "pitch_rad": pitch,
             "yaw_rad": yaw,
             "contact_s": contact_s,
@@ -245,13 +243,3 @@ def _sight(place: Array) -> tuple[Array, float]:
     """Direction and length."""
     length = float(np.linalg.norm(place))
     return place / max(length, _LEAST_M), length
-
-
-def _about_y(angle: float) -> Array:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
-def _about_x(angle: float) -> Array:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])

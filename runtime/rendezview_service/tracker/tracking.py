@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -37,6 +42,7 @@ StateDict = dict[str, Any]
 
 # Keys of an observation's record that a state has as they are, in this order.
 _OBSERVED = ("status", "reason", "pose", "covariance", "confidence", "score")
+_VERSIONS = {name: metadata.version(name) for name in ("rendezview", "numpy", "numba")}
 _OUTLINE_POINTS = 600  # of a silhouette that is drawn. Source: a chosen limit
 
 
@@ -55,8 +61,31 @@ def camera_of(message: CameraMessage) -> Camera:
 
 def camera_message(camera: Camera, *, checked: bool = False) -> CameraMessage:
     """A camera as a message; ``checked``: what is odd about it is known."""
-    keys = {name: getattr(camera, name) for name in CameraMessage.model_fields if name != "checked"}
+    keys = asdict(camera)
+    del keys["doubts"]  # of its file
     return CameraMessage.model_validate(keys | {"checked": checked})
+
+
+def session_notes(
+    session: str, request: SessionRequest, target: str, model: Path, **more: str
+) -> dict[str, str]:
+    """What a tracker begins with: the metadata of a log.
+
+    Args:
+        model: its file, named by its hash.
+        more: ``model_file``, its own name; ``first_frame``, the number of the first frame;
+            ``forgotten`` and ``handover``, as in `SessionTracker`; and others.
+    """
+    return {
+        "session": session,
+        "request": request.model_dump_json(),
+        "target": target,
+        "model_file": model.name,
+        "model_sha256": model.stem,
+        "versions": json.dumps(_VERSIONS),
+        "opencv": cv2.__version__,
+        **more,
+    }
 
 
 class SessionTracker:
@@ -120,6 +149,21 @@ class SessionTracker:
         self.frames = 0  # tracked so far
         self.last_s = -math.inf  # of the last frame; -inf: none yet
         self._last_pose_s: float | None = None
+
+    @classmethod
+    def of_notes(
+        cls,
+        notes: dict[str, str],
+        request: SessionRequest,
+        model: ViewModel,
+        most_sensors: int | None = None,
+        recognizer: Recognizer | None = None,
+    ) -> SessionTracker:
+        """The tracker of a session by its `session_notes`; a replay makes the same one."""
+        forgotten = notes.get("forgotten") == "yes"
+        handover = json.loads(notes.get("handover", "null"))
+        name = notes.get("session", "replay")
+        return cls(name, model, request, most_sensors, forgotten, recognizer, handover)
 
     def track(
         self,
