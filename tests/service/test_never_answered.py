@@ -142,7 +142,7 @@ class _Handled:
     """A handle with a connection whose other end this process has."""
 
     def __init__(self, process: Any) -> None:
-        self.handle: WorkerHandle = WorkerHandle(4096, 5.0)
+        self.handle: WorkerHandle = WorkerHandle(Settings(frame_bytes=4096, frame_timeout_s=5.0))
         self.handle._process, self.handle._unpacker = process, Unpacker()
         self.gone: list[Any] = []
         self.handle.on_gone = self.gone.append
@@ -211,7 +211,7 @@ def test_an_answer_that_the_service_cannot_take_refuses_its_input() -> None:
         raise ValueError("a state that is none")
 
     session = SimpleNamespace(tracked=fails, refused=lambda _, why, internal: refused.append(why))
-    handle: WorkerHandle = WorkerHandle(4096, 5.0)
+    handle: WorkerHandle = WorkerHandle(Settings(frame_bytes=4096, frame_timeout_s=5.0))
     handle._current = session, SimpleNamespace(length=1)
     handle._received({"kind": "state"}, b"")
     assert refused == ["the service has an internal error: see its log"]
