@@ -104,7 +104,7 @@ class Gateway:
                 self._actors = {slot: a for slot, a in self._actors.items() if slot in there}
                 for slot in there - set(self._actors):
                     with contextlib.suppress(ray.exceptions.RayError, OSError, ValueError):
-                        await asyncio.wait_for(self._actor(slot).ready.remote(), _CONNECT_S)
+                        await asyncio.wait_for(self._actor(slot).state.remote(), _CONNECT_S)
             await asyncio.sleep(_KNOW_S)
 
     async def _answer(self, scope: Scope, body: bytes) -> Response:
