@@ -21,9 +21,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from rendezview.errors import RendezviewError
 from rendezview_service.cluster.orchestrator import NAMESPACE, join
 from rendezview_service.cluster.tunnel import packed, unpacked
-from rendezview_service.http.answers import KEY_HEADER, fault, fault_of, needs
+from rendezview_service.http.answers import KEY_HEADER, fault_of, needs
 from rendezview_service.http.app import page_files
-from rendezview_service.http.security import Guard, Right, Token
+from rendezview_service.http.security import Guard, Right, Token, fault
 from rendezview_service.hub.inputs import NotReady, Refused
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.messages.message_parts import BudgetUse

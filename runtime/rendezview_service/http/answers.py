@@ -22,7 +22,7 @@ from starlette.responses import Response, StreamingResponse
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import checked, write_error
-from rendezview_service.http.security import Right
+from rendezview_service.http.security import Right, fault
 from rendezview_service.hub.inputs import Answer, NotReady, Refused
 from rendezview_service.hub.model_store import NameTaken
 from rendezview_service.hub.service import Service
@@ -249,17 +249,6 @@ def frame_head(given: dict[str, Any], where: str) -> FrameHead:
         RendezviewError: NaN, infinity or beyond ±1e10 s, or a region that is none.
     """
     return checked(_FRAME_HEAD, given, where)
-
-
-def fault(
-    status: int, error: str, headers: dict[str, str] | None = None, *, again: bool = True
-) -> Response:
-    """The answer with an error; ``again``: a sender that was refused may repeat its request."""
-    extra = dict(headers or {})
-    if again and status in (429, 503):
-        extra.setdefault("Retry-After", "1")
-    text = Fault(error=error, status=status).model_dump_json()
-    return Response(text, status, extra, JSON)
 
 
 def fault_of(error: Exception) -> Response | None:

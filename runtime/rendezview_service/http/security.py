@@ -315,10 +315,18 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, error
         await receive()
         await send({"type": "websocket.close", "code": 1008, "reason": error})
         return
-    extra = {"Retry-After": "1"} if status in (429, 503) else {}
-    if status == 401:
-        extra = {"WWW-Authenticate": "Bearer"}
-    text = Fault(error=error, status=status).model_dump_json()
-    answer = Response(text, status, extra, "application/json")
+    extra = {"WWW-Authenticate": "Bearer"} if status == 401 else {}
+    answer = fault(status, error, extra)
     answer.raw_headers += HEADERS
     await answer(scope, receive, send)
+
+
+def fault(
+    status: int, error: str, headers: dict[str, str] | None = None, *, again: bool = True
+) -> Response:
+    """The answer with an error; ``again``: a sender that was refused may repeat its request."""
+    extra = dict(headers or {})
+    if again and status in (429, 503):
+        extra.setdefault("Retry-After", "1")
+    text = Fault(error=error, status=status).model_dump_json()
+    return Response(text, status, extra, "application/json")

@@ -26,7 +26,7 @@ from rendezview_service.hub.inputs import SessionInput
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.hub.sessions import Session
 from rendezview_service.messages.messages import SessionRequest
-from rendezview_service.messages.wire import Header, Unpacker, mapped, pack, shared_memory
+from rendezview_service.messages.wire import Header, Unpacker, pack, shared_memory
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import session_notes
 
@@ -80,7 +80,7 @@ class WorkerHandle(asyncio.Protocol):
         loop = asyncio.get_running_loop()
         ours, theirs = socket.socketpair()
         memory = shared_memory(self._memory_bytes)
-        self._memory = mapped(memory, self._memory_bytes)
+        self._memory = mmap.mmap(memory, self._memory_bytes)
         self._unpacker = Unpacker()
         self._started = loop.create_future()
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

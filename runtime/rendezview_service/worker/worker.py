@@ -10,6 +10,7 @@ import contextlib
 import faulthandler
 import gc
 import logging
+import mmap
 import os
 import select
 import signal
@@ -33,7 +34,7 @@ from rendezview_service.json_logging import set_up_logging
 from rendezview_service.logs.recording import RECORDED, LogWriter
 from rendezview_service.messages.frames import read_frame
 from rendezview_service.messages.messages import SessionRequest
-from rendezview_service.messages.wire import Header, mapped, pack, receive
+from rendezview_service.messages.wire import Header, pack, receive
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import (
     SessionTracker,
@@ -359,7 +360,7 @@ def main() -> None:
     set_up_logging("info")
     connection, memory, size = (int(argument) for argument in sys.argv[1:4])
     settings = Settings.model_validate_json(sys.argv[4])
-    WorkerProcess(socket.socket(fileno=connection), mapped(memory, size), settings).run()
+    WorkerProcess(socket.socket(fileno=connection), mmap.mmap(memory, size), settings).run()
 
 
 if __name__ == "__main__":
