@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -20,8 +23,10 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.sequences import open_sequence
 from rendezview_ground.simulate.bop_writer import BopSceneWriter
+from rendezview_service.hub.service import Service
 from rendezview_service.hub.source_process import SourceProcess
 from rendezview_service.hub.sources import SourceFrame, open_source
+from rendezview_service.settings import Settings
 
 CAMERA = Camera.from_fov(64, 48, 1.0)
 
@@ -162,3 +167,20 @@ def test_what_is_odd_about_a_source_comes_with_it(tmp_path: Path) -> None:
         assert any("the field of view is 0.6" in note for note in source.notes)
     finally:
         source.close()
+
+
+def test_a_source_whose_driver_keeps_its_process_holds_up_no_other_session(model_path) -> None:
+    service, wakes = Service(Settings(), model_path), []
+    session = SimpleNamespace(id="main", worker=None, keeper=None, end=lambda *_: None)
+    service.sessions["main"] = session
+    service._fed["main"] = SimpleNamespace(close=lambda: time.sleep(0.5))
+
+    async def close() -> None:
+        closing = asyncio.create_task(service.close(session, "closed"))
+        wakes.append(time.monotonic())
+        while not closing.done():
+            await asyncio.sleep(0.01)
+            wakes.append(time.monotonic())
+
+    asyncio.run(close())
+    assert max(np.diff(wakes)) < 0.4

@@ -285,7 +285,7 @@ class Service:
             return
         self.ended = dict([*self.ended.items(), (session.id, reason)][-_REMEMBERED:])
         if (source := self._fed.pop(session.id, None)) is not None:
-            source.close()
+            await asyncio.to_thread(source.close)  # a driver may keep its process for seconds
         worker, keeper = session.worker, session.keeper
         if keeper is not None:
             self._ending[session.id] = keeper
