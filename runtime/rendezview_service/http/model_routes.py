@@ -65,8 +65,7 @@ Stored = Annotated[StoredModel, Depends(_stored)]
 @router.get("/models", dependencies=[_READ])
 async def list_models(request: Request) -> ModelList:
     """All models."""
-    store = service_of(request).models
-    found = [stored for name in store.names() if (stored := store.get(name)) is not None]
+    found = service_of(request).models.all()
     return ModelList(models=[await run_in_threadpool(_listed, stored) for stored in found])
 
 

@@ -210,19 +210,14 @@ async def watch(
 
 
 async def _show(socket: WebSocket, watcher: Watcher) -> None:
-    while True:
-        await watcher.news.wait()
-        watcher.news.clear()
-        if watcher.message is not None:
-            (text, picture), watcher.message = watcher.message, None
-            await socket.send({"type": "websocket.send", "text": text.decode()})
-            if picture:
-                await socket.send({"type": "websocket.send", "bytes": picture})
-        if watcher.ended is not None:
-            end = WatchEnd(reason=watcher.ended).model_dump_json()
-            await socket.send({"type": "websocket.send", "text": end})
-            await socket.close(_GONE, watcher.ended[:100])
-            return
+    async for text, picture in watcher.messages():
+        await socket.send({"type": "websocket.send", "text": text.decode()})
+        if picture:
+            await socket.send({"type": "websocket.send", "bytes": picture})
+    reason = watcher.ended or ""
+    end = WatchEnd(reason=reason).model_dump_json()
+    await socket.send({"type": "websocket.send", "text": end})
+    await socket.close(_GONE, reason[:100])
 
 
 async def _until_gone(socket: WebSocket) -> None:

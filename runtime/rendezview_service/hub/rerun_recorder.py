@@ -23,12 +23,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview_service.messages.message_parts import PoseMessage
 
 _GREEN, _BLUE, _PURPLE = (80, 220, 120), (90, 160, 255), (200, 120, 255)
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 65)  # rad, along an ellipse. Source: chosen
@@ -138,9 +136,9 @@ class RerunRecorder:
 
     def _in_space(self, record: dict[str, Any]) -> dict[str, Any]:
         rr, shapes = self._rr, {}
-        fused = (record.get("fused") or {}).get("pose")
+        fused = pose_of(record.get("fused") or {}, "fused")
         if fused is not None:
-            shapes["fused"] = self.axes(_pose(fused))
+            shapes["fused"] = self.axes(fused)
         ring = record if "ellipses" in record else record.get("ring") or {}
         if poses := ring.get("poses"):
             shapes["ring"] = rr.Arrows3D(
@@ -185,11 +183,19 @@ class RerunRecorder:
         return {f"{_PICTURE}/{name}": shape for name, shape in shapes.items()}
 
 
-def _pose(pose_message: Any) -> Pose:
+def pose_of(record: dict[str, Any], where: str) -> Pose | None:
+    """The pose in a record, camera_from_target; None if it has none.
+
+    Raises:
+        RendezviewError: the value is no pose.
+    """
+    pose = record.get("pose")
+    if pose is None:
+        return None
     try:
-        return PoseMessage.model_validate(pose_message).pose
-    except ValidationError as error:
-        raise RendezviewError(f"fused: pose: {error.errors()[0]['msg']}") from None
+        return Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise RendezviewError(f"{where}: pose: {error}: this is no log of a run") from error
 
 
 def ellipse_points(ellipse: dict[str, Any]) -> Array:

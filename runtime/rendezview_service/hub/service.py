@@ -318,7 +318,7 @@ class Service:
         """
         stored = self.given or self.models.only() if name is None else self.models.get(name)
         if stored is None:
-            known = ", ".join(self.models.names()) or "none"
+            known = ", ".join(one.name for one in self.models.all()) or "none"
             said = "model: name one" if name is None else f"model {name}: not here"
             raise RendezviewError(f"{said} (there are: {known})")
         return stored

@@ -85,12 +85,7 @@ class Viewers:
         watcher = Watcher(_RATE_HZ, _WIDTH_PX, contour=True, silhouette=False)
         session.watchers.add(watcher)
         try:
-            while watcher.ended is None:
-                await watcher.news.wait()
-                watcher.news.clear()
-                if watcher.message is None:
-                    continue
-                (text, stamped), watcher.message = watcher.message, None
+            async for text, stamped in watcher.messages():
                 await asyncio.to_thread(self._show, info_of(session), text, stamped[8:])
         finally:
             session.watchers.discard(watcher)

@@ -23,7 +23,6 @@ from pathlib import Path
 
 from rendezview_service.hub.clock import PAUSE_S, Timer
 from rendezview_service.hub.inputs import SessionInput
-from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.hub.sessions import Session
 from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.messages.wire import Header, Unpacker, pack, shared_memory
@@ -117,6 +116,7 @@ class WorkerHandle(asyncio.Protocol):
         if self._transport is None:
             raise WorkerGone
         future: asyncio.Future[Header] = asyncio.get_running_loop().create_future()
+        header = {"session": "", **header}
         self._answers.append((header, future))
         self._transport.write(pack(header))
         while True:
@@ -344,18 +344,3 @@ def sight_of(request: SessionRequest, model: Path) -> Header:
     assert request.camera is not None
     camera = request.camera.model_dump(mode="json", exclude={"checked"})
     return {"camera": camera, "trees": request.trees, "model_path": str(model)}
-
-
-def prepare_request(sights: list[Header]) -> Header:
-    """Have these recognizers ready, and no others without a session."""
-    return {"kind": "prepare", "session": "", "sights": sights}
-
-
-def read_request(model: StoredModel) -> Header:
-    """Read a model, before a session uses it."""
-    return {"kind": "read", "session": "", "model_path": str(model.copy)}
-
-
-def warm_request(*, sensors: bool) -> Header:
-    """Load the loops of trackers, or compile them; and those of sessions' own sensors."""
-    return {"kind": "warm", "session": "", "sensors": sensors}

@@ -14,10 +14,10 @@ import numpy as np
 from rendezview.errors import optional
 from rendezview.io.files import check_place, write_error
 from rendezview.sensors.appearance import ViewModel
-from rendezview_service.hub.rerun_recorder import RerunRecorder
+from rendezview_service.hub.rerun_recorder import RerunRecorder, pose_of
 from rendezview_service.tracker.model_geometry import geometry
 from rendezview_service.tracker.tracking import contour_at
-from rendezview_service.viewers.runs import Moment, pose_of
+from rendezview_service.viewers.runs import Moment
 
 _ORANGE = (255, 140, 0)
 _JPEG_QUALITY = 90  # 0 … 100. Source: chosen
