@@ -132,14 +132,22 @@ class SessionDefaults:
     def _path_of(
         self, asked: TrajectoryRequest | bool | None, ring: bool
     ) -> TrajectoryRequest | bool:
-        """The path that is fitted; False: none."""
+        """The path that is fitted; False: none.
+
+        Raises:
+            RendezviewError: it has neither a shape nor a plan.
+        """
         known = self._plan_file is not None or ring
         if asked is False or (asked is None and not known):
             return False
         path = asked if isinstance(asked, TrajectoryRequest) else TrajectoryRequest()
         if path.plan is None:
             path = path.model_copy(update={"plan": self._plan_file})
-        if path.plan is None and path.shape is None and ring:
+        if path.plan is None and path.shape is None:
+            if not ring:
+                raise RendezviewError(
+                    "sensors: trajectory: what path is flown? Give a shape or a plan"
+                )
             path = path.model_copy(update={"shape": Shape.VBAR})
         return path
 

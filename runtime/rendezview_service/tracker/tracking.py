@@ -24,6 +24,7 @@ from rendezview.sensors.appearance.edges.contour_at import contour_pixels
 from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
 from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.observation import Status
+from rendezview_service.messages.frame_sensor_messages import TrajectoryRequest
 from rendezview_service.messages.message_parts import MOST_TIME_S, PoseMessage
 from rendezview_service.messages.messages import (
     CameraMessage,
@@ -35,7 +36,7 @@ from rendezview_service.messages.messages import (
 from rendezview_service.tracker.approach import ApproachMonitor
 from rendezview_service.tracker.frame_sensors import FrameSensors
 from rendezview_service.tracker.session_filter import SessionFilter
-from rendezview_service.tracker.session_path import SessionPath, trajectory_of
+from rendezview_service.tracker.session_path import SessionPath
 
 # A `State` as a dict. It is not validated, because it is made here for every frame.
 StateDict = dict[str, Any]
@@ -141,10 +142,10 @@ class SessionTracker:
         )
         if handover is not None:
             self.filter.resume(handover)
-        fits = trajectory_of(request)
+        fits = None if request.sensors is None else request.sensors.trajectory
         ring = None if request.fusion is None else request.fusion.ring
         centre_m = model.centre_m if ring is None else np.array(ring.centre_m)
-        self._path = None if fits is None else SessionPath(fits, centre_m)
+        self._path = SessionPath(fits, centre_m) if isinstance(fits, TrajectoryRequest) else None
         self._approach = ApproachMonitor(request.approach, request.fusion, model.centre_m)
         self.frames = 0  # tracked so far
         self.last_s = -math.inf  # of the last frame; -inf: none yet
