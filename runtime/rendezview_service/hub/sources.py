@@ -77,12 +77,13 @@ def _live(
     text: str, camera: Camera, stop: threading.Event
 ) -> Iterator[SourceFrame | RendezviewError]:
     """Frames of a camera or a network stream; opens it again after a failure."""
+
+    def broke_off(said: str) -> None:
+        raise RendezviewError(said)  # is reported at once
+
     while not stop.is_set():
-        broke_off: list[str] = []
         try:
-            for frame in live_frames(text, camera, broke_off.append):
-                yield from map(RendezviewError, broke_off)
-                broke_off.clear()
+            for frame in live_frames(text, camera, broke_off):
                 if stop.is_set():
                     return
                 yield SourceFrame(None, frame.read().tobytes())
