@@ -22,7 +22,7 @@ from starlette.responses import Response, StreamingResponse
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import checked, write_error
-from rendezview_service.http.security import Right, fault
+from rendezview_service.http.security import fault
 from rendezview_service.hub.inputs import Answer, NotReady, Refused
 from rendezview_service.hub.model_store import NameTaken
 from rendezview_service.hub.service import Service
@@ -52,17 +52,6 @@ def service_of(connection: HTTPConnection) -> Service:
     return service
 
 
-def needs(connection: HTTPConnection, right: Right) -> None:
-    """Refuse a caller whose token does not give this right.
-
-    Raises:
-        HTTPException: 403.
-    """
-    has = connection.scope.get("state", {}).get("right", Right.NONE)
-    if has < right:
-        raise HTTPException(403, f"this token is not enough: use one of scope {right.name.lower()}")
-
-
 def session_of(connection: HTTPConnection, name: str) -> Session:
     """A session by its id.
 
@@ -83,26 +72,11 @@ def session_of(connection: HTTPConnection, name: str) -> Session:
     return session
 
 
-def needing(right: Right) -> Any:
-    """A route's dependency: its caller's token gives this right."""
-
-    async def check(request: Request) -> None:
-        needs(request, right)
-
-    return Depends(check)
+async def _opened(request: Request, name: str) -> Session:
+    return session_of(request, name)
 
 
-def _session_for(right: Right) -> Any:
-    async def found(request: Request, name: str) -> Session:
-        needs(request, right)
-        return session_of(request, name)
-
-    return Depends(found)
-
-
-# The session in a route's path, for a caller who may read, or send to it.
-Read = Annotated[Session, _session_for(Right.READ)]
-Tracked = Annotated[Session, _session_for(Right.TRACK)]
+Opened = Annotated[Session, Depends(_opened)]  # the session in a route's path
 
 
 def body_in_docs(content: dict[str, Any]) -> dict[str, Any]:

@@ -20,14 +20,13 @@ from rendezview.io.files import parse_json
 from rendezview_service.http.answers import (
     SENDER_HEADER,
     frame_head,
-    needs,
     sender_of,
     sensor_name,
     service_of,
     session_of,
 )
 from rendezview_service.http.budgets import KEEP
-from rendezview_service.http.security import SUBPROTOCOL, Right
+from rendezview_service.http.security import SUBPROTOCOL
 from rendezview_service.hub.inputs import Answer, NotReady, Refused
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
@@ -50,7 +49,7 @@ async def stream(socket: WebSocket, name: str) -> None:
 
     While a frame is tracked, the newest frame waits; older ones are dropped.
     """
-    session = await _accepted(socket, name, Right.TRACK)
+    session = await _accepted(socket, name)
     if session is None:
         return
     sender_name = sender_of(socket) if SENDER_HEADER in socket.headers else f"stream {id(socket)}"
@@ -186,7 +185,7 @@ async def watch(
     silhouette: bool = False,
 ) -> None:
     """Sends the newest state, at most ``rate_hz`` times a second, with contours and pictures."""
-    session = await _accepted(socket, name, Right.READ)
+    session = await _accepted(socket, name)
     if session is None:
         return
     service = service_of(socket)
@@ -226,12 +225,11 @@ async def _until_gone(socket: WebSocket) -> None:
         pass
 
 
-async def _accepted(socket: WebSocket, name: str, right: Right) -> Session | None:
+async def _accepted(socket: WebSocket, name: str) -> Session | None:
     # Accept first: a browser gives its page no reason for a refused handshake.
     offered = socket.scope.get("subprotocols", [])
     await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
     try:
-        needs(socket, right)
         return session_of(socket, name)
     except (HTTPException, NotReady) as error:
         code = _SOON if isinstance(error, NotReady) else _REFUSED
