@@ -149,25 +149,25 @@ class WorkerProcess:
             self._send({"kind": "progress", "loops": loops})
 
     def _open(self, request: Header) -> Header:
-        asked = SessionRequest.model_validate_json(request["notes"]["request"])
-        sight = Sight.of(request["sight"])
+        notes, options = request["notes"], self._settings
+        asked, sight = (
+            SessionRequest.model_validate_json(notes["request"]),
+            Sight.of(request["sight"]),
+        )
+        self._models.load_loops(sensors=asked.sensors is not None and asked.sensors.any)
         try:
-            session = self._opened(request, asked, sight)
+            model, recognizer = self._models.model(sight.model), self._models.recognizer(sight)
+            tracker = SessionTracker.of_notes(notes, asked, model, options.sensors, recognizer)
+            writer = None
+            if request["log_path"] is not None:
+                content = sight.model.read_bytes() if options.record_model else None
+                place = Path(request["log_path"])
+                writer = LogWriter(place, tracker.camera, notes, content, options)
+            session = _WorkerSession(tracker, writer, sight)
             self._sessions[request["session"]] = session
         finally:
             self._drop_unused()
         return _report(session)
-
-    def _opened(self, request: Header, asked: SessionRequest, sight: Sight) -> _WorkerSession:
-        self._models.load_loops(sensors=asked.sensors is not None and asked.sensors.any)
-        notes, options = request["notes"], self._settings
-        model, recognizer = self._models.model(sight.model), self._models.recognizer(sight)
-        tracker = SessionTracker.of_notes(notes, asked, model, options.sensors, recognizer)
-        writer = None
-        if request["log_path"] is not None:
-            content = sight.model.read_bytes() if options.record_model else None
-            writer = LogWriter(Path(request["log_path"]), tracker.camera, notes, content, options)
-        return _WorkerSession(tracker, writer, sight)
 
     def _frame(self, request: Header) -> None:
         session = self._sessions[request["session"]]
