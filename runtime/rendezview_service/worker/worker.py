@@ -149,18 +149,16 @@ class WorkerProcess:
             self._send({"kind": "progress", "loops": loops})
 
     def _open(self, request: Header) -> Header:
-        notes, options = request["notes"], self._settings
-        asked, sight = (
-            SessionRequest.model_validate_json(notes["request"]),
-            Sight.of(request["sight"]),
-        )
+        notes, options, sight = request["notes"], self._settings, Sight.of(request["sight"])
+        asked = SessionRequest.model_validate_json(notes["request"])
         self._models.load_loops(sensors=asked.sensors is not None and asked.sensors.any)
         try:
             model, recognizer = self._models.model(sight.model), self._models.recognizer(sight)
             tracker = SessionTracker.of_notes(notes, asked, model, options.sensors, recognizer)
             writer = None
             if request["log_path"] is not None:
-                content = sight.model.read_bytes() if options.record_model else None
+                whole = options.record_model and options.record_images
+                content = sight.model.read_bytes() if whole else None
                 place = Path(request["log_path"])
                 writer = LogWriter(place, tracker.camera, notes, content, options)
             session = _WorkerSession(tracker, writer, sight)
