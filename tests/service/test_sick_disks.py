@@ -50,9 +50,8 @@ def _frames(*folders: Path) -> list[int]:
 
 @pytest.fixture
 def logs(tmp_path) -> Path:
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    return folder
+    (tmp_path / "logs").mkdir()
+    return tmp_path / "logs"
 
 
 @pytest.fixture

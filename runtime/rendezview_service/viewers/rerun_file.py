@@ -19,7 +19,7 @@ from rendezview_service.tracker.model_geometry import geometry
 from rendezview_service.tracker.tracking import contour_at
 from rendezview_service.viewers.runs import Moment
 
-_ORANGE = (255, 140, 0)
+_ORANGE = (255, 140, 0)  # of points. Source: chosen
 _JPEG_QUALITY = 90  # 0 … 100. Source: chosen
 
 
