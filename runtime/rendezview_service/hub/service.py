@@ -200,7 +200,7 @@ class Service:
 
     def health(self) -> Health:
         """Whether frames can be tracked, and the reasons if not."""
-        reasons = self.workers.troubles
+        reasons = ["no worker process is ready"] * self.workers.none_ready
         if self._begun is not None and not self._begun.done():
             reasons = [f"starting: {self.workers.progress}"]
         known = self.sessions, self.budgets, reasons

@@ -49,7 +49,8 @@ class SessionDefaults:
         self._target = None if settings.target is None else _known_of_file(settings.target)
         self._approach = None
         if settings.approach is not None:
-            self._approach = load_approach(settings.approach)
+            content = read_toml(settings.approach, "an approach")
+            self._approach = checked(_APPROACH, content, str(settings.approach))
         self._plan_file = None if settings.plan is None else read_plan(settings.plan)
         self._plan = None
         if self._plan_file is not None:
@@ -168,15 +169,6 @@ def approach_of(request: SessionRequest) -> ApproachRequest:
         port = PortMessage(centre_m=ring.centre_m, axis=ring.axis)
         return approach.model_copy(update={"port": port})
     return approach
-
-
-def load_approach(path: Path) -> ApproachRequest:
-    """An approach from a TOML file: the keys of `ApproachRequest`.
-
-    Raises:
-        RendezviewError: the file is missing or wrong.
-    """
-    return checked(_APPROACH, read_toml(path, "an approach"), str(path))
 
 
 def way_points(plan: Plan, middle_m: Array) -> list[WayPoint]:

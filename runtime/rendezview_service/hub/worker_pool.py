@@ -95,11 +95,6 @@ class WorkerPool:
         """Whether no worker is ready."""
         return not any(worker.ready for worker in self._workers)
 
-    @property
-    def troubles(self) -> list[str]:
-        """Why no frame can be tracked."""
-        return ["no worker process is ready"] * self.none_ready
-
     def least_busy(self) -> WorkerHandle:
         """The worker with the fewest sessions.
 
