@@ -138,7 +138,7 @@ class Orchestrator:
             await asyncio.sleep(_LOOK_S)
 
     async def _ask(self, slot: str) -> None:
-        """Whether a slot is ready, and the session it has; it reads the models in use."""
+        """Whether a slot is ready, and the session it has; a free one prepares for the others."""
         changes = self._changes[slot]
         try:
             actor = ray.get_actor(slot, NAMESPACE)
@@ -151,13 +151,18 @@ class Orchestrator:
             return
         self._asked.add(slot)
         self._processes[slot], is_ready, held, reasons = known
-        if changes != self._changes[slot] or not (is_ready or slot in self._ready):
+        if changes != self._changes[slot]:
             return
-        self._ready.add(slot)
         self._reasons[slot] = reasons
+        if is_ready or held is not None:  # its worker may be starting again
+            self._ready.add(slot)
+        else:
+            self._ready.discard(slot)
         if held is None:
             for name in [n for n, s in self._held.items() if s == slot]:
                 del self._held[name]
+            if not is_ready:
+                return
             wanted = self._wanted()
             if self._expects.get(slot) != wanted:
                 with contextlib.suppress(ray.exceptions.RayError):
