@@ -44,18 +44,18 @@ class RerunRecorder:
 
         Args:
             rr: the package rerun.
-            at: entity of the session, with a slash at its end; empty: the root.
+            at: entity of the session, after a slash; empty: the root.
             size_m: length of axes.
         """
         self._rr, self._stream, self._at, self._size_m = rr, stream, at, size_m
         self._drawn: set[str] = set()
         self._pinhole: tuple[Camera, float] | None = None
         self._status: str | None = None
-        self.log("", rr.ViewCoordinates.RDF, static=True)
+        stream.log(at or "/", rr.ViewCoordinates.RDF, static=True)
 
     def log(self, name: str, shape: Any, *, static: bool = False) -> None:
         """Log an entity below that of the session."""
-        self._stream.log(self._at + name or "/", shape, static=static)
+        self._stream.log(f"{self._at}/{name}", shape, static=static)
 
     def axes(self, pose: Pose | None = None) -> Any:
         """The axes of a pose, or of the entity itself."""

@@ -132,6 +132,7 @@ class SourceProcess:
             self._stop_process()
             with contextlib.suppress(RendezviewError):
                 self._start()
+        self._stop_process()  # of a start beside `close`, too
 
     def _once(self, silent_s: float | None) -> Iterator[SourceFrame | RendezviewError]:
         with contextlib.suppress(OSError):

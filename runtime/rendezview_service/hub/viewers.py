@@ -212,7 +212,7 @@ class RerunViewer:
         """A `WatchState` and its JPEG, or nothing."""
         rr, state = self._rr, message["state"]
         if info.id not in self._begun:
-            self._begun[info.id] = RerunRecorder(rr, self._stream, f"{info.id}/", _AXES_M)
+            self._begun[info.id] = RerunRecorder(rr, self._stream, f"/{info.id}", _AXES_M)
         shown = rr.EncodedImage(contents=picture, media_type="image/jpeg") if picture else None
         self._begun[info.id].show(
             state["frame"],
