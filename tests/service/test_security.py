@@ -89,7 +89,7 @@ _S = "/v1/sessions/s"
         (Right.TRACK, "DELETE", [_S]),
         (Right.ADMIN, "POST", ["/v1/jobs", "/v1/models/m/roll", "/v1/recordings", "/v1/others"]),
         (Right.ADMIN, "PUT", ["/v1/models/m"]),
-        (Right.ADMIN, "DELETE", ["/v1/models/m", "/v1/jobs/j"]),
+        (Right.ADMIN, "DELETE", ["/v1/models/m", "/v1/jobs/j", "/v1/models/watch"]),
     ],
 )  # fmt: skip
 def test_a_request_needs_the_right_that_the_docs_name(tokens_path, needed, method, paths):

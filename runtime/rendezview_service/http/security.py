@@ -296,7 +296,8 @@ def _needed(scope: Scope) -> Right:
     closed = path.startswith("/v1/") or path in ("/metrics", "/openapi.json", "/v1")
     if path in _ALWAYS[:2] or (is_http and not closed):
         return Right.NONE
-    if path.endswith("/watch") or (is_http and scope["method"] in ("GET", "HEAD", "OPTIONS")):
+    looks = scope["method"] in ("GET", "HEAD", "OPTIONS") if is_http else path.endswith("/watch")
+    if looks:
         return Right.READ
     return Right.TRACK if path.startswith("/v1/sessions") else Right.ADMIN
 
