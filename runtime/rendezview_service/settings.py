@@ -17,7 +17,10 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 class Settings(BaseSettings):
     """All settings; environment variables are ``RENDEZVIEW_SERVE_<NAME>``."""
 
-    model_config = SettingsConfigDict(env_prefix="RENDEZVIEW_SERVE_", extra="forbid")
+    # Workers get them as JSON, infinities too: `idle_s = inf` closes no session.
+    model_config = SettingsConfigDict(
+        env_prefix="RENDEZVIEW_SERVE_", extra="forbid", ser_json_inf_nan="constants"
+    )
 
     host: str = "127.0.0.1"
     port: int = Field(default=8360, ge=0, le=65535)  # 0: any free one
