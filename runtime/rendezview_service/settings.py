@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, ValidationError
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import describe, read_toml
@@ -17,7 +17,10 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 class Settings(BaseSettings):
     """All settings; environment variables are ``RENDEZVIEW_SERVE_<NAME>``."""
 
-    model_config = SettingsConfigDict(env_prefix="RENDEZVIEW_SERVE_", extra="forbid")
+    # Workers get them as JSON, infinities too: `idle_s = inf` closes no session.
+    model_config = SettingsConfigDict(
+        env_prefix="RENDEZVIEW_SERVE_", extra="forbid", ser_json_inf_nan="constants"
+    )
 
     host: str = "127.0.0.1"
     port: int = Field(default=8360, ge=0, le=65535)  # 0: any free one
@@ -89,17 +92,6 @@ class Settings(BaseSettings):
     job_s: float = Field(default=21_600.0, gt=0.0)  # of one training
     job_bytes: int = Field(default=16_000_000_000, ge=1_000_000_000)  # of each of its processes
     log_level: Literal["debug", "info", "warning", "error"] = "info"
-
-    @classmethod
-    def settings_customise_sources(
-        cls,
-        settings_cls: type[BaseSettings],
-        init_settings: PydanticBaseSettingsSource,
-        env_settings: PydanticBaseSettingsSource,
-        dotenv_settings: PydanticBaseSettingsSource,
-        file_secret_settings: PydanticBaseSettingsSource,
-    ) -> tuple[PydanticBaseSettingsSource, ...]:
-        return init_settings, env_settings
 
     @property
     def record_folder(self) -> Path | None:

@@ -9,17 +9,18 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
+from tests.service.logged import settings_of
 from tests.waiting import MOST_S
 
 from rendezview.geometry.camera import Camera
-from rendezview_service.logs.recording import LogWriter, RecordingOptions
+from rendezview_service.logs.recording import LogWriter
 
 LOG = "large.mcap"  # a recording
 
 
 def large_log(path: Path, camera: Camera, megabytes: int) -> int:
     """A log of pictures that cannot be packed, written beside the service; its length."""
-    writer = LogWriter(path, camera, {}, None, RecordingOptions(compression="", wait_s=MOST_S))
+    writer = LogWriter(path, camera, {}, None, settings_of(compression="", log_wait_s=MOST_S))
     picture = np.random.default_rng(1).bytes(1_000_000)
     for k in range(megabytes):
         state = {"frame": k, "time_s": float(k), "received_unix_s": 1.7e9 + k, "pose": None}

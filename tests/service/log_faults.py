@@ -21,8 +21,9 @@ import numpy as np
 
 from rendezview.geometry.camera import Camera
 from rendezview_service.logs.log_repair import mend
-from rendezview_service.logs.recording import RECORDED, LogWriter, RecordingOptions
+from rendezview_service.logs.recording import RECORDED, LogWriter
 from rendezview_service.logs.replay import read_log
+from rendezview_service.settings import Settings
 
 _CAMERA = Camera.from_fov(64, 48, 0.7)
 _PICTURE = np.random.default_rng(0).integers(0, 256, 64 * 48, np.uint8).tobytes()
@@ -67,7 +68,7 @@ def _write(path: Path, first: int, told: int, memory: mmap.mmap) -> None:
 
     os.fsync = failing(fsync, _FSYNCS, errno.EIO)  # type: ignore[assignment]
     os.writev = failing(writev, _WRITES, errno.ENOSPC)  # type: ignore[assignment]
-    writer, k, was_told = LogWriter(path, _CAMERA, {}, None, RecordingOptions()), first, False
+    writer, k, was_told = LogWriter(path, _CAMERA, {}, None, Settings()), first, False
     while not memory[_ENDS]:
         state = {"frame": k, "time_s": 0.1 * k, "received_unix_s": 1.7e9 + k, "pose": None}
         if writer.write(state, json.dumps(state).encode(), _PICTURE) == RECORDED:

@@ -1,4 +1,4 @@
-"""The states of a log, by another reader than ours."""
+"""Settings of logs, and the states of a log by another reader than ours."""
 
 from __future__ import annotations
 
@@ -6,6 +6,13 @@ import json
 from pathlib import Path
 
 from mcap.reader import make_reader
+
+from rendezview_service.settings import Settings
+
+
+def settings_of(**changes: object) -> Settings:
+    """Settings beyond the limits that a user's are held to, such as parts of a kilobyte."""
+    return Settings().model_copy(update=changes)
 
 
 def states_of(path: Path) -> dict[int, dict]:

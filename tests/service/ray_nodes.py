@@ -19,7 +19,6 @@ from rendezview_service.client import Client
 _ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_worker_niceness": "0",
-    "RAY_timeout_ms_task_wait_for_death_info": "100",
 }
 _STORE = 100_000_000  # bytes, a node's object store
 

@@ -17,7 +17,8 @@ import pytest
 from tests.service.logged import states_of
 from tests.service.ray_nodes import Gateway, Nodes, slots_of, wait_for
 from tests.waiting import MOST_S, wait_until
-from websockets.sync.client import connect
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
 
 from rendezview.errors import RendezviewError
 from rendezview_service.client import Client
@@ -81,6 +82,11 @@ def _patient(cluster: Cluster, gateway: int, image: np.ndarray, time_s: float) -
     return state
 
 
+def _watch(watcher: ClientConnection) -> None:
+    while True:
+        watcher.recv(MOST_S)
+
+
 def test_nodes_gateways_and_models_change_under_a_session(
     cluster, camera, tour, refining_model, tmp_path
 ) -> None:
@@ -128,8 +134,12 @@ def test_nodes_gateways_and_models_change_under_a_session(
     wait_for(cluster.gateways[0], 2)
     place = cluster.node_of("run")
     ended = threading.Thread(target=cluster.nodes.kill_only, args=(place,))
-    ended.start()
-    states += [_patient(cluster, 0, image, time_s) for time_s, _, image in tour[8:12]]
+    with connect(f"{url}/watch") as watcher:
+        ended.start()
+        states += [_patient(cluster, 0, image, time_s) for time_s, _, image in tour[8:12]]
+        with pytest.raises(ConnectionClosed):
+            _watch(watcher)
+        assert watcher.close_code == 1012  # open it again
     ended.join(MOST_S)
     place, before = cluster.node_of("run"), place
     assert place != before

@@ -25,6 +25,7 @@ from rendezview_service.hub.clock import SessionClock, Timer
 from rendezview_service.hub.inputs import Lease, Taken
 from rendezview_service.hub.worker_handle import WorkerHandle
 from rendezview_service.logs.replay import model_of, read_log
+from rendezview_service.settings import Settings
 
 # Runs before the service: `time.time` is off by what the file says.
 CLOCK = """
@@ -295,7 +296,7 @@ def test_a_worker_that_waits_for_a_processor_is_not_killed_for_it(
 ) -> None:
     """An input may take 5 s of its process's own processor time."""
     ended: list[bool] = []
-    handle: WorkerHandle = WorkerHandle(4096, 5.0)
+    handle: WorkerHandle = WorkerHandle(Settings(frame_bytes=4096, frame_timeout_s=5.0))
     handle._process = SimpleNamespace(kill=lambda: ended.append(True))
     handle._sent_at_s = time.monotonic() - waited_s
     monkeypatch.setattr(WorkerHandle, "_wants_processor", wants_processor)
@@ -322,7 +323,7 @@ def _running(program: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def test_the_processor_time_of_a_worker_is_its_own() -> None:
-    handle: WorkerHandle = WorkerHandle(4096, 5.0)
+    handle: WorkerHandle = WorkerHandle(Settings(frame_bytes=4096, frame_timeout_s=5.0))
     with _running("while True: pass") as handle._process:
         wait_until(lambda: handle._wants_processor)
         before_s, ours_s = handle._processor_s(), time.process_time()
@@ -346,7 +347,7 @@ def test_the_processor_time_of_a_worker_is_its_own() -> None:
 )  # fmt: skip
 def test_an_input_is_at_fault_for_its_decoder_and_not_for_what_others_kill(code, killed, barred):
     faults: list[bool] = []
-    handle: WorkerHandle = WorkerHandle(4096, 5.0)
+    handle: WorkerHandle = WorkerHandle(Settings(frame_bytes=4096, frame_timeout_s=5.0))
     handle._process = SimpleNamespace(wait=lambda _: code, poll=lambda: code)
     handle._killed = killed
     handle._current = SimpleNamespace(lost=lambda _, at_fault: faults.append(at_fault)), None

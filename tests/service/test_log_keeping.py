@@ -18,6 +18,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from pydantic_core import to_json
+from tests.service.logged import settings_of
 from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
@@ -25,14 +26,17 @@ from rendezview_service.logs import log_folder, recording
 from rendezview_service.logs.log_folder import mend_folder, part_path, remove_old
 from rendezview_service.logs.log_lock import folder_lock
 from rendezview_service.logs.log_repair import LogPart, join, mend
-from rendezview_service.logs.recording import RECORDED, LogWriter, RecordingOptions
+from rendezview_service.logs.recording import RECORDED, LogWriter
 from rendezview_service.logs.replay import model_of, read_log, repeat
 from rendezview_service.messages.messages import SessionRequest
-from rendezview_service.tracker.tracking import SessionTracker, camera_message
-from rendezview_service.worker.worker import session_notes
+from rendezview_service.tracker.tracking import (
+    SessionTracker,
+    camera_message,
+    session_notes,
+)
 
 FRAMES = 30
-PATIENT = RecordingOptions(wait_s=MOST_S)
+PATIENT = settings_of(log_wait_s=MOST_S)
 PICTURE = np.random.default_rng(0).integers(0, 256, 400 * 400, np.uint8).tobytes()
 
 
@@ -199,7 +203,7 @@ def test_a_log_in_parts_is_repeated_whole_and_sent_as_one_file(
         notes = session_notes("bench", request, "bumpy", model_path)
         notes |= {"log": "abc", "first_frame": str(first)}
         size = len(model_path.read_bytes()) + 300_000
-        options = RecordingOptions(part_bytes=size, wait_s=MOST_S)
+        options = settings_of(log_part_bytes=size, log_wait_s=MOST_S)
         writer = LogWriter(base, camera, notes, model_path.read_bytes(), options)
         for time_s, _, image in tour[first : first + 12]:
             state, _ = tracker.track(image, time_s, 1.7e9 + time_s)

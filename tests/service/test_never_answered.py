@@ -21,6 +21,7 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
+from tests.service.logged import settings_of
 from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
@@ -29,11 +30,11 @@ from rendezview_service.http import streams
 from rendezview_service.hub import source_process, viewers, worker_handle
 from rendezview_service.hub.inputs import Answer, InputQueue, NotReady, SessionInput
 from rendezview_service.hub.metrics import Metrics
-from rendezview_service.hub.source_process import _Reader
+from rendezview_service.hub.source_process import SourceProcess
 from rendezview_service.hub.watching import Watcher, Watchers
 from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle
 from rendezview_service.hub.worker_pool import WorkerPool
-from rendezview_service.logs.recording import PENDING, RECORDED, LogWriter, RecordingOptions
+from rendezview_service.logs.recording import PENDING, RECORDED, LogWriter
 from rendezview_service.messages.wire import Unpacker, pack, receive, shared_memory
 from rendezview_service.settings import Settings
 
@@ -141,7 +142,7 @@ class _Handled:
     """A handle with a connection whose other end this process has."""
 
     def __init__(self, process: Any) -> None:
-        self.handle: WorkerHandle = WorkerHandle(4096, 5.0)
+        self.handle: WorkerHandle = WorkerHandle(Settings(frame_bytes=4096, frame_timeout_s=5.0))
         self.handle._process, self.handle._unpacker = process, Unpacker()
         self.gone: list[Any] = []
         self.handle.on_gone = self.gone.append
@@ -210,7 +211,7 @@ def test_an_answer_that_the_service_cannot_take_refuses_its_input() -> None:
         raise ValueError("a state that is none")
 
     session = SimpleNamespace(tracked=fails, refused=lambda _, why, internal: refused.append(why))
-    handle: WorkerHandle = WorkerHandle(4096, 5.0)
+    handle: WorkerHandle = WorkerHandle(Settings(frame_bytes=4096, frame_timeout_s=5.0))
     handle._current = session, SimpleNamespace(length=1)
     handle._received({"kind": "state"}, b"")
     assert refused == ["the service has an internal error: see its log"]
@@ -227,7 +228,9 @@ def test_a_worker_of_a_service_with_a_thousand_connections_starts() -> None:
     memory = shared_memory(4096)
     os.dup2(theirs.fileno(), most)
     command = [sys.executable, "-m", "rendezview_service.worker.worker", str(most), str(memory)]
-    process = subprocess.Popen([*command, "4096"], pass_fds=(most, memory))
+    process = subprocess.Popen(
+        [*command, "4096", Settings().model_dump_json()], pass_fds=(most, memory)
+    )
     try:
         for file in (most, memory):
             os.close(file)
@@ -247,7 +250,7 @@ def test_a_worker_of_a_service_with_a_thousand_connections_starts() -> None:
 
 def test_a_decoder_that_does_not_end_is_ended(monkeypatch) -> None:
     monkeypatch.setattr(source_process, "_END_S", 0.2)
-    reader = _Reader.__new__(_Reader)
+    reader = SourceProcess.__new__(SourceProcess)
     with asleep() as reader._process:
         assert reader._end() == "its decoder did not answer"
 
@@ -288,10 +291,10 @@ def test_a_disk_that_hangs_while_a_part_is_given_up_holds_up_nobody(tmp_path, ca
 
     monkeypatch.setattr(os, "fsync", fails_once)
     monkeypatch.setattr(os, "ftruncate", hangs)
-    options = RecordingOptions(sync="always", wait_s=MOST_S)
+    options = settings_of(sync="always", log_wait_s=MOST_S)
     writer = LogWriter(tmp_path / "run.mcap", camera, {}, None, options)
     assert write(0) == RECORDED  # fsync of the part and its folder, and of the state
-    writer.options = RecordingOptions(sync="always", wait_s=0.05)
+    writer.options = settings_of(sync="always", log_wait_s=0.05)
     try:
         assert write(1).startswith(PENDING)
         assert cuts.wait(MOST_S)

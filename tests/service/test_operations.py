@@ -163,7 +163,9 @@ def test_a_hung_worker_with_three_sessions_does_not_delay_the_end(start_service,
 def test_it_says_that_it_serves_and_the_first_model_that_is_sent_warms_it_up(
     start_service, model_path, camera, tour, tmp_path
 ):
-    served = start_service("--record", str(tmp_path), given=False)  # returns with that line
+    never = {"RENDEZVIEW_SERVE_IDLE_S": "inf"}  # its workers read that, too
+    # It returns with that line.
+    served = start_service("--record", str(tmp_path), given=False, **never)
     assert httpx.get(served.url + "readyz", timeout=MOST_S).status_code == 200
     starts = next(k for k, line in enumerate(served.lines) if "its page is at" in line)
     assert served.url in served.lines[starts]

@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 from mcap.records import Chunk, MessageIndex
 from mcap_protobuf.decoder import DecoderFactory
 from tests.processes import python
+from tests.service.logged import settings_of
 from tests.waiting import MOST_S
 
 from rendezview.cli.main import main
@@ -21,14 +22,17 @@ from rendezview.io.sequences import open_sequence
 from rendezview_service.client import ServiceTimeout
 from rendezview_service.logs.log_file import records
 from rendezview_service.logs.log_repair import mend
-from rendezview_service.logs.recording import RECORDED, LogWriter, RecordingOptions
+from rendezview_service.logs.recording import RECORDED, LogWriter
 from rendezview_service.logs.replay import model_of, read_log, repeat
 from rendezview_service.messages.messages import SessionRequest
-from rendezview_service.tracker.tracking import SessionTracker, camera_message
+from rendezview_service.tracker.tracking import (
+    SessionTracker,
+    camera_message,
+    session_notes,
+)
 from rendezview_service.viewers.runs import moments
-from rendezview_service.worker.worker import session_notes
 
-PATIENT = RecordingOptions(wait_s=MOST_S)
+PATIENT = settings_of(log_wait_s=MOST_S)
 
 
 @pytest.fixture

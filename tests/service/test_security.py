@@ -72,6 +72,65 @@ def test_a_token_gives_its_right_and_no_more(tokens_path, token, right):
     assert _ask(guard, "/v1/sessions", **offered).text == str(int(right))
 
 
+_OWN = {Right.READ: "eve-may-only-look-here", Right.TRACK: "bob-may-send-his-frames"}
+_S = "/v1/sessions/s"
+
+
+@pytest.mark.requirement("RV-SVC-2")
+@pytest.mark.parametrize(
+    ("needed", "method", "paths"),
+    [
+        (Right.READ, "GET", ["/v1/models", "/v1/models/m/geometry", "/v1/sessions", f"{_S}/log",
+                             "/v1/recordings", "/v1/recordings/a.mcap/log", "/v1/jobs", "/metrics",
+                             "/openapi.json", f"{_S}/flight"]),
+        (Right.TRACK, "POST", ["/v1/sessions", f"{_S}/frames", f"{_S}/measurements",
+                               f"{_S}/orders"]),
+        (Right.TRACK, "PUT", [f"{_S}/flight"]),
+        (Right.TRACK, "DELETE", [_S]),
+        (Right.ADMIN, "POST", ["/v1/jobs", "/v1/models/m/roll", "/v1/recordings", "/v1/others"]),
+        (Right.ADMIN, "PUT", ["/v1/models/m"]),
+        (Right.ADMIN, "DELETE", ["/v1/models/m", "/v1/jobs/j", "/v1/models/watch"]),
+    ],
+)  # fmt: skip
+def test_a_request_needs_the_right_that_the_docs_name(tokens_path, needed, method, paths):
+    guard = _guard(tokens_path)
+    for path in paths:
+        for right, token in _OWN.items():
+            answer = _ask(guard, path, method, Authorization=f"Bearer {token}")
+            assert answer.status_code == (200 if right >= needed else 403), (path, right)
+            assert right >= needed or f"scope {needed.name.lower()}" in answer.json()["error"]
+
+
+def test_a_websocket_that_a_token_is_not_enough_for_says_so(tokens_path):
+    """A browser gives its page no reason for a refused handshake."""
+    passed, guard = [], _guard(tokens_path)
+
+    async def app(scope, receive, send) -> None:
+        passed.append(scope["path"])
+
+    guard._app = app
+
+    async def ask(path: str) -> list[dict]:
+        sent: list[dict] = []
+        headers = [(b"host", b"127.0.0.1"), (b"authorization", b"Bearer eve-may-only-look-here")]
+        scope = {"type": "websocket", "path": path, "headers": headers, "subprotocols": []}
+
+        async def receive() -> dict:
+            return {"type": "websocket.connect"}
+
+        async def send(message: dict) -> None:
+            sent.append(message)
+
+        await guard(scope, receive, send)
+        return sent
+
+    assert asyncio.run(ask(f"{_S}/watch")) == []
+    accepted, closed = asyncio.run(ask(f"{_S}/stream"))
+    assert accepted["type"] == "websocket.accept"
+    assert (closed["code"], "scope track" in closed["reason"]) == (1008, True)
+    assert passed == [f"{_S}/watch"]
+
+
 @pytest.mark.parametrize("header", ["", "Bearer", "Bearer x", "Basic ZXZlOg==", "Bearer eve-may"])
 def test_without_a_right_token_there_is_health_and_the_page_only(tokens_path, header):
     guard = _guard(tokens_path)

@@ -17,13 +17,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.service.logged import settings_of
 from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
 from rendezview_service.logs import recording
 from rendezview_service.logs.log_part import OpenPart
 from rendezview_service.logs.log_repair import mend
-from rendezview_service.logs.recording import PENDING, RECORDED, LogWriter, RecordingOptions
+from rendezview_service.logs.recording import PENDING, RECORDED, LogWriter
 from rendezview_service.logs.replay import read_log
 
 _HANGS = Path(__file__).parent / "sick_disk" / "sitecustomize.py"
@@ -49,9 +50,8 @@ def _frames(*folders: Path) -> list[int]:
 
 @pytest.fixture
 def logs(tmp_path) -> Path:
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    return folder
+    (tmp_path / "logs").mkdir()
+    return tmp_path / "logs"
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def writer_of(logs, camera) -> Iterator[Callable[..., LogWriter]]:
     writers: list[LogWriter] = []
 
     def start(**options: object) -> LogWriter:
-        asked = RecordingOptions(**{"wait_s": MOST_S} | options)
+        asked = settings_of(**{"log_wait_s": MOST_S} | options)
         writers.append(LogWriter(logs / "run.mcap", camera, {}, None, asked))
         return writers[-1]
 
@@ -210,7 +210,7 @@ def test_a_disk_that_confirms_nothing_keeps_states_pending(writer_of, logs, disk
 
 def test_a_disk_that_hangs_delays_one_answer_and_is_told(writer_of, logs, disk, monkeypatch):
     monkeypatch.setattr(recording, "_LATE_S", 0.1)
-    writer = writer_of(wait_s=0.05, memory_bytes=30 * len(PICTURE))
+    writer = writer_of(log_wait_s=0.05, log_memory_bytes=30 * len(PICTURE))
     wait_until(lambda: writer.status.parts == 1)
     disk.answers.clear()
     told = [_write(writer, k) for k in range(40)]  # more than memory takes
@@ -300,7 +300,7 @@ def test_whatever_happens_each_state_is_there_once_or_told_as_lost(
 
 
 def test_a_picture_larger_than_the_memory_is_recorded(writer_of, logs):
-    writer = writer_of(memory_bytes=10)
+    writer = writer_of(log_memory_bytes=10)
     assert [_write(writer, k) for k in range(3)] == [RECORDED] * 3
     writer.close()
     assert _frames(logs) == [0, 1, 2]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -20,8 +23,10 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.sequences import open_sequence
 from rendezview_ground.simulate.bop_writer import BopSceneWriter
-from rendezview_service.hub.source_process import open_apart
+from rendezview_service.hub.service import Service
+from rendezview_service.hub.source_process import SourceProcess
 from rendezview_service.hub.sources import SourceFrame, open_source
+from rendezview_service.settings import Settings
 
 CAMERA = Camera.from_fov(64, 48, 1.0)
 
@@ -97,7 +102,7 @@ def test_why_a_source_cannot_be_opened_is_said(monkeypatch) -> None:
     for name, why in (
         ("http://127.0.0.1:9/nothing", "Connection refused"),
         ("http://no-such-host.invalid/x", "no such host"),
-        ("/dev/video97", "No such file"),
+        ("/dev/video97", "no such camera"),
     ):
         first = next(open_source(name, CAMERA).frames(threading.Event()))
         assert isinstance(first, RendezviewError)
@@ -113,13 +118,13 @@ def _scene(folder: Path, count: int) -> list[np.ndarray]:
 
 def test_a_source_is_decoded_in_a_process_of_its_own(tmp_path: Path) -> None:
     images = _scene(tmp_path, 5)
-    source = open_apart(str(tmp_path), CAMERA)
+    source = SourceProcess(str(tmp_path), CAMERA)
     assert (source.camera, source.live) == (CAMERA, False)
-    frames = list(source.frames(threading.Event()))
+    frames = list(source.frames())
     assert [frame.content for frame in frames] == [image.tobytes() for image in images]
     source.close()
     with pytest.raises(RendezviewError, match="nowhere"):
-        open_apart(str(tmp_path / "nowhere"), CAMERA)
+        SourceProcess(str(tmp_path / "nowhere"), CAMERA)
 
 
 def test_a_decoder_that_ends_is_said_and_a_live_one_is_started_again(
@@ -127,21 +132,19 @@ def test_a_decoder_that_ends_is_said_and_a_live_one_is_started_again(
 ) -> None:
     monkeypatch.setattr("rendezview_service.hub.source_process.RECONNECT_S", 0.05)
     _scene(tmp_path, 300)
-    file = open_apart(str(tmp_path), CAMERA)
-    frames = file.frames(threading.Event())
+    file = SourceProcess(str(tmp_path), CAMERA)
+    frames = file.frames()
     next(frames)
     _kill_children()
     with pytest.raises(RendezviewError, match=r"did not answer|ended"):
         list(frames)
     file.close()
-    live = open_apart(network_camera, CAMERA)
-    stop = threading.Event()
-    got = live.frames(stop)
+    live = SourceProcess(network_camera, CAMERA)
+    got = live.frames()
     assert isinstance(next(got), SourceFrame)
     _kill_children()
     said = (isinstance(each, RendezviewError) and "starting again" in str(each) for each in got)
     assert any(itertools.islice(said, 200))
-    stop.set()
     live.close()
 
 
@@ -158,9 +161,26 @@ def test_what_is_odd_about_a_source_comes_with_it(tmp_path: Path) -> None:
     narrow = Camera(64, 48, 6000.0, 6000.0, 31.5, 23.5)  # of 0.6 degrees
     with BopSceneWriter(tmp_path / "scene", narrow) as writer:
         writer.add(0, np.zeros((48, 64), np.uint8), Pose(np.eye(3), [0.0, 0.0, 9.0]), 0.0)
-    source = open_apart(str(tmp_path / "scene"), None)
+    source = SourceProcess(str(tmp_path / "scene"), None)
     try:
-        assert source.notes == open_sequence(tmp_path / "scene").notes
+        assert source.notes == list(open_sequence(tmp_path / "scene").notes)
         assert any("the field of view is 0.6" in note for note in source.notes)
     finally:
         source.close()
+
+
+def test_a_source_whose_driver_keeps_its_process_holds_up_no_other_session(model_path) -> None:
+    service, wakes = Service(Settings(), model_path), []
+    session = SimpleNamespace(id="main", worker=None, keeper=None, end=lambda *_: None)
+    service.sessions["main"] = session
+    service._fed["main"] = SimpleNamespace(close=lambda: time.sleep(0.5))
+
+    async def close() -> None:
+        closing = asyncio.create_task(service.close(session, "closed"))
+        wakes.append(time.monotonic())
+        while not closing.done():
+            await asyncio.sleep(0.01)
+            wakes.append(time.monotonic())
+
+    asyncio.run(close())
+    assert max(np.diff(wakes)) < 0.4

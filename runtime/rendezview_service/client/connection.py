@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 import re
 import secrets
-import socket
 import ssl
 import threading
 import time
@@ -24,7 +23,6 @@ from http.client import (
     HTTPResponse,
     HTTPSConnection,
     IncompleteRead,
-    RemoteDisconnected,
 )
 from pathlib import Path
 from typing import Any, Self
@@ -247,11 +245,14 @@ class Client:
         """
         until_s = time.monotonic() + (self._reconnect_s if self._reached else 0.0)
         while True:
-            used = self._connection.sock is not None
+            if time.monotonic() - self._used_s > _IDLE_S:
+                self._connection.close()  # the service may have closed it
+            self._used_s, used = time.monotonic(), self._connection.sock is not None
             try:
-                response = self._send(method, path, body, headers)
+                self._connection.request(method, path, body, headers)
+                response = self._connection.getresponse()
                 content = response.read()
-            except (ConnectionError, RemoteDisconnected, IncompleteRead):
+            except (ConnectionError, IncompleteRead):  # `RemoteDisconnected` is one
                 self._connection.close()
                 if not used:
                     if time.monotonic() > until_s:
@@ -265,20 +266,6 @@ class Client:
                 if time.monotonic() + int(wait) > until_s:
                     return response, content
                 time.sleep(int(wait))
-
-    def _send(
-        self, method: str, path: str, body: bytes | memoryview | None, headers: dict[str, str]
-    ) -> HTTPResponse:
-        now_s = time.monotonic()
-        if now_s - self._used_s > _IDLE_S:
-            self._connection.close()  # the service may have closed it
-        self._used_s = now_s
-        if self._connection.sock is None:
-            self._connection.connect()
-            made: Any = self._connection.sock
-            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._connection.request(method, path, body, headers)
-        return self._connection.getresponse()
 
     def stream_url(self, name: str, what: str) -> str:
         """The address of a WebSocket."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -51,16 +52,11 @@ def frame_query(time_s: float | None, roi: npt.ArrayLike | None) -> str:
 
 def camera_message(camera: Camera) -> dict[str, Any]:
     """The camera as its `CameraMessage`; what the service takes for granted is left out."""
-    names = ("width", "height", "fx", "fy", "cx", "cy")
-    message: dict[str, Any] = {name: getattr(camera, name) for name in names}
-    message["distortion"] = list(camera.distortion)
-    if camera.lens_model is not LensModel.OPENCV:
-        message["lens_model"] = camera.lens_model
-    if camera.bit_depth is not None:
-        message["bit_depth"] = camera.bit_depth
-    if camera.covariance is not None:
-        message["covariance"] = [list(row) for row in camera.covariance]
-    return message
+    given = {name: value for name, value in asdict(camera).items() if value is not None}
+    del given["doubts"]  # of its file
+    if camera.lens_model is LensModel.OPENCV:
+        del given["lens_model"]
+    return given
 
 
 def pose_of_state(state: StateDict) -> Pose | None:

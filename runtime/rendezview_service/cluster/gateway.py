@@ -8,24 +8,22 @@ import json
 import logging
 import secrets
 import time
-from collections.abc import Awaitable, Callable
-from functools import partial
+from collections.abc import Callable
 from typing import Any
 
 import ray
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
-from starlette.requests import ClientDisconnect, HTTPConnection, Request
-from starlette.responses import Response
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rendezview.errors import RendezviewError
-from rendezview_service.cluster.heartbeat import Heartbeats
 from rendezview_service.cluster.orchestrator import NAMESPACE, join
-from rendezview_service.cluster.tunnel import packed
-from rendezview_service.http.answers import KEY_HEADER, fault, fault_of, needs
+from rendezview_service.cluster.tunnel import packed, unpacked
+from rendezview_service.http.answers import KEY_HEADER, fault_of
 from rendezview_service.http.app import page_files
-from rendezview_service.http.security import Guard, Right, Token
+from rendezview_service.http.security import Guard, Token, fault
 from rendezview_service.hub.inputs import NotReady, Refused
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.messages.message_parts import BudgetUse
@@ -37,6 +35,7 @@ _TRIES = 4  # slots that a request is sent to. Source: chosen
 _GRACE_S = 2.0  # s, beyond `frame_timeout_s`, for a slot's answer. Source: chosen
 _KNOW_S = 1.0  # s, between looks for new slots. Source: chosen
 _PAUSE_S = 0.05  # s, before a session that moves is looked for again. Source: chosen
+_CONNECT_S = 2.0  # s, for a first call to a slot. Source: chosen
 _HEALTH_S = 5.0  # s, for the orchestrator's answer to a look at the health. Source: chosen
 _NO_ORCHESTRATOR = (
     "the cluster's orchestrator does not answer: it starts again, or Ray's head node is gone. Open "
@@ -53,7 +52,6 @@ class Gateway:
         self._orchestrator: Any = None
         self._slots: dict[str, str] = {}  # of the sessions, as it knows
         self._actors: dict[str, Any] = {}  # of the slots
-        self._heartbeats = Heartbeats()
         self._page = page_files()
         self.budgets: dict[str, Callable[[], BudgetUse]] = {}
 
@@ -64,19 +62,15 @@ class Gateway:
         elif scope["type"] == "websocket":
             await self._socket(scope, receive, send)
         elif scope["path"].startswith(("/v1/", "/healthz", "/readyz", "/openapi.json", "/docs")):
+            response: Response | None
             try:
-                body = await Request(scope, receive).body()
-                status, headers, body = await self._answer(scope, body)
+                response = await self._answer(scope, await Request(scope, receive).body())
             except ray.exceptions.RayActorError:
-                await fault(503, _NO_ORCHESTRATOR)(scope, receive, send)
-                return
+                response = fault(503, _NO_ORCHESTRATOR)
             except (Refused, RendezviewError, HTTPException, ClientDisconnect) as error:
                 response = fault_of(error.cause if hasattr(error, "cause") else error)
-                assert response is not None
-                await response(scope, receive, send)
-                return
-            await send({"type": "http.response.start", "status": status, "headers": headers})
-            await send({"type": "http.response.body", "body": body})
+            assert response is not None
+            await response(scope, receive, send)
         elif scope["path"] == "/metrics":
             await self._health(True)
             text = Response(
@@ -106,36 +100,30 @@ class Gateway:
             with contextlib.suppress(ray.exceptions.RayError, OSError, ValueError):
                 found = await self._orchestrator.slots.remote()
                 self._slots = {s["session"]: s["seat"] for s in found if s["session"] is not None}
-                there = {known["seat"]: known["process"] for known in found}
-                self._heartbeats.keep(there)
+                there = {known["seat"] for known in found}
                 self._actors = {slot: a for slot, a in self._actors.items() if slot in there}
-                for slot in there:
+                for slot in there - set(self._actors):
                     with contextlib.suppress(ray.exceptions.RayError, OSError, ValueError):
-                        await self._heartbeats.end_of(slot, self._actor(slot))
+                        await asyncio.wait_for(self._actor(slot).state.remote(), _CONNECT_S)
             await asyncio.sleep(_KNOW_S)
 
-    async def _answer(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
-        path, method, caller = scope["path"], scope["method"], HTTPConnection(scope)
+    async def _answer(self, scope: Scope, body: bytes) -> Response:
+        path, method = scope["path"], scope["method"]
         parts = path.strip("/").split("/")
         if path in ("/healthz", "/readyz"):
             return await self._health(path == "/healthz")
         if parts[:2] == ["v1", "sessions"] and len(parts) == 2:
             if method == "POST":
-                needs(caller, Right.TRACK)
                 return await self._open(scope, body)
             if method == "GET":
                 return await self._list(scope)
         if parts[:2] == ["v1", "sessions"] and len(parts) > 2:
             return await self._of_session(parts[2], packed(scope), body)
         if parts[:2] == ["v1", "models"] and parts[3:] == ["roll"] and method == "POST":
-            needs(caller, Right.ADMIN)
-            return _json({"moved": await self._orchestrator.roll.remote(parts[2])})
-        result: tuple[int, list[Any], bytes] = await self._orchestrator.http.remote(
-            packed(scope), body
-        )
-        return result
+            return JSONResponse({"moved": await self._orchestrator.roll.remote(parts[2])})
+        return unpacked(await self._orchestrator.http.remote(packed(scope), body))
 
-    async def _health(self, of_itself: bool) -> tuple[int, list[Any], bytes]:
+    async def _health(self, of_itself: bool) -> Response:
         """The gateway lives without the orchestrator; it is ready with one that has slots."""
         slots: list[dict[str, Any]] = []
         reasons = []
@@ -152,9 +140,9 @@ class Gateway:
         status = ("degraded" if reasons else "ok") if slots else "not ready"
         used = {name: budget.model_dump() for name, budget in self._budgets().items()}
         health = {"status": status, "reasons": reasons, "seats": slots, "budgets": used}
-        return _json(health, bool(slots) or of_itself)
+        return JSONResponse(health, 200 if slots or of_itself else 503)
 
-    async def _open(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
+    async def _open(self, scope: Scope, body: bytes) -> Response:
         try:
             request = json.loads(body or b"{}")
         except ValueError:
@@ -162,22 +150,22 @@ class Gateway:
         key = Headers(scope=scope).get(KEY_HEADER)
         name, slot = await self._orchestrator.open.remote(request, key)
         self._slots[name] = slot
-        status, headers, info = await self._info(scope, name)
-        return 201 if status == 200 else status, headers, info
+        answer = await self._info(scope, name)
+        answer.status_code = 201 if answer.status_code == 200 else answer.status_code
+        return answer
 
-    async def _info(self, scope: Scope, name: str) -> tuple[int, list[Any], bytes]:
+    async def _info(self, scope: Scope, name: str) -> Response:
         path = f"/v1/sessions/{name}"
         asked = packed(scope) | {"method": "GET", "path": path, "raw_path": path.encode()}
         return await self._of_session(name, asked, b"")
 
-    async def _list(self, scope: Scope) -> tuple[int, list[Any], bytes]:
+    async def _list(self, scope: Scope) -> Response:
         names = await self._orchestrator.sessions.remote()
         found = await asyncio.gather(*(self._info(scope, name) for name in names))
-        return _json({"sessions": [json.loads(body) for code, _, body in found if code == 200]})
+        sessions = [json.loads(bytes(one.body)) for one in found if one.status_code == 200]
+        return JSONResponse({"sessions": sessions})
 
-    async def _of_session(
-        self, name: str, scope: dict[str, Any], body: bytes
-    ) -> tuple[int, list[Any], bytes]:
+    async def _of_session(self, name: str, scope: dict[str, Any], body: bytes) -> Response:
         """A session's answer, from its next slot if its slot ends over the request."""
         limit_s = self._settings.frame_timeout_s + _GRACE_S
         dead = left = None
@@ -185,26 +173,22 @@ class Gateway:
             asked_s = time.monotonic()
             slot = await self._slot(name, dead)
             if slot is None:
-                response = fault(404, f"session {name[:80]!r}: there is none with this id")
-                return response.status_code, response.raw_headers, bytes(response.body)
+                return fault(404, f"session {name[:80]!r}: there is none with this id")
             if dead is not None:
                 _note("another slot continues", name, asked_s)
             asked_s = time.monotonic()
             try:
-                actor = self._actor(slot)
-                result: tuple[int, list[Any], bytes] = await self._while_alive(
-                    slot, actor, partial(actor.http.remote, name, scope, body), limit_s
-                )
+                asked = self._actor(slot).http.remote(name, scope, body)
+                return unpacked(await asyncio.wait_for(asked, limit_s))
             except (ray.exceptions.RayActorError, OSError, ValueError):
                 dead = slot
+                self._actors.pop(slot, None)
                 _note("a slot has ended", name, asked_s)
             except LookupError:  # it has moved, or is closed, or its slot has started again
                 dead = slot if slot == left else None
                 left = slot
                 self._slots.pop(name, None)
                 await asyncio.sleep(_PAUSE_S)
-            else:
-                return result
         raise NotReady("the session moves: try again in a moment")
 
     def _actor(self, slot: str) -> Any:
@@ -217,28 +201,6 @@ class Gateway:
             self._actors[slot] = ray.get_actor(slot, NAMESPACE)
         return self._actors[slot]
 
-    async def _while_alive(
-        self, slot: str, actor: Any, work: Callable[[], Awaitable[Any]], limit_s: float | None
-    ) -> Any:
-        """The result of work at a slot.
-
-        Raises:
-            OSError: the slot has ended, or the time is over (`TimeoutError`).
-        """
-        end = await self._heartbeats.end_of(slot, actor)
-        task = asyncio.ensure_future(work())
-        try:
-            done, _ = await asyncio.wait(
-                {task, end}, timeout=limit_s, return_when=asyncio.FIRST_COMPLETED
-            )
-        finally:
-            if not task.done():
-                task.cancel()
-        if task in done:
-            return task.result()
-        self._actors.pop(slot, None)
-        raise ConnectionError("the slot has ended") if end in done else TimeoutError
-
     async def _slot(self, name: str, dead: str | None) -> str | None:
         if dead is None and name in self._slots:
             return self._slots[name]
@@ -247,7 +209,6 @@ class Gateway:
             self._slots.pop(name, None)
         else:
             self._slots[name] = slot
-            self._heartbeats.renew(slot)
         return slot
 
     async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -271,14 +232,13 @@ class Gateway:
                 await send({"type": "websocket.close", "code": 1008, "reason": "no such session"})
                 return
             try:
-                actor = self._actor(slot)
-                work = partial(_relay, actor, name, key, packed(scope), receive, passed_on)
-                await self._while_alive(slot, actor, work, None)
+                await _relay(self._actor(slot), name, key, packed(scope), receive, passed_on)
             except LookupError:  # as for requests
                 dead = slot if slot == left else None
                 left = slot
             except (ray.exceptions.RayError, ValueError, OSError):
                 dead = slot
+                self._actors.pop(slot, None)
             else:
                 return
             self._slots.pop(name, None)
@@ -318,13 +278,6 @@ async def _pump(actor: Any, key: str, receive: Receive) -> None:
                 return
             if message["type"] == "websocket.disconnect":
                 return
-
-
-def _json(value: Any, good: bool = True) -> tuple[int, list[Any], bytes]:
-    body = json.dumps(value).encode()
-    length = str(len(body)).encode()
-    headers = [(b"content-type", b"application/json"), (b"content-length", length)]
-    return 200 if good else 503, headers, body
 
 
 def make_gateway(settings: Settings, tokens: list[Token]) -> ASGIApp:

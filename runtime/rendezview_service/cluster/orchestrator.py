@@ -38,6 +38,9 @@ _ANSWER_S = 10.0  # s, for an answer of a slot; then it counts as dead. Source: 
 _TAKE_S = 30.0  # s, the same to open a session: its worker may have a model to read. Source: chosen
 
 
+_Expected = dict[str, Path | None]  # sessions and their models
+
+
 class Orchestrator:
     """Gives slots to sessions, and another one when a slot ends. Keeps nothing of its own: after a
     restart it asks the slots, and the checkpoints say which sessions are open."""
@@ -58,9 +61,8 @@ class Orchestrator:
         self._changes: Counter[str] = Counter()  # of what a slot has: an older answer is too old
         self._asked: set[str] = set()  # slots, at least once
         self._knows = False  # what all slots have: after a restart it takes a moment
-        self._models: dict[str, Path] = {}  # of the open sessions, files by name
-        self._warm: set[tuple[str, Path]] = set()  # slots that have read a model
-        self._expects: dict[str, list[str]] = {}  # sessions that a slot is ready for
+        self._copies: dict[str, Path] = {}  # of the sessions: their models
+        self._expects: dict[str, _Expected] = {}  # what a slot is ready for
         self._reasons: dict[str, list[str]] = {}  # what is wrong at a slot
         self._busy: dict[str, asyncio.Task[None]] = {}  # slots and sessions
         self._looking: asyncio.Task[None] | None = None
@@ -136,41 +138,36 @@ class Orchestrator:
             await asyncio.sleep(_LOOK_S)
 
     async def _ask(self, slot: str) -> None:
-        """Whether a slot is ready, and the session it has; it reads the models in use."""
+        """Whether a slot is ready, and the session it has; a free one prepares for the others."""
+        changes = self._changes[slot]
         try:
             actor = ray.get_actor(slot, NAMESPACE)
-            if slot not in self._ready:
-                started = asyncio.wait_for(actor.start.remote(), _START_S)
-                self._processes[slot] = await started
-                if not await asyncio.wait_for(actor.ready.remote(), _ANSWER_S):
-                    self._asked.add(slot)
-                    return
-            changes = self._changes[slot]
-            held, reasons = await asyncio.wait_for(actor.held.remote(), _ANSWER_S)
+            limit_s = _ANSWER_S if slot in self._ready else _START_S
+            known = await asyncio.wait_for(actor.state.remote(), limit_s)
         except (ray.exceptions.RayError, ValueError, TimeoutError):
             self._asked.add(slot)
             for name in self._forget(slot):
                 self._begin(name, self._move(name, slot))
             return
         self._asked.add(slot)
+        self._processes[slot], is_ready, held, reasons = known
         if changes != self._changes[slot]:
             return
-        self._ready.add(slot)
         self._reasons[slot] = reasons
+        if is_ready or held is not None:  # its worker may be starting again
+            self._ready.add(slot)
+        else:
+            self._ready.discard(slot)
         if held is None:
             for name in [n for n, s in self._held.items() if s == slot]:
                 del self._held[name]
-            for name, copy in list(self._models.items()):
-                if (slot, copy) not in self._warm:
-                    with contextlib.suppress(ray.exceptions.RayError):
-                        await actor.warm.remote(name, str(copy))
-                        self._warm.add((slot, copy))
-            # One that is being opened has no checkpoint yet.
-            sessions = [n for n in self._held if checkpoint_path(self._folder, n).exists()]
-            if self._expects.get(slot) != sessions:
+            if not is_ready:
+                return
+            wanted = self._wanted()
+            if self._expects.get(slot) != wanted:
                 with contextlib.suppress(ray.exceptions.RayError):
-                    await actor.expect.remote(sessions)
-                    self._expects[slot] = sessions
+                    await actor.expect.remote(list(wanted))
+                    self._expects[slot] = wanted
         elif self._held.setdefault(held, slot) != slot:
             self._end(slot)  # the session has another slot by now
 
@@ -184,13 +181,17 @@ class Orchestrator:
         """A slot cannot be used now; its sessions."""
         self._changes[slot] += 1
         self._ready.discard(slot)
-        self._warm = {known for known in self._warm if known[0] != slot}
         self._expects.pop(slot, None)
         self._reasons.pop(slot, None)
         names = [n for n, s in self._held.items() if s == slot]
         for name in names:
             del self._held[name]
         return names
+
+    def _wanted(self) -> _Expected:
+        """The open sessions; one that is being opened has no checkpoint yet."""
+        there = [n for n in self._held if checkpoint_path(self._folder, n).exists()]
+        return {name: self._copies.get(name) for name in there}
 
     def _lock(self, name: str) -> asyncio.Lock:
         return self._locks.setdefault(name, asyncio.Lock())
@@ -203,7 +204,8 @@ class Orchestrator:
 
         def cost(slot: str) -> tuple[bool, bool, int, str]:
             node = self._nodes[slot]
-            return (slot, copy) not in self._warm, node == not_on, load[node], slot
+            has_read = copy in self._expects.get(slot, {}).values()
+            return not has_read, node == not_on, load[node], slot
 
         return sorted(free, key=cost)
 
@@ -274,7 +276,6 @@ class Orchestrator:
         self, request: SessionRequest, copy: Path, not_on: str | None, resumes: bool
     ) -> str:
         assert request.id is not None
-        assert request.model is not None
         for slot in self._free(not_on, copy):
             self._held[request.id], start_s = slot, time.monotonic()
             self._changes[slot] += 1
@@ -290,7 +291,7 @@ class Orchestrator:
                 self._held.pop(request.id, None)
                 raise
             self._changes[slot] += 1
-            self._models[request.model] = copy
+            self._copies[request.id] = copy
             took = {"session": request.id, "took_s": round(time.monotonic() - start_s, 3)}
             log.info("a slot is taken", extra=took | {"seat": slot})
             return slot
@@ -313,8 +314,8 @@ class Orchestrator:
             free = self._free(copy=copy)
             if not free:
                 raise NotReady("no slot is free: add a node")
-            await ray.get_actor(free[0], NAMESPACE).warm.remote(model, str(copy))
-            self._warm.add((free[0], copy))
+            await ray.get_actor(free[0], NAMESPACE).expect.remote([name], str(copy))
+            self._expects[free[0]] = {name: copy}
             async with self._lock(name):
                 if self._held.get(name) != slot:
                     continue
@@ -338,14 +339,14 @@ class Orchestrator:
         """
         self._must_know()
         held = {slot: name for name, slot in self._held.items()}
-        used = set(self._models.values())
+        wanted = self._wanted()
         return [
             {
                 "seat": slot,
                 "node": self._nodes[slot],
                 "process": self._processes[slot],
                 "session": held.get(slot),
-                "warm": all((slot, copy) in self._warm for copy in used),
+                "warm": self._expects.get(slot, {}) == wanted,
                 "reasons": self._reasons.get(slot, []),
             }
             for slot in sorted(self._ready & set(self._nodes))

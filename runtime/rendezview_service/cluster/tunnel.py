@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from typing import Any
 
+from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Scope
 
 # What a scope needs on the other side; all of it can be pickled.
@@ -19,6 +20,14 @@ _MOST_WAITING = 8  # messages of a WebSocket that are not read yet. Source: chos
 def packed(scope: Scope) -> dict[str, Any]:
     """The scope of a request as plain data."""
     return {name: scope[name] for name in _KEYS if name in scope}
+
+
+def unpacked(answer: tuple[int, list[Any], bytes]) -> Response:
+    """The answer that `exchange` gave on the other side."""
+    status, headers, body = answer
+    response = Response(body, status)
+    response.raw_headers = headers
+    return response
 
 
 async def exchange(app: ASGIApp, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:

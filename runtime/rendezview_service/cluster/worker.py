@@ -14,7 +14,6 @@ from typing import Any
 
 from starlette.types import Message, Scope
 
-from rendezview_service.cluster.heartbeat import beacon
 from rendezview_service.cluster.tunnel import Sockets, exchange
 from rendezview_service.http.app import make_routes
 from rendezview_service.hub.checkpoint import checkpoint_path, read_checkpoint
@@ -48,42 +47,35 @@ class Slot:
         self._service = Service(self._settings, shares_models=True)
         self._app = make_routes(self._service)
         self._sockets = Sockets(self._app)
-        self._beacon: tuple[str, int, asyncio.Server] | None = None
         self._held: str | None = None
         self._begun = False
 
-    async def start(self) -> int:
-        """Start and warm up its worker; the process's number."""
+    async def state(self) -> tuple[int, bool, str | None, list[str]]:
+        """Its process, whether it can take a session, the one that it has, and what is wrong.
+
+        The first call starts its worker. The checkpoint of an ended session goes first.
+        """
         if not self._begun:
             self._begun = True
             # The orchestrator repairs old logs.
             self._service.settings = self._settings.model_copy(update={"record": None})
             await self._service.start()
             self._service.settings = self._settings
-        return os.getpid()
+        if self._held is not None and not self._service.has(self._held):
+            self._held = None
+        health = self._service.health()
+        return os.getpid(), health.status in ("ok", "degraded"), self._held, health.reasons
 
-    async def beacon(self) -> tuple[str, int, int]:
-        """Host and port of a connection that lasts as long as this process; its number."""
-        self._beacon = self._beacon or await beacon()
-        return *self._beacon[:2], os.getpid()
-
-    async def ready(self) -> bool:
-        """Whether it can take a session."""
-        return self._service.health().status in ("ok", "degraded")
-
-    async def warm(self, name: str, copy: str) -> None:
-        """Read a model before a session uses it."""
-        stored = self._service.models.know(name, Path(copy))
-        await asyncio.to_thread(lambda: stored.model)
-        await self._service.workers.read(stored)
-
-    async def expect(self, sessions: list[str]) -> None:
-        """Be ready to continue one of these sessions."""
+    async def expect(self, sessions: list[str], copy: str | None = None) -> None:
+        """Be ready to continue one of these sessions, with another model if one is given."""
         models, sights = self._service.models.folder / BY_HASH, []
         for name in sessions:
             kept = read_checkpoint(checkpoint_path(self._folder, name))
-            if kept is not None:
-                sights.append(sight_of(kept.request, models / f"{kept.model_sha256}{RVM}"))
+            if kept is not None and kept.request.model is not None:
+                path = models / f"{kept.model_sha256}{RVM}" if copy is None else Path(copy)
+                stored = self._service.models.know(kept.request.model, path)
+                await asyncio.to_thread(getattr, stored, "model")
+                sights.append(sight_of(kept.request, path))
         await self._service.workers.expect(sights)
 
     async def take(self, request: dict[str, Any], copy: str, resumes: bool) -> str:
@@ -104,12 +96,6 @@ class Slot:
             self._held = None
             raise
         return asked.id
-
-    async def held(self) -> tuple[str | None, list[str]]:
-        """The session that it has, and what is wrong. The checkpoint of an ended one goes first."""
-        if self._held is not None and not self._service.has(self._held):
-            self._held = None
-        return self._held, self._service.health().reasons
 
     async def let_go(self, name: str) -> None:
         """End a session here, so that another slot continues it."""

@@ -15,14 +15,14 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.exceptions import RequestValidationError
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, HTTPConnection
 from starlette.responses import Response, StreamingResponse
 
 from rendezview.errors import RendezviewError
-from rendezview.io.files import write_error
-from rendezview_service.http.security import Right
+from rendezview.io.files import checked, write_error
+from rendezview_service.http.security import fault
 from rendezview_service.hub.inputs import Answer, NotReady, Refused
 from rendezview_service.hub.model_store import NameTaken
 from rendezview_service.hub.service import Service
@@ -31,10 +31,9 @@ from rendezview_service.logs.log_repair import LogPart, join
 from rendezview_service.messages.frames import Bytes
 from rendezview_service.messages.message_parts import (
     CAMERA,
-    MOST_TIME_S,
     NAME_PATTERN,
     Fault,
-    RegionNumbers,
+    FrameHead,
 )
 
 FAULTS: dict[int | str, dict[str, Any]] = {
@@ -43,7 +42,7 @@ FAULTS: dict[int | str, dict[str, Any]] = {
 JSON, BYTES = "application/json", "application/octet-stream"
 BINARY = {"schema": {"type": "string", "format": "binary"}}
 SENDER_HEADER, KEY_HEADER = "X-Sender", "Idempotency-Key"
-_REGION = TypeAdapter(RegionNumbers)
+_FRAME_HEAD = TypeAdapter(FrameHead)
 _LONGEST_KEY = 128  # characters. Source: a chosen limit
 
 
@@ -51,17 +50,6 @@ def service_of(connection: HTTPConnection) -> Service:
     """The service behind the application."""
     service: Service = connection.app.state.service
     return service
-
-
-def needs(connection: HTTPConnection, right: Right) -> None:
-    """Refuse a caller whose token does not give this right.
-
-    Raises:
-        HTTPException: 403.
-    """
-    has = connection.scope.get("state", {}).get("right", Right.NONE)
-    if has < right:
-        raise HTTPException(403, f"this token is not enough: use one of scope {right.name.lower()}")
 
 
 def session_of(connection: HTTPConnection, name: str) -> Session:
@@ -84,26 +72,11 @@ def session_of(connection: HTTPConnection, name: str) -> Session:
     return session
 
 
-def needing(right: Right) -> Any:
-    """A route's dependency: its caller's token gives this right."""
-
-    async def check(request: Request) -> None:
-        needs(request, right)
-
-    return Depends(check)
+async def _opened(request: Request, name: str) -> Session:
+    return session_of(request, name)
 
 
-def _session_for(right: Right) -> Any:
-    async def found(request: Request, name: str) -> Session:
-        needs(request, right)
-        return session_of(request, name)
-
-    return Depends(found)
-
-
-# The session in a route's path, for a caller who may read, or send to it.
-Read = Annotated[Session, _session_for(Right.READ)]
-Tracked = Annotated[Session, _session_for(Right.TRACK)]
+Opened = Annotated[Session, Depends(_opened)]  # the session in a route's path
 
 
 def body_in_docs(content: dict[str, Any]) -> dict[str, Any]:
@@ -170,9 +143,8 @@ async def download(name: str, parts: Sequence[LogPart]) -> Response:
 
 
 async def track(
-    session: Session, pieces: list[Bytes], time_s: float | None, roi: list[float] | None,
-    sender: str, key: str | None,
-) -> Answer:  # fmt: skip
+    session: Session, pieces: list[Bytes], head: FrameHead, sender: str, key: str | None
+) -> Answer:
     """The answer of the session's tracker to a frame.
 
     Raises:
@@ -181,9 +153,10 @@ async def track(
     """
 
     def put(answer: Callable[[Answer], None]) -> None:
-        session.queue(session.input(pieces, time_s, answer, sender=sender, key=key, roi=roi))
+        at_s, roi = head.time_s, head.roi
+        session.queue(session.input(pieces, at_s, answer, sender=sender, key=key, roi=roi))
 
-    about = "frame", time_s, None if roi is None else tuple(roi), sum(map(len, pieces))
+    about = "frame", head.model_dump_json(), sum(map(len, pieces))
     return await session.once.do(key, about, lambda: _answered(put))
 
 
@@ -243,40 +216,13 @@ def sender_of(connection: HTTPConnection) -> str:
     return f"at {connection.client.host}" if connection.client else "unknown"
 
 
-def frame_time(time_s: float | None) -> float | None:
-    """A frame's time, checked.
+def frame_head(given: dict[str, Any], where: str) -> FrameHead:
+    """Time and region of a frame, checked.
 
     Raises:
-        HTTPException: 422 for NaN, infinity or beyond ±1e10 s.
+        RendezviewError: NaN, infinity or beyond ±1e10 s, or a region that is none.
     """
-    if time_s is not None and not (math.isfinite(time_s) and abs(time_s) <= MOST_TIME_S):
-        raise HTTPException(422, f"time_s: must be finite and within ±1e10, not {time_s}")
-    return time_s
-
-
-def frame_region(text: str) -> list[float]:
-    """Where in a frame its target is, checked: 2 to 4 numbers with commas between.
-
-    Raises:
-        HTTPException: 422.
-    """
-    try:
-        return _REGION.validate_python(text.split(","))
-    except ValidationError:
-        raise HTTPException(
-            422, f"roi: give x,y,width,height, x,y or x,y,range, not {text!r:.40}"
-        ) from None
-
-
-def fault(
-    status: int, error: str, headers: dict[str, str] | None = None, *, again: bool = True
-) -> Response:
-    """The answer with an error; ``again``: a sender that was refused may repeat its request."""
-    extra = dict(headers or {})
-    if again and status in (429, 503):
-        extra.setdefault("Retry-After", "1")
-    text = Fault(error=error, status=status).model_dump_json()
-    return Response(text, status, extra, JSON)
+    return checked(_FRAME_HEAD, given, where)
 
 
 def fault_of(error: Exception) -> Response | None:

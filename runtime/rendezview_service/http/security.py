@@ -161,6 +161,8 @@ class Guard:
         if refusal is not None:
             await _refuse(scope, receive, send, *refusal)
             self._metrics.requests.labels(str(refusal[0])).inc()
+            if refusal[0] == 403 and "caller" in scope.get("state", {}):
+                _audit(scope, 403)
             return
         try:
             if scope["type"] == "websocket":
@@ -206,8 +208,11 @@ class Guard:
             return 429, "too many requests: wait a moment"
         scope.setdefault("state", {})["right"] = right
         scope["state"]["caller"] = name
-        if right is Right.NONE and not _is_open(scope):
+        needed = _needed(scope)
+        if right is Right.NONE and needed is not Right.NONE:
             return 401, "a token is needed: send it as `Authorization: Bearer TOKEN`"
+        if right < needed:
+            return 403, f"this token is not enough: use one of scope {needed.name.lower()}"
         if scope["type"] == "http":
             most, _ = _longest_body(scope, self._settings)
             declared = headers.get("content-length", "0")
@@ -285,13 +290,16 @@ def _token(headers: Headers) -> str | None:
     return None
 
 
-def _is_open(scope: Scope) -> bool:
-    """The page's files and the health checks need no token."""
-    path = scope["path"]
-    if path in _ALWAYS[:2]:
-        return True
+def _needed(scope: Scope) -> Right:
+    """The right that a request needs; the page's files and the health checks need none."""
+    path, is_http = scope["path"], scope["type"] == "http"
     closed = path.startswith("/v1/") or path in ("/metrics", "/openapi.json", "/v1")
-    return not closed and scope["type"] == "http"
+    if path in _ALWAYS[:2] or (is_http and not closed):
+        return Right.NONE
+    looks = scope["method"] in ("GET", "HEAD", "OPTIONS") if is_http else path.endswith("/watch")
+    if looks:
+        return Right.READ
+    return Right.TRACK if path.startswith("/v1/sessions") else Right.ADMIN
 
 
 def _split(address: str) -> SplitResult:
@@ -313,12 +321,24 @@ def _is_address(host: str) -> bool:
 async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, error: str) -> None:
     if scope["type"] == "websocket":
         await receive()
+        if status == 403 and "right" in scope.get("state", {}):  # so that a browser says why
+            offered = SUBPROTOCOL in scope.get("subprotocols", [])
+            accepted = SUBPROTOCOL if offered else None
+            await send({"type": "websocket.accept", "subprotocol": accepted})
         await send({"type": "websocket.close", "code": 1008, "reason": error})
         return
-    extra = {"Retry-After": "1"} if status in (429, 503) else {}
-    if status == 401:
-        extra = {"WWW-Authenticate": "Bearer"}
-    text = Fault(error=error, status=status).model_dump_json()
-    answer = Response(text, status, extra, "application/json")
+    extra = {"WWW-Authenticate": "Bearer"} if status == 401 else {}
+    answer = fault(status, error, extra)
     answer.raw_headers += HEADERS
     await answer(scope, receive, send)
+
+
+def fault(
+    status: int, error: str, headers: dict[str, str] | None = None, *, again: bool = True
+) -> Response:
+    """The answer with an error; ``again``: a sender that was refused may repeat its request."""
+    extra = dict(headers or {})
+    if again and status in (429, 503):
+        extra.setdefault("Retry-After", "1")
+    text = Fault(error=error, status=status).model_dump_json()
+    return Response(text, status, extra, "application/json")

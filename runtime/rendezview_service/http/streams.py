@@ -12,33 +12,31 @@ from collections.abc import Callable
 from typing import Annotated
 
 from fastapi import APIRouter, Query, WebSocket
-from pydantic import TypeAdapter
 from starlette.exceptions import HTTPException
 from starlette.websockets import WebSocketDisconnect
 
 from rendezview.errors import RendezviewError
-from rendezview.io.files import checked, parse_json
+from rendezview.io.files import parse_json
 from rendezview_service.http.answers import (
     SENDER_HEADER,
-    frame_time,
-    needs,
+    frame_head,
     sender_of,
     sensor_name,
     service_of,
     session_of,
 )
 from rendezview_service.http.budgets import KEEP
-from rendezview_service.http.security import SUBPROTOCOL, Right
+from rendezview_service.http.security import SUBPROTOCOL
 from rendezview_service.hub.inputs import Answer, NotReady, Refused
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
-from rendezview_service.messages.message_parts import Fault, FrameHead
+from rendezview_service.messages.message_parts import Fault
 from rendezview_service.messages.messages import WatchEnd
 from rendezview_service.settings import Settings
 
 router = APIRouter(prefix="/v1/sessions")
 
-_TIME, _FRAME_HEAD = struct.Struct("<d"), TypeAdapter(FrameHead)
+_TIME = struct.Struct("<d")
 _HEAD = b'{"time_s"'  # of a frame's line of JSON: as a time, it is 1e247 s
 MOST_HEAD = 1000  # bytes of this line. Source: a chosen limit
 _OUTBOX = 64  # unread answers; with more, no frames are received. Source: a chosen limit
@@ -51,7 +49,7 @@ async def stream(socket: WebSocket, name: str) -> None:
 
     While a frame is tracked, the newest frame waits; older ones are dropped.
     """
-    session = await _accepted(socket, name, Right.TRACK)
+    session = await _accepted(socket, name)
     if session is None:
         return
     sender_name = sender_of(socket) if SENDER_HEADER in socket.headers else f"stream {id(socket)}"
@@ -130,11 +128,11 @@ def _take(session: Session, content: bytes, answer: Answering, sender: str) -> N
     try:
         if content.startswith(_HEAD):
             line, where = content[:MOST_HEAD].partition(b"\n")[0], "the line before the picture"
-            head = checked(_FRAME_HEAD, parse_json(line.decode(errors="replace"), where), where)
-            time_s, region, start = head.time_s, head.roi, len(line) + 1
+            head = frame_head(parse_json(line.decode(errors="replace"), where), where)
+            start = len(line) + 1
         elif len(content) > _TIME.size:
-            (sent_s,), region, start = _TIME.unpack_from(content), None, _TIME.size
-            time_s = None if math.isnan(sent_s) else frame_time(sent_s)
+            (sent_s,), start = _TIME.unpack_from(content), _TIME.size
+            head = frame_head({"time_s": None if math.isnan(sent_s) else sent_s}, "the frame")
         else:
             raise RendezviewError(
                 "a frame must be 8 bytes of time, or a line of JSON, and a picture"
@@ -143,7 +141,8 @@ def _take(session: Session, content: bytes, answer: Answering, sender: str) -> N
         if len(picture) > session.frame_bytes:
             most = session.frame_bytes
             raise HTTPException(413, f"the frame is too long: send at most {most} bytes")
-        session.replace(session.input([picture], time_s, answer, sender=sender, roi=region))
+        at_s, region = head.time_s, head.roi
+        session.replace(session.input([picture], at_s, answer, sender=sender, roi=region))
     except (HTTPException, RendezviewError, Refused) as error:
         answer(_refusal(error))
 
@@ -186,7 +185,7 @@ async def watch(
     silhouette: bool = False,
 ) -> None:
     """Sends the newest state, at most ``rate_hz`` times a second, with contours and pictures."""
-    session = await _accepted(socket, name, Right.READ)
+    session = await _accepted(socket, name)
     if session is None:
         return
     service = service_of(socket)
@@ -210,19 +209,14 @@ async def watch(
 
 
 async def _show(socket: WebSocket, watcher: Watcher) -> None:
-    while True:
-        await watcher.news.wait()
-        watcher.news.clear()
-        if watcher.message is not None:
-            (text, picture), watcher.message = watcher.message, None
-            await socket.send({"type": "websocket.send", "text": text.decode()})
-            if picture:
-                await socket.send({"type": "websocket.send", "bytes": picture})
-        if watcher.ended is not None:
-            end = WatchEnd(reason=watcher.ended).model_dump_json()
-            await socket.send({"type": "websocket.send", "text": end})
-            await socket.close(_GONE, watcher.ended[:100])
-            return
+    async for text, picture in watcher.messages():
+        await socket.send({"type": "websocket.send", "text": text.decode()})
+        if picture:
+            await socket.send({"type": "websocket.send", "bytes": picture})
+    reason = watcher.ended or ""
+    end = WatchEnd(reason=reason).model_dump_json()
+    await socket.send({"type": "websocket.send", "text": end})
+    await socket.close(_GONE, reason[:100])
 
 
 async def _until_gone(socket: WebSocket) -> None:
@@ -231,12 +225,11 @@ async def _until_gone(socket: WebSocket) -> None:
         pass
 
 
-async def _accepted(socket: WebSocket, name: str, right: Right) -> Session | None:
+async def _accepted(socket: WebSocket, name: str) -> Session | None:
     # Accept first: a browser gives its page no reason for a refused handshake.
     offered = socket.scope.get("subprotocols", [])
     await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
     try:
-        needs(socket, right)
         return session_of(socket, name)
     except (HTTPException, NotReady) as error:
         code = _SOON if isinstance(error, NotReady) else _REFUSED

@@ -12,7 +12,6 @@ import shutil
 import signal
 import sys
 import time
-from collections import deque
 from pathlib import Path
 
 from pydantic import PrivateAttr
@@ -48,6 +47,7 @@ class Job(JobInfo):
     _arguments: list[str] = PrivateAttr(default_factory=list)
     _started_s: float | None = None
     _process: asyncio.subprocess.Process | None = None
+    _task: asyncio.Task[None] | None = None
 
     @property
     def is_over(self) -> bool:
@@ -75,8 +75,7 @@ class Jobs:
         self._store = store
         self._at_once = at_once
         self._jobs: dict[str, Job] = {}
-        self._waiting: deque[Job] = deque()
-        self._running: dict[str, asyncio.Task[None]] = {}  # by id
+        self._turns = asyncio.Semaphore(at_once)
 
     def list(self) -> list[Job]:
         """All jobs, newest first."""
@@ -117,7 +116,7 @@ class Jobs:
             raise RendezviewError(
                 f"file {file_name[:80]!r}: no mesh: its name must end in {' '.join(MESH_SUFFIXES)}"
             )
-        if len(self._waiting) >= _QUEUED:
+        if sum(job.state is JobState.QUEUED for job in self._jobs.values()) >= _QUEUED:
             raise RendezviewError(f"{_QUEUED} training jobs wait already: try again later")
         path = self._store.path_for(model)
         if any(job.model == model and not job.is_over for job in self._jobs.values()):
@@ -136,33 +135,31 @@ class Jobs:
         job = Job(id=secrets.token_hex(6), model=model, created_unix_s=time.time())
         job._temporary, job._folder, job._arguments = temporary, folder, arguments
         self._jobs[job.id] = job
-        self._waiting.append(job)
-        self._next()
+        job._task = asyncio.create_task(self._run(job))
         return job
 
     async def cancel(self, job: Job) -> None:
         """Cancel a job; a finished one does not change."""
-        if job in self._waiting:
-            self._waiting.remove(job)
+        if job.state is JobState.QUEUED:
             self._over(job, JobState.CANCELLED)
-        task = self._running.get(job.id)
-        if task is not None:
+        elif job.state is JobState.RUNNING:
             job.state = JobState.CANCELLED
             _kill(job)
+            assert job._task is not None
             with contextlib.suppress(asyncio.CancelledError):
-                await task
+                await job._task
 
     async def stop(self) -> None:
         """Cancel all jobs."""
         for job in list(self._jobs.values()):
             await self.cancel(job)
 
-    def _next(self) -> None:
-        while self._waiting and len(self._running) < self._at_once:
-            job = self._waiting.popleft()
-            self._running[job.id] = asyncio.create_task(self._run(job))
-
     async def _run(self, job: Job) -> None:
+        async with self._turns:
+            if job.state is JobState.QUEUED:
+                await self._train(job)
+
+    async def _train(self, job: Job) -> None:
         job.state, job._started_s = JobState.RUNNING, time.monotonic()
         last, ended = "", JobState.CANCELLED
         try:
@@ -196,8 +193,6 @@ class Jobs:
         finally:
             _kill(job)
             self._over(job, ended)
-            self._running.pop(job.id, None)
-            self._next()
 
     def _over(self, job: Job, state: JobState) -> None:
         job.count_time()

@@ -237,9 +237,9 @@ class ModelStore:
         self._models[name] = stored
         return stored
 
-    def names(self) -> list[str]:
-        """Names, sorted."""
-        return sorted(self._models)
+    def all(self) -> list[StoredModel]:
+        """In order of their names."""
+        return [self._models[name] for name in sorted(self._models)]
 
     def get(self, name: str) -> StoredModel | None:
         """A model by name."""
@@ -251,13 +251,13 @@ class ModelStore:
 
     def first_readable(self) -> StoredModel | None:
         """The first model whose file can be read; the log has the errors of the others."""
-        for name in self.names():
+        for stored in self.all():
             try:
-                _ = self._models[name].model
+                _ = stored.model
             except RendezviewError as error:
-                log.warning("model not read", extra={"model": name, "reason": str(error)})
+                log.warning("model not read", extra={"model": stored.name, "reason": str(error)})
             else:
-                return self._models[name]
+                return stored
         return None
 
     def path_for(self, name: str, replace: bool = False) -> Path:

@@ -6,12 +6,12 @@ attached. Source: rmw_zenoh, docs/design.md; attachment_helpers.cpp, ROS 2 Jazzy
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import re
 import struct
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -83,26 +83,17 @@ class RosViewer:
         key = f"{self._domain}/{topic}/{mangled}/{self._types.hash_rihs01(kind)}"
         number = self._sent[key] = self._sent.get(key, 0) + 1
         attached = struct.pack("<qqB", number, time.time_ns(), len(self._sender)) + self._sender
-        data = self._types.serialize_cdr(self._filled(kind, content), kind)
+        data = self._types.serialize_cdr(_message(content), kind)
         self._session.put(key, bytes(data), attachment=attached)
 
-    def _filled(self, kind: str, content: Json) -> Any:
-        """The message of a type with the content of a dictionary."""
-        made = self._types.types[kind]
-        parts: Json = {}
-        for field in dataclasses.fields(made):  # type: ignore[arg-type]
-            if field.name.startswith("__"):
-                continue
-            value = content[field.name]
-            inner = str(field.type).removeprefix("list[").removesuffix("]").replace("__", "/")
-            if isinstance(value, dict):
-                value = self._filled(inner, value)
-            elif isinstance(value, list) and value and isinstance(value[0], dict):
-                value = [self._filled(inner, part) for part in value]
-            elif isinstance(value, list):
-                value = np.array(value, np.float64)
-            parts[field.name] = value
-        return made(**parts)
+
+def _message(content: Any) -> Any:
+    """What rosbags takes for a message: the keys of dictionaries as attributes."""
+    if isinstance(content, dict):
+        return SimpleNamespace(**{name: _message(part) for name, part in content.items()})
+    if isinstance(content, list) and not isinstance(content[0], dict):
+        return np.array(content, np.float64)
+    return [_message(part) for part in content] if isinstance(content, list) else content
 
 
 def _framed(content: Json, name: str) -> Json:

@@ -22,7 +22,6 @@ from rendezview_service.hub.checkpoint import (
     lock_state,
     names_in,
 )
-from rendezview_service.hub.feeder import Feeder
 from rendezview_service.hub.health import budgets_of, health_of
 from rendezview_service.hub.history import Histories
 from rendezview_service.hub.inputs import Full, NotReady, Refused
@@ -33,8 +32,7 @@ from rendezview_service.hub.once import Once
 from rendezview_service.hub.session_defaults import SessionDefaults
 from rendezview_service.hub.session_log import LogNames
 from rendezview_service.hub.sessions import Session
-from rendezview_service.hub.source_process import open_apart
-from rendezview_service.hub.sources import Source
+from rendezview_service.hub.source_process import SourceProcess
 from rendezview_service.hub.viewers import Viewers
 from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle, open_request
 from rendezview_service.hub.worker_pool import WorkerPool
@@ -86,7 +84,7 @@ class Service:
         self.metrics.sessions.set_function(lambda: len(self.sessions))
         self.metrics.watchers.set_function(lambda: self.watchers)
         self.started_s = time.monotonic()
-        self._sources: list[Source] = []
+        self._sources: list[SourceProcess] = []
         self._alone = not shares_models
         logs = settings.record_folder
         if logs is not None and logs == settings.record:
@@ -102,7 +100,7 @@ class Service:
             self.given: StoredModel | None = None if model is None else self.models.give(model)
             self.defaults = SessionDefaults(settings)
             for name in sources or []:
-                self._sources.append(open_apart(name, self.defaults.camera))
+                self._sources.append(SourceProcess(name, self.defaults.camera))
             if self._sources and self.given is None:
                 raise RendezviewError("a source needs a model to track with: name one")
         except RendezviewError:
@@ -114,7 +112,7 @@ class Service:
         self._speed = speed
         self.jobs = Jobs(self.models, settings.jobs, settings.job_s, settings.job_bytes)
         self.workers = WorkerPool(settings, self.metrics, self._reopen)
-        self._feeders: dict[str, Feeder] = {}
+        self._fed: dict[str, SourceProcess] = {}  # by session
         self._opening: set[str] = set()
         self.budgets = budgets_of(self.sessions, self.histories, settings)
         self.budgets["watchers"] = lambda: BudgetUse(used=self.watchers, most=settings.watchers)
@@ -159,9 +157,8 @@ class Service:
             request = SessionRequest(id=name, model=self.given.name, camera=camera)
             request.notes.extend(source.notes or source.camera.doubts)
             session = await self._open(request, source)
-            feeder = Feeder(source, session, asyncio.get_running_loop(), self._speed)
-            self._feeders[session.id] = feeder
-            feeder.start()
+            self._fed[session.id] = source
+            source.feed(session, self._speed)
         log.info("ready", extra={"after_s": round(time.monotonic() - start_s, 1)})
 
     async def _go_on(self, folder: Path) -> None:
@@ -203,7 +200,7 @@ class Service:
 
     def health(self) -> Health:
         """Whether frames can be tracked, and the reasons if not."""
-        reasons = self.workers.troubles
+        reasons = ["no worker process is ready"] * self.workers.none_ready
         if self._begun is not None and not self._begun.done():
             reasons = [f"starting: {self.workers.progress}"]
         known = self.sessions, self.budgets, reasons
@@ -229,7 +226,7 @@ class Service:
     async def _open(
         self,
         request: SessionRequest,
-        source: Source | None = None,
+        source: SourceProcess | None = None,
         resumed: Checkpoint | None = None,
         stored: StoredModel | None = None,
     ) -> Session:
@@ -287,8 +284,8 @@ class Service:
         if self.sessions.pop(session.id, None) is None:
             return
         self.ended = dict([*self.ended.items(), (session.id, reason)][-_REMEMBERED:])
-        if (feeder := self._feeders.pop(session.id, None)) is not None:
-            feeder.stop()
+        if (source := self._fed.pop(session.id, None)) is not None:
+            await asyncio.to_thread(source.close)  # a driver may keep its process for seconds
         worker, keeper = session.worker, session.keeper
         if keeper is not None:
             self._ending[session.id] = keeper
@@ -321,7 +318,7 @@ class Service:
         """
         stored = self.given or self.models.only() if name is None else self.models.get(name)
         if stored is None:
-            known = ", ".join(self.models.names()) or "none"
+            known = ", ".join(one.name for one in self.models.all()) or "none"
             said = "model: name one" if name is None else f"model {name}: not here"
             raise RendezviewError(f"{said} (there are: {known})")
         return stored
@@ -334,7 +331,7 @@ class Service:
         if session.request_now.record and session.log.base is None:
             session.log.base = self._log_path(session.id)
         try:
-            answer = await worker.ask(open_request(session, self.settings))
+            answer = await worker.ask(open_request(session))
         except WorkerGone:
             worker.sessions.discard(session)
             raise
@@ -379,7 +376,7 @@ class Service:
             await asyncio.to_thread(self.models.rest, used)
             now_s = time.monotonic()
             for session in list(self.sessions.values()):
-                if now_s - session.used_s > session.idle_s and session.id not in self._feeders:
+                if now_s - session.used_s > session.idle_s and session.id not in self._fed:
                     await self.close(session, f"no frame for {session.idle_s:g} s")
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> None:

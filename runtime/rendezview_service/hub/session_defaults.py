@@ -49,7 +49,8 @@ class SessionDefaults:
         self._target = None if settings.target is None else _known_of_file(settings.target)
         self._approach = None
         if settings.approach is not None:
-            self._approach = load_approach(settings.approach)
+            content = read_toml(settings.approach, "an approach")
+            self._approach = checked(_APPROACH, content, str(settings.approach))
         self._plan_file = None if settings.plan is None else read_plan(settings.plan)
         self._plan = None
         if self._plan_file is not None:
@@ -132,14 +133,22 @@ class SessionDefaults:
     def _path_of(
         self, asked: TrajectoryRequest | bool | None, ring: bool
     ) -> TrajectoryRequest | bool:
-        """The path that is fitted; False: none."""
+        """The path that is fitted; False: none.
+
+        Raises:
+            RendezviewError: it has neither a shape nor a plan.
+        """
         known = self._plan_file is not None or ring
         if asked is False or (asked is None and not known):
             return False
         path = asked if isinstance(asked, TrajectoryRequest) else TrajectoryRequest()
         if path.plan is None:
             path = path.model_copy(update={"plan": self._plan_file})
-        if path.plan is None and path.shape is None and ring:
+        if path.plan is None and path.shape is None:
+            if not ring:
+                raise RendezviewError(
+                    "sensors: trajectory: what path is flown? Give a shape or a plan"
+                )
             path = path.model_copy(update={"shape": Shape.VBAR})
         return path
 
@@ -160,15 +169,6 @@ def approach_of(request: SessionRequest) -> ApproachRequest:
         port = PortMessage(centre_m=ring.centre_m, axis=ring.axis)
         return approach.model_copy(update={"port": port})
     return approach
-
-
-def load_approach(path: Path) -> ApproachRequest:
-    """An approach from a TOML file: the keys of `ApproachRequest`.
-
-    Raises:
-        RendezviewError: the file is missing or wrong.
-    """
-    return checked(_APPROACH, read_toml(path, "an approach"), str(path))
 
 
 def way_points(plan: Plan, middle_m: Array) -> list[WayPoint]:

@@ -207,7 +207,6 @@ class Session:
                 "kind": "measure",
                 "sensor": waiting.sensor,
                 "waited_s": waiting.waited_s,
-                "most_lines": self.settings.measurement_lines,
             }
         now_s = time.monotonic()
         if waiting.shows_last:

@@ -1,11 +1,12 @@
 """Sources in a process of their own, so that a decoder that crashes or hangs takes nothing with it.
 
 ``python -m rendezview_service.hub.source_process DESCRIPTOR SOURCE CAMERA`` reads one; the service
-starts it by `open_apart`.
+starts it by `SourceProcess`.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import os
@@ -15,44 +16,50 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
-from rendezview_service.hub.sources import RECONNECT_S, Source, SourceFrame, open_source
+from rendezview_service.hub.inputs import SOURCE
+from rendezview_service.hub.sessions import Session
+from rendezview_service.hub.sources import RECONNECT_S, SourceFrame, open_source
 from rendezview_service.messages.wire import Header, pack, receive
 
 _OPEN_S = 120.0  # s, to open a source; a bag may have to be indexed. Source: a chosen limit
 _SILENT_S = 60.0  # s, for the next frame of a file. Source: a chosen limit
+# s, between frames of a file; longer gaps are shortened. Source: a chosen limit.
+_LONGEST_PAUSE_S = 10.0
 _END_S = 2.0  # s, for the end of the process. Source: a chosen limit
 _MOST_BYTES = 8_000_000_000  # of addresses of the process. Source: a chosen limit
 
 
-def open_apart(text: str, camera: Camera | None) -> Source:
-    """A source as `open_source`, whose decoder runs in a process of its own.
+class SourceProcess:
+    """A source as `open_source`, decoded in a process of its own.
 
-    Raises:
-        RendezviewError: as `open_source`.
+    If that ends, it is started again for a live source. A thread gives the frames to a session.
     """
-    reader = _Reader(text, camera)
-    opened = reader.opened
-    given = None if opened["camera"] is None else Camera(**_camera_keys(opened["camera"]))
-    notes = tuple(opened["notes"])
-    return Source(opened["name"], given, opened["live"], reader.frames, reader.close, notes)
-
-
-class _Reader:
-    """The process of one source; started again if it ends, and the source is live."""
 
     def __init__(self, text: str, camera: Camera | None) -> None:
-        self._text, self._camera = text, camera
-        self._closed = False
-        self._start()
+        """Start it.
 
-    def _start(self) -> None:
+        Raises:
+            RendezviewError: as `open_source`.
+        """
+        self._text, self._given = text, camera
+        self._stop = threading.Event()
+        self._ended = False  # the process said so
+        opened = self._start()
+        known = opened["camera"]
+        self.name: str = opened["name"]
+        self.camera = None if known is None else Camera(**_camera_keys(known))
+        self.live: bool = opened["live"]
+        self.notes: list[str] = opened["notes"]
+
+    def _start(self) -> Header:
         ours, theirs = socket.socketpair()
-        camera = json.dumps(None if self._camera is None else asdict(self._camera))
+        camera = json.dumps(None if self._given is None else asdict(self._given))
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", __name__, str(theirs.fileno()), self._text, camera],
@@ -67,7 +74,7 @@ class _Reader:
             why = str(opened[0]["error"]) if opened is not None else f"{self._text}: {self._end()}"
             self._stop_process()
             raise RendezviewError(why)
-        self.opened = opened[0]
+        return opened[0]
 
     def _receive(self, timeout_s: float | None) -> tuple[Header, bytes] | None:
         """The next message; None: the process has ended, or is ended, because it is silent."""
@@ -94,8 +101,8 @@ class _Reader:
         return f"its decoder ended (code {code})"
 
     def close(self) -> None:
-        """End the process for good."""
-        self._closed = True
+        """End it for good."""
+        self._stop.set()
         self._stop_process()
 
     def _stop_process(self) -> None:
@@ -106,28 +113,26 @@ class _Reader:
         with contextlib.suppress(subprocess.TimeoutExpired):  # a driver may keep it for ever
             self._process.wait(_END_S)
 
-    def frames(self, stop: threading.Event) -> Iterator[SourceFrame | RendezviewError]:
-        """Frames and faults.
+    def frames(self) -> Iterator[SourceFrame | RendezviewError]:
+        """Frames and faults, until it is closed.
 
         Raises:
             RendezviewError: the source cannot go on.
         """
-        live, name = self.opened["live"], self.opened["name"]
-        while not stop.is_set():
-            yield from self._once(None if live else _SILENT_S)
-            if self._closed or stop.is_set() or self._ended:
+        while not self._stop.is_set():
+            yield from self._once(None if self.live else _SILENT_S)
+            if self._stop.is_set() or self._ended:
                 return
-            why = f"{name}: {self._end()}"
-            if not live:
+            why = f"{self.name}: {self._end()}"
+            if not self.live:
                 raise RendezviewError(why)
             yield RendezviewError(f"{why}; starting again")
-            if stop.wait(RECONNECT_S):
+            if self._stop.wait(RECONNECT_S):
                 return
             self._stop_process()
             with contextlib.suppress(RendezviewError):
                 self._start()
-
-    _ended = False  # the process said so
+        self._stop_process()  # of a start beside `close`, too
 
     def _once(self, silent_s: float | None) -> Iterator[SourceFrame | RendezviewError]:
         with contextlib.suppress(OSError):
@@ -143,6 +148,48 @@ class _Reader:
                 if header["error"] is not None:
                     raise RendezviewError(header["error"])
                 return
+
+    def feed(self, session: Session, speed: float) -> None:
+        """Give the frames to a session, from now on.
+
+        Args:
+            speed: of files, as a multiple of their own rate; 0: without pauses.
+        """
+        about = session, speed, asyncio.get_running_loop().call_soon_threadsafe
+        threading.Thread(target=self._feed, args=about, name="source", daemon=True).start()
+
+    def _feed(self, session: Session, speed: float, call: Callable[..., object]) -> None:
+        reason: str | None = None
+        try:
+            last_s: float | None = None
+            due_s = time.monotonic()
+            for frame in self.frames():
+                if self._stop.is_set():
+                    break
+                if isinstance(frame, RendezviewError):
+                    call(session.note_fault, str(frame))
+                    continue
+                if not self.live and speed > 0.0:
+                    if last_s is not None and frame.time_s is not None:
+                        pause_s = (frame.time_s - last_s) / speed
+                        due_s = max(due_s + min(max(pause_s, 0.0), _LONGEST_PAUSE_S), 0.0)
+                    last_s = frame.time_s
+                    if self._stop.wait(max(0.0, due_s - time.monotonic())):
+                        break
+                self._give(session, frame, call)
+        except RendezviewError as error:
+            reason = str(error)
+        except RuntimeError:
+            return  # the loop is closed: the service has ended
+        if not self._stop.is_set():
+            call(session.source_ended, reason)
+
+    def _give(self, session: Session, frame: SourceFrame, call: Callable[..., object]) -> None:
+        done = threading.Event()
+        taken = session.input([frame.content], frame.time_s, lambda _: done.set(), sender=SOURCE)
+        call(session.replace, taken)
+        while not (self.live or self._stop.is_set() or done.is_set()):
+            done.wait(0.5)
 
 
 def _camera_keys(opened: Header) -> Header:

@@ -6,7 +6,6 @@ Their decoders run in a process of their own: `source_process`.
 from __future__ import annotations
 
 import math
-import os
 import re
 import threading
 from collections.abc import Callable, Iterator
@@ -14,16 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
-
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences import open_sequence
-from rendezview.io.sequences.live import why_unreachable, without_password
-from rendezview.io.sequences.quiet import quiet_opencv
+from rendezview.io.sequences.live import is_live, live_frames, without_password
 
-_LIVE = re.compile(r"(rtsps?|rtmp|udp|tcp|https?)://", re.IGNORECASE)
-_DEVICE = re.compile(r"/dev/video\d+|v4l2:(\d+)")
+_V4L2 = re.compile(r"^v4l2:(?=\d+$)")
 RECONNECT_S = 2.0  # s, before a live source is opened again. Source: chosen
 
 
@@ -43,7 +38,6 @@ class Source:
     camera: Camera | None
     live: bool  # True: only the newest frame counts; False: every frame
     frames: Callable[[threading.Event], Iterator[SourceFrame | RendezviewError]]
-    close: Callable[[], None] = lambda: None  # another thread may then wait for a frame no longer
     notes: tuple[str, ...] = ()  # what is odd about its frames, their times and their camera
 
 
@@ -53,10 +47,11 @@ def open_source(text: str, camera: Camera | None) -> Source:
     Raises:
         RendezviewError: it does not exist, or needs a camera file.
     """
-    if _LIVE.match(text) or _DEVICE.fullmatch(text):
+    text = _V4L2.sub("/dev/video", text)
+    if is_live(text):
         if camera is None:
             raise RendezviewError(f"{text}: its calibration is not known: give --camera")
-        return Source(without_password(text), camera, True, lambda stop: _captured(text, stop))
+        return Source(without_password(text), camera, True, lambda stop: _live(text, camera, stop))
     if text.endswith(".mcap"):
         from rendezview_service.logs.replay import read_log  # imports the trackers
 
@@ -78,44 +73,23 @@ def open_source(text: str, camera: Camera | None) -> Source:
     return Source(text, first, False, frames, notes=sequence.notes)
 
 
-def _captured(text: str, stop: threading.Event) -> Iterator[SourceFrame | RendezviewError]:
+def _live(
+    text: str, camera: Camera, stop: threading.Event
+) -> Iterator[SourceFrame | RendezviewError]:
     """Frames of a camera or a network stream; opens it again after a failure."""
-    device = _DEVICE.fullmatch(text)
+
+    def broke_off(said: str) -> None:
+        raise RendezviewError(said)  # is reported at once
+
     while not stop.is_set():
-        with quiet_opencv():
-            if device is not None:
-                number = device[1] or text.removeprefix("/dev/video")
-                capture = cv2.VideoCapture(int(number))
-            else:
-                capture = cv2.VideoCapture(text, cv2.CAP_FFMPEG)
-        if not capture.isOpened():
-            name, why = without_password(text), _why_not(text)
-            yield RendezviewError(f"{name}: cannot be opened: {why}; trying again")
-            stop.wait(RECONNECT_S)
-            continue
-        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        while not stop.is_set():
-            taken, image = capture.read()
-            if not taken:
-                yield RendezviewError(f"{without_password(text)}: broke off; opening it again")
-                break
-            grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-            yield SourceFrame(None, grey.tobytes())
-        capture.release()
+        try:
+            for frame in live_frames(text, camera, broke_off):
+                if stop.is_set():
+                    return
+                yield SourceFrame(None, frame.read().tobytes())
+        except RendezviewError as error:
+            yield error
         stop.wait(RECONNECT_S)
-
-
-def _why_not(text: str) -> str:
-    """Why a live source cannot be opened: OpenCV does not say."""
-    device = _DEVICE.fullmatch(text)
-    if device is None:
-        return why_unreachable(text)
-    try:
-        path = f"/dev/video{device[1]}" if device[1] else text
-        os.close(os.open(path, os.O_RDWR | os.O_NONBLOCK))
-        return "it is busy, or not a camera"
-    except OSError as error:
-        return error.strerror or str(error)
 
 
 def _logged(frames: Iterator[Any]) -> Iterator[SourceFrame | RendezviewError]:

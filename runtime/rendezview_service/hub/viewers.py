@@ -19,16 +19,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
-
 from rendezview.errors import RendezviewError
+from rendezview_service.client.messages import pose_of_state
 from rendezview_service.hub.health import info_of
-from rendezview_service.hub.rerun_readings import ReadingsRecorder, transform
+from rendezview_service.hub.rerun_recorder import RerunRecorder
 from rendezview_service.hub.ros_viewer import RosViewer
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.watching import Watcher
-from rendezview_service.logs.log_schemas import descriptors, frame_transform, pose_in_frame, stamp
 from rendezview_service.messages.messages import SessionInfo
 from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import camera_of
@@ -39,10 +36,9 @@ _SERVER_START_S = 30.0  # s; a program that is read from the disk. Source: a cho
 _SERVER_END_S = 3.0  # s, for a program to end, then it is killed. Source: chosen
 _RATE_HZ, _WIDTH_PX = 15.0, 640  # of what is sent. Source: chosen
 _AXES_M = 1.0  # of the fused pose. Source: chosen
-_CONTOUR_RGBA = (0.35, 0.88, 1.0, 1.0)  # as on the page. Source: chosen
+_CONTOUR_COLOUR = {"r": 0.35, "g": 0.88, "b": 1.0, "a": 1.0}  # as on the page. Source: chosen
 # In its package. Source: `rerun_cli/__main__.py` of rerun-sdk 0.41
 _RERUN_PLACES = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
-_NUMBERS = ("confidence", "score", "range_m", "track_ms", "latency_ms")
 
 Json = dict[str, Any]
 
@@ -89,12 +85,7 @@ class Viewers:
         watcher = Watcher(_RATE_HZ, _WIDTH_PX, contour=True, silhouette=False)
         session.watchers.add(watcher)
         try:
-            while watcher.ended is None:
-                await watcher.news.wait()
-                watcher.news.clear()
-                if watcher.message is None:
-                    continue
-                (text, stamped), watcher.message = watcher.message, None
+            async for text, stamped in watcher.messages():
                 await asyncio.to_thread(self._show, info_of(session), text, stamped[8:])
         finally:
             session.watchers.discard(watcher)
@@ -119,56 +110,52 @@ class FoxgloveViewer:
 
     def __init__(self, host: str, port: int) -> None:
         import foxglove
+        from foxglove import messages
 
-        self._package, self._context = foxglove, foxglove.Context()
-        self._server = foxglove.start_server(
-            name="rendezview", host=host, port=port, context=self._context
-        )
-        self._channels: dict[str, Any] = {}
-
-    def _send(self, topic: str, message: Any) -> None:
-        """Send a message of protobuf, or JSON."""
-        as_json = isinstance(message, dict)
-        if topic not in self._channels:
-            schema: Any = {"type": "object"}
-            if not as_json:
-                name = message.DESCRIPTOR.full_name
-                schema = self._package.Schema(
-                    name=name, encoding="protobuf", data=descriptors(message)
-                )
-            encoding = "json" if as_json else "protobuf"
-            self._channels[topic] = self._package.Channel(
-                topic, message_encoding=encoding, schema=schema, context=self._context
-            )
-        self._channels[topic].log(message if as_json else message.SerializeToString())
+        self._send, self._types = foxglove.log, messages
+        self._server = foxglove.start_server(name="rendezview", host=host, port=port)
 
     def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
         """A `WatchState` and its JPEG, or nothing."""
-        state, at, time_s = message["state"], f"/{info.id}", message["state"]["received_unix_s"]
-        frames = f"{info.id}/camera", f"{info.id}/target"
-        self._send(f"{at}/state", state)
+        send, types, state, at = self._send, self._types, message["state"], f"/{info.id}"
+        camera, target = f"{info.id}/camera", f"{info.id}/target"
+        now = types.Timestamp.from_epoch_secs(state["received_unix_s"])
+        send(f"{at}/state", state)
         if info.flight is not None:
-            self._send(f"{at}/flight", info.flight.model_dump(mode="json"))
+            send(f"{at}/flight", info.flight.model_dump(mode="json"))
         poses = {"pose": state["pose"], "fused": (state.get("fused") or {}).get("pose")}
         for name, pose in poses.items():
             if pose is not None:
-                self._send(f"{at}/target/{name}", pose_in_frame(time_s, pose, frames[0]))
+                place, turn = self._place_and_turn(pose)
+                there = types.Pose(position=place, orientation=turn)
+                posed = types.PoseInFrame(timestamp=now, frame_id=camera, pose=there)
+                send(f"{at}/target/{name}", posed)
         if state["pose"] is not None:
-            self._send(f"{at}/tf", frame_transform(time_s, state["pose"], *frames))
+            place, turn = self._place_and_turn(state["pose"])
+            frames = {"parent_frame_id": camera, "child_frame_id": target}
+            moved = types.FrameTransform(timestamp=now, translation=place, rotation=turn, **frames)
+            send(f"{at}/tf", moved)
         if picture:
-            stamped = {"timestamp": stamp(time_s), "frame_id": frames[0]}
-            image = CompressedImage(data=picture, format="jpeg", **stamped)
-            self._send(f"{at}/camera/image", image)
-            marks, scale = ImageAnnotations(), _WIDTH_PX / max(info.camera.width, _WIDTH_PX)
+            stamped = {"timestamp": now, "frame_id": camera}
+            image = types.CompressedImage(data=picture, format="jpeg", **stamped)
+            send(f"{at}/camera/image", image)
+            scale, drawn = _WIDTH_PX / max(info.camera.width, _WIDTH_PX), []
             if message["contour"] is not None:
-                points = [
-                    {"x": scale * u, "y": scale * v} for u, v in message["contour"]["points_px"]
-                ]
-                drawn = marks.points.add(timestamp=stamp(time_s), points=points, thickness=2.0)
-                drawn.type = drawn.POINTS
-                colour = drawn.outline_color
-                colour.r, colour.g, colour.b, colour.a = _CONTOUR_RGBA
-            self._send(f"{at}/camera/contour", marks)
+                points = message["contour"]["points_px"]
+                contour = types.PointsAnnotation(
+                    timestamp=now,
+                    type=types.PointsAnnotationType.Points,
+                    points=[types.Point2(x=scale * u, y=scale * v) for u, v in points],
+                    outline_color=types.Color(**_CONTOUR_COLOUR),
+                    thickness=2.0,
+                )
+                drawn.append(contour)
+            send(f"{at}/camera/contour", types.ImageAnnotations(points=drawn))
+
+    def _place_and_turn(self, pose: dict[str, list[float]]) -> tuple[Any, Any]:
+        place = dict(zip("xyz", pose["translation_m"], strict=True))
+        turn = dict(zip("wxyz", pose["quat_wxyz"], strict=True))
+        return self._types.Vector3(**place), self._types.Quaternion(**turn)
 
     def close(self) -> None:
         """End the server."""
@@ -219,38 +206,24 @@ class RerunViewer:
         _await_listener(server, at.strip("[]"), port)
         self._stream.connect_grpc(self.address)
         self._open.callback(self._stream.disconnect)
-        self._begun: dict[str, ReadingsRecorder] = {}
+        self._begun: dict[str, RerunRecorder] = {}
 
     def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
         """A `WatchState` and its JPEG, or nothing."""
-        rr, state, at = self._rr, message["state"], info.id
-        record = self._stream.log
-        self._stream.set_time("frame", sequence=state["frame"])
-        self._stream.set_time("time", timestamp=state["received_unix_s"])
-        if at not in self._begun:
-            self._begun[at] = ReadingsRecorder(rr, record, f"{at}/", _AXES_M)
-            record(at, rr.ViewCoordinates.RDF, static=True)
-            camera = info.camera
-            scale = min(1.0, _WIDTH_PX / camera.width)
-            pinhole = rr.Pinhole(
-                focal_length=[scale * camera.fx, scale * camera.fy],
-                principal_point=[scale * camera.cx, scale * camera.cy],
-                resolution=[scale * camera.width, scale * camera.height],
-            )
-            record(f"{at}/camera/image", pinhole, static=True)
-        record(f"{at}/target", transform(rr, state["pose"]))
-        scale = min(1.0, _WIDTH_PX / info.camera.width)
-        self._begun[at].show(state, camera_of(info.camera), scale)
-        if picture:
-            image = rr.EncodedImage(contents=picture, media_type="image/jpeg")
-            record(f"{at}/camera/image", image)
-            contour = message["contour"] or {"points_px": []}
-            points = [(scale * u, scale * v) for u, v in contour["points_px"]]
-            record(f"{at}/camera/image/contour", rr.Points2D(points, radii=1.0))
-        numbers = {name: state[name] for name in _NUMBERS} | (state.get("approach") or {})
-        for name, value in numbers.items():
-            if isinstance(value, int | float):
-                record(f"{at}/plots/{name}", rr.Scalars(float(value)))
+        rr, state = self._rr, message["state"]
+        if info.id not in self._begun:
+            self._begun[info.id] = RerunRecorder(rr, self._stream, f"/{info.id}", _AXES_M)
+        shown = rr.EncodedImage(contents=picture, media_type="image/jpeg") if picture else None
+        self._begun[info.id].show(
+            state["frame"],
+            state["received_unix_s"],
+            state,
+            pose_of_state(state),
+            camera=camera_of(info.camera),
+            picture=shown,
+            scale=min(1.0, _WIDTH_PX / info.camera.width),
+            contour_px=(message["contour"] or {"points_px": ()})["points_px"],
+        )
 
     def close(self) -> None:
         """End the server."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,6 +28,17 @@ class Watcher:
     def late_s(self) -> float:
         """When it sees a frame that it missed: a period late, so that a next one comes first."""
         return self.due_s + 1.0 / self.rate_hz
+
+    async def messages(self) -> AsyncIterator[tuple[bytes, bytes]]:
+        """The newest message whenever there is one, until it has ended."""
+        while True:
+            await self.news.wait()
+            self.news.clear()
+            if self.message is not None:
+                newest, self.message = self.message, None
+                yield newest
+            if self.ended is not None:
+                return
 
     def show(self, text: bytes, picture: bytes) -> None:
         """Replace the message that is not read yet."""

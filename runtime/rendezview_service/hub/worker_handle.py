@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import logging
 import mmap
 import os
@@ -22,11 +23,11 @@ from pathlib import Path
 
 from rendezview_service.hub.clock import PAUSE_S, Timer
 from rendezview_service.hub.inputs import SessionInput
-from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.hub.sessions import Session
 from rendezview_service.messages.messages import SessionRequest
-from rendezview_service.messages.wire import Header, Unpacker, mapped, pack, shared_memory
+from rendezview_service.messages.wire import Header, Unpacker, pack, shared_memory
 from rendezview_service.settings import Settings
+from rendezview_service.tracker.tracking import session_notes
 
 log = logging.getLogger("rendezview_service")
 
@@ -52,9 +53,8 @@ class WorkerGone(Exception):
 class WorkerHandle(asyncio.Protocol):
     """Starts one worker process, sends it inputs, and gives its answers to the sessions."""
 
-    def __init__(self, memory_bytes: int, frame_timeout_s: float) -> None:
-        self._memory_bytes = memory_bytes
-        self._frame_timeout_s = frame_timeout_s
+    def __init__(self, settings: Settings) -> None:
+        self._settings, self._memory_bytes = settings, settings.frame_bytes
         self.sessions: set[Session] = set()
         self.on_gone: Callable[[WorkerHandle], None] = lambda worker: None
         self.on_progress: Callable[[int], None] = lambda loops: None  # compiled so far
@@ -79,13 +79,19 @@ class WorkerHandle(asyncio.Protocol):
         loop = asyncio.get_running_loop()
         ours, theirs = socket.socketpair()
         memory = shared_memory(self._memory_bytes)
-        self._memory = mapped(memory, self._memory_bytes)
+        self._memory = mmap.mmap(memory, self._memory_bytes)
         self._unpacker = Unpacker()
         self._started = loop.create_future()
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         command = [sys.executable, "-m", "rendezview_service.worker.worker"]
         self._process = subprocess.Popen(
-            [*command, str(theirs.fileno()), str(memory), str(self._memory_bytes)],
+            [
+                *command,
+                str(theirs.fileno()),
+                str(memory),
+                str(self._memory_bytes),
+                self._settings.model_dump_json(),
+            ],
             pass_fds=(theirs.fileno(), memory),
             stdin=subprocess.DEVNULL,
             env=environment,
@@ -110,6 +116,7 @@ class WorkerHandle(asyncio.Protocol):
         if self._transport is None:
             raise WorkerGone
         future: asyncio.Future[Header] = asyncio.get_running_loop().create_future()
+        header = {"session": "", **header}
         self._answers.append((header, future))
         self._transport.write(pack(header))
         while True:
@@ -182,10 +189,11 @@ class WorkerHandle(asyncio.Protocol):
             self._current = session, waiting
             request = session.header_of(waiting)
             # Every late line makes the filter repeat what came after it.
-            count = min(waiting.lines, request["most_lines"]) if waiting.sensor is not None else 1
+            most = self._settings.measurement_lines
+            count = 1 if waiting.sensor is None else min(waiting.lines, most)
             waiting.move_to(self._memory)
             self._transport.write(pack(request))
-            limit_s = count * self._frame_timeout_s
+            limit_s = count * self._settings.frame_timeout_s
             self._sent_at_s, self._spent_before_s = time.monotonic(), self._processor_s()
             self._timer = Timer(limit_s, partial(self._late, limit_s))
 
@@ -307,32 +315,27 @@ class WorkerHandle(asyncio.Protocol):
         self.on_gone(self)
 
 
-def open_request(session: Session, settings: Settings) -> Header:
+def open_request(session: Session) -> Header:
     """Track a session from its next frame on, and record it if it has a log."""
-    log_path = session.log.base
+    session_log, base = session.log, session.log.base
+    notes = session_notes(
+        session.id,
+        session.request_now,
+        session.stored.info.target or "?",
+        session.stored.copy,
+        model_file=session.stored.path.name,
+        opened_unix_s=repr(session.created_unix_s),
+        log=session_log.id,
+        first_frame=str(session.frame_base),
+        handover=json.dumps(session.handover),
+        forgotten="yes" if session.is_fused else "no",
+    )
     return {
         "kind": "open",
         "session": session.id,
-        "opened_unix_s": session.created_unix_s,
-        "request": session.request_now.model_dump(mode="json"),
+        "notes": notes,
         "sight": sight_of(session.request, session.stored.copy),
-        "model_file": session.stored.path.name,
-        "sensors": settings.sensors,
-        "forgotten": session.is_fused,
-        "handover": session.handover,
-        "first_frame": session.frame_base,
-        "log": session.log.id,
-        "log_path": None if log_path is None else str(log_path),
-        "log_model": settings.record_model,
-        "recording": {
-            "images": settings.record_images,
-            "sync": settings.sync,
-            "compression": settings.compression,
-            "part_bytes": settings.log_part_bytes,
-            "part_s": settings.log_part_s,
-            "wait_s": settings.log_wait_s,
-            "memory_bytes": settings.log_memory_bytes,
-        },
+        "log_path": None if base is None else str(base),
     }
 
 
@@ -341,18 +344,3 @@ def sight_of(request: SessionRequest, model: Path) -> Header:
     assert request.camera is not None
     camera = request.camera.model_dump(mode="json", exclude={"checked"})
     return {"camera": camera, "trees": request.trees, "model_path": str(model)}
-
-
-def prepare_request(sights: list[Header]) -> Header:
-    """Have these recognizers ready, and no others without a session."""
-    return {"kind": "prepare", "session": "", "sights": sights}
-
-
-def read_request(model: StoredModel) -> Header:
-    """Read a model, before a session uses it."""
-    return {"kind": "read", "session": "", "model_path": str(model.copy)}
-
-
-def warm_request(*, sensors: bool) -> Header:
-    """Load the loops of trackers, or compile them; and those of sessions' own sensors."""
-    return {"kind": "warm", "session": "", "sensors": sensors}

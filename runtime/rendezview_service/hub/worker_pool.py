@@ -13,14 +13,7 @@ from rendezview_service.hub.inputs import NotReady
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import StoredModel
 from rendezview_service.hub.sessions import Session
-from rendezview_service.hub.worker_handle import (
-    WorkerGone,
-    WorkerHandle,
-    prepare_request,
-    read_request,
-    sight_of,
-    warm_request,
-)
+from rendezview_service.hub.worker_handle import WorkerGone, WorkerHandle, sight_of
 from rendezview_service.messages.wire import Header
 from rendezview_service.settings import Settings
 
@@ -102,11 +95,6 @@ class WorkerPool:
         """Whether no worker is ready."""
         return not any(worker.ready for worker in self._workers)
 
-    @property
-    def troubles(self) -> list[str]:
-        """Why no frame can be tracked."""
-        return ["no worker process is ready"] * self.none_ready
-
     def least_busy(self) -> WorkerHandle:
         """The worker with the fewest sessions.
 
@@ -128,15 +116,15 @@ class WorkerPool:
         self._sights = found[-_MOST_PREPARED:]
         if self._spare is not None and self._spare.ready:
             with contextlib.suppress(WorkerGone):
-                await self._spare.ask(prepare_request(self._sights))
+                await self._spare.ask({"kind": "prepare", "sights": self._sights})
 
     async def expect(self, sights: list[Header]) -> None:
         """Have all workers ready for sessions that may come; see `sight_of`."""
-        await self._ask_all(prepare_request(sights[-_MOST_PREPARED:]))
+        await self._ask_all({"kind": "prepare", "sights": sights[-_MOST_PREPARED:]})
 
     async def read(self, model: StoredModel) -> None:
         """Have all workers read a model, before a session uses it."""
-        await self._ask_all(read_request(model))
+        await self._ask_all({"kind": "read", "model_path": str(model.copy)})
 
     async def _ask_all(self, request: Header) -> None:
         for worker in self._workers:
@@ -158,7 +146,7 @@ class WorkerPool:
             raise NotReady(COMPILING) from None
 
     def _new(self) -> WorkerHandle:
-        worker = WorkerHandle(self._settings.frame_bytes, self._settings.frame_timeout_s)
+        worker = WorkerHandle(self._settings)
         worker.on_gone = self._gone
         worker.on_progress = self._compiled
         return worker
@@ -175,7 +163,7 @@ class WorkerPool:
             RendezviewError: they cannot be compiled.
         """
         await worker.start()
-        request = warm_request(sensors=not self.without_sensors())
+        request = {"kind": "warm", "sensors": not self.without_sensors()}
         answer = await worker.ask(request)
         if answer["kind"] == "fault":
             raise RendezviewError(answer["error"])
@@ -218,7 +206,7 @@ class WorkerPool:
             orphans = await self._orphaned(orphans, takes_over)
             if takes_over is not None:
                 with contextlib.suppress(WorkerGone):
-                    await takes_over.ask(prepare_request([]))
+                    await takes_over.ask({"kind": "prepare", "sights": []})
                 await asyncio.sleep(_SPARE_PAUSE_S)
         fresh = self._new()
         while True:
@@ -236,7 +224,7 @@ class WorkerPool:
         else:
             self._spare = fresh
             with contextlib.suppress(WorkerGone):
-                await fresh.ask(prepare_request(self._sights))
+                await fresh.ask({"kind": "prepare", "sights": self._sights})
                 log.info("a spare worker is ready")
         while orphans := await self._orphaned(orphans, None):
             await asyncio.sleep(_RESTART_PAUSE_S)

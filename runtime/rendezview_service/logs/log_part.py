@@ -22,6 +22,7 @@ from pathlib import Path
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap_protobuf.schema import build_file_descriptor_set
 
 from rendezview.io.file_lock import NO_LOCKS, lock
 from rendezview_service.logs import log_schemas
@@ -214,7 +215,7 @@ def beginning(notes: dict[str, str], model: bytes | None) -> tuple[list[bytes], 
             text = json.dumps(log_schemas.json_schema(number)).encode()
             add(Schema(id=number, data=text, encoding="jsonschema", name=name))
         else:
-            data = log_schemas.descriptors(kind)
+            data = build_file_descriptor_set(kind).SerializeToString()
             add(Schema(id=number, data=data, encoding="protobuf", name=name))
         encoding = "json" if kind is None else "protobuf"
         add(Channel(number, topic, encoding, {}, number))

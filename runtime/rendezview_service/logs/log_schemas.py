@@ -10,7 +10,6 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.timestamp_pb2 import Timestamp
 from pydantic_core import to_json
 
@@ -37,23 +36,6 @@ TOPICS: dict[int, tuple[str, str, Any]] = {
 }
 
 
-def descriptors(message: Any) -> bytes:
-    """The serialized ``FileDescriptorSet`` of a protobuf class, dependencies first."""
-    files = FileDescriptorSet()
-    seen: set[str] = set()
-
-    def add(file: Any) -> None:
-        if file.name in seen:
-            return
-        seen.add(file.name)
-        for dependency in file.dependencies:
-            add(dependency)
-        file.CopyToProto(files.file.add())
-
-    add(message.DESCRIPTOR.file)
-    return bytes(files.SerializeToString())
-
-
 def json_schema(channel: int) -> dict[str, Any]:
     """JSON schema of the service's messages without references and alternatives, for viewers."""
     schema = (State if channel == STATE else LoggedMeasurement).model_json_schema()
@@ -76,29 +58,22 @@ def _plain(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any
     return plain
 
 
-def stamp(time_s: float) -> Timestamp:
+def _stamp(time_s: float) -> Timestamp:
     """Seconds as a protobuf timestamp."""
     whole = math.floor(time_s)
     return Timestamp(seconds=whole, nanos=min(int((time_s - whole) * 1e9), 999_999_999))
 
 
-def pose_in_frame(
-    time_s: float, pose: dict[str, list[float]], frame: str = CAMERA_FRAME
-) -> PoseInFrame:
+def _pose_in_frame(time_s: float, pose: dict[str, list[float]]) -> PoseInFrame:
     """foxglove.PoseInFrame: the target in the camera frame."""
-    message = PoseInFrame(timestamp=stamp(time_s), frame_id=frame)
+    message = PoseInFrame(timestamp=_stamp(time_s), frame_id=CAMERA_FRAME)
     _set(message.pose.position, message.pose.orientation, pose)
     return message
 
 
-def frame_transform(
-    time_s: float,
-    pose: dict[str, list[float]],
-    parent: str = CAMERA_FRAME,
-    child: str = TARGET_FRAME,
-) -> FrameTransform:
+def _frame_transform(time_s: float, pose: dict[str, list[float]]) -> FrameTransform:
     """foxglove.FrameTransform: the target in the camera frame."""
-    at = stamp(time_s)
+    at, parent, child = _stamp(time_s), CAMERA_FRAME, TARGET_FRAME
     message = FrameTransform(timestamp=at, parent_frame_id=parent, child_frame_id=child)
     _set(message.translation, message.rotation, pose)
     return message
@@ -114,7 +89,7 @@ def _calibration(time_s: float, camera: Camera) -> CameraCalibration:
     polynomial = "plumb_bob" if len(distortion) == 5 else "rational_polynomial"
     projection = [*matrix[0], 0.0, *matrix[1], 0.0, *matrix[2], 0.0]
     return CameraCalibration(
-        timestamp=stamp(time_s),
+        timestamp=_stamp(time_s),
         frame_id=CAMERA_FRAME,
         width=camera.width,
         height=camera.height,
@@ -130,7 +105,7 @@ def _image(
     time_s: float, content: Bytes, kind: FrameKind, camera: Camera
 ) -> tuple[int, RawImage | CompressedImage]:
     """Channel and message of a frame, with its bytes as they arrived."""
-    at, data = stamp(time_s), bytes(content)
+    at, data = _stamp(time_s), bytes(content)
     if kind is not FrameKind.RAW:
         named = {"frame_id": CAMERA_FRAME, "format": str(kind)}
         return COMPRESSED, CompressedImage(timestamp=at, data=data, **named)
@@ -153,10 +128,10 @@ def of_frame(
     time_s, pose, fused = state["time_s"], state["pose"], state.get("fused")
     parts: list[tuple[int, Any]] = []
     if pose is not None:
-        parts.append((POSE, pose_in_frame(time_s, pose)))
-        parts.append((TRANSFORM, frame_transform(time_s, pose)))
+        parts.append((POSE, _pose_in_frame(time_s, pose)))
+        parts.append((TRANSFORM, _frame_transform(time_s, pose)))
     if fused is not None and fused["pose"] is not None:
-        parts.append((FUSED, pose_in_frame(time_s, fused["pose"])))
+        parts.append((FUSED, _pose_in_frame(time_s, fused["pose"])))
     if content is not None:
         parts.append(_image(time_s, content, kind_of(content), camera))
     if calibrates:
@@ -176,7 +151,7 @@ def of_measurements(lines: list[dict[str, Any]]) -> list[Logged]:
         text = to_json(line, inf_nan_mode="null")
         parts.append((MEASUREMENT, text, nanoseconds(at_s), sequence))
         if fused is not None and fused["pose"] is not None:
-            pose = pose_in_frame(fused["time_s"], fused["pose"]).SerializeToString()
+            pose = _pose_in_frame(fused["time_s"], fused["pose"]).SerializeToString()
             parts.append((FUSED, pose, nanoseconds(fused["time_s"]), sequence))
     return parts
 

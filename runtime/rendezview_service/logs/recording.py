@@ -17,9 +17,8 @@ import secrets
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from rendezview.geometry.camera import Camera
 from rendezview.io.files import write_error
@@ -29,6 +28,7 @@ from rendezview_service.logs.log_part import Gone, OpenPart, Sync, beginning
 from rendezview_service.logs.log_queue import Entry, Kept
 from rendezview_service.messages.frames import Bytes
 from rendezview_service.messages.messages import Recording, RecordingState
+from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import StateDict
 
 log = logging.getLogger("rendezview_service.worker.worker")
@@ -43,19 +43,6 @@ _LATE_SYNC_S = 5.0  # s, the same for an fsync. Source: chosen
 _TOLD_S = 30.0  # s, for which a fault that is over is reported. Source: chosen
 
 
-@dataclass(frozen=True, kw_only=True)
-class RecordingOptions:
-    """The parts to record, and when they are forced to the disk."""
-
-    images: bool = True
-    sync: Literal["always", "interval", "never"] = "interval"
-    compression: Literal["", "lz4", "zstd"] = "lz4"
-    part_bytes: int = 1_000_000_000  # of a part, then the next begins. Source: chosen
-    part_s: float = 3600.0  # s, the same; bounds the index in memory to 15 MB. Source: chosen
-    wait_s: float = 0.25  # s, that an answer waits for the disk. Source: chosen
-    memory_bytes: int = 64_000_000  # of what waits or is not confirmed. Source: chosen
-
-
 class LogWriter:
     """Writes the log of one session. Disk faults are reported in `status`, not raised.
 
@@ -68,7 +55,7 @@ class LogWriter:
         camera: Camera,
         metadata: Mapping[str, str],
         model: bytes | None,
-        options: RecordingOptions | None = None,
+        options: Settings | None = None,
     ) -> None:
         """Start a log, or its next part.
 
@@ -76,16 +63,17 @@ class LogWriter:
             path: of its first part; if the file exists, the part gets the next number.
             metadata: the session's data for replay; ``log`` is common to the parts of a log.
             model: the model file, attached to each part.
+            options: what is recorded, how long and large a part is, and when it is forced to disk.
         """
-        self.options = options or RecordingOptions()
+        self.options = options or Settings()
         self._base = path
         self._camera, self._never_syncs = camera, self.options.sync == "never"
         self._metadata = {"log": secrets.token_hex(8)} | dict(metadata)
-        self._model = model if self.options.images else None
+        self._model = model if self.options.record_images else None
         self._calibrated_at = -1e300
         # Both threads, under the condition:
         self._change = threading.Condition()
-        self._kept = Kept(self.options.memory_bytes)
+        self._kept = Kept(self.options.log_memory_bytes)
         self._part: OpenPart | None = None
         self._paths: list[Path] = []
         # The disk has kept an answer waiting: no other waits until it is done.
@@ -105,7 +93,7 @@ class LogWriter:
         self._thread = threading.Thread(target=self._run, daemon=True, name=f"log {path.name}")
         with self._change:
             self._thread.start()
-            self._change.wait_for(lambda: self._part or self._reason, self.options.wait_s)
+            self._change.wait_for(lambda: self._part or self._reason, self.options.log_wait_s)
 
     # The session's thread
 
@@ -145,7 +133,7 @@ class LogWriter:
         calibrates = state["received_unix_s"] - self._calibrated_at >= _CALIBRATION_EVERY_S
         if calibrates:
             self._calibrated_at = state["received_unix_s"]
-        picture = content if self.options.images else None
+        picture = content if self.options.record_images else None
         found = log_schemas.of_frame(state, state_json, picture, self._camera, calibrates)
         return self._put(state["received_unix_s"], found)
 
@@ -162,7 +150,9 @@ class LogWriter:
                 return f"failed: {self._trouble() or 'the disk is too slow'}"
             self._change.notify_all()
             if not self._late:
-                self._change.wait_for(lambda: entry.recorded or self._reason, self.options.wait_s)
+                self._change.wait_for(
+                    lambda: entry.recorded or self._reason, self.options.log_wait_s
+                )
                 self._late = not entry.recorded
             if entry.recorded:
                 return RECORDED
@@ -253,8 +243,8 @@ class LogWriter:
         return self._kept.oldest is not None or self._part.sync_error is not None
 
     def _is_long(self, part: OpenPart) -> bool:
-        old = time.monotonic() - self._begun_s > self.options.part_s
-        return part.states > 0 and (old or part.scan.end > self.options.part_bytes)
+        old = time.monotonic() - self._begun_s > self.options.log_part_s
+        return part.states > 0 and (old or part.scan.end > self.options.log_part_bytes)
 
     def _recorded(self, part: OpenPart, entries: list[Entry]) -> None:
         with self._change:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 import threading
-from collections import OrderedDict
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -142,8 +141,7 @@ class Recordings:
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
-        self._open: OrderedDict[tuple[str, int], Recording] = OrderedDict()
-        self._lock = threading.Lock()
+        self._opened = lru_cache(_OPEN)(lambda path, _size: Recording(path))
 
     def list(self) -> list[Recorded]:
         """The first parts of all logs, the newest first."""
@@ -161,13 +159,7 @@ class Recordings:
         path = None if self._folder is None else self._folder / name
         if path is None or path.name != name or path.suffix != ".mcap" or not path.is_file():
             return None
-        key = name, path.stat().st_size
-        with self._lock:
-            found = self._open.pop(key, None) or Recording(path)
-            self._open[key] = found
-            while len(self._open) > _OPEN:
-                self._open.popitem(last=False)
-        return found
+        return self._opened(path, path.stat().st_size)
 
 
 def summary(path: Path) -> Recorded:

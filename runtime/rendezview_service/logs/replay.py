@@ -280,13 +280,8 @@ class _Run:
     def of(cls, log: Log, notes: dict[str, str], model: ViewModel) -> _Run:
         request = log.request_of(notes)
         assert request is not None
-        forgotten = notes.get("forgotten") == "yes"
-        session, first = notes.get("session", "replay"), int(notes.get("first_frame", 0))
-        tracker = SessionTracker(
-            session, model, request, forgotten=forgotten,
-            handover=json.loads(notes.get("handover", "null")),
-        )  # fmt: skip
-        return cls(tracker, first, first)
+        first = int(notes.get("first_frame", 0))
+        return cls(SessionTracker.of_notes(notes, request, model), first, first)
 
 
 def _measure_again(tracker: SessionTracker, line: LoggedMeasurement, so_far: Comparison) -> None:

@@ -5,7 +5,6 @@ Frames do not go this way but through shared memory.
 
 from __future__ import annotations
 
-import mmap
 import os
 import socket
 import struct
@@ -82,8 +81,3 @@ def shared_memory(size: int) -> int:
             descriptor = os.dup(file.fileno())
     os.ftruncate(descriptor, size)
     return descriptor
-
-
-def mapped(descriptor: int, size: int) -> mmap.mmap:
-    """Map shared memory."""
-    return mmap.mmap(descriptor, size)

@@ -7,39 +7,53 @@ aligned with the port has the axes of this frame.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview_service.messages.approach_messages import ApproachRequest, Level, LimitMessage
 from rendezview_service.messages.fusion_messages import FusionRequest
 
-Json = dict[str, Any]
 _NEARLY_PARALLEL = 0.9  # cosine, of axis and default up. Source: chosen
 _LEAST_M = 1e-9  # m; nearer there is no direction. Source: by construction
 _LEAST_RATE_M_S = 1e-6  # m/s; slower there is no contact. Source: chosen
-_WORDS = {
-    "range_m": ("range", "m"),
-    "range_sigma_m": ("range σ", "m"),
-    "range_rate_m_s": ("range rate", "m/s"),
-    "along_m": ("distance along the axis", "m"),
-    "lateral_m": ("lateral offset", "m"),
-    "lateral_rate_m_s": ("lateral rate", "m/s"),
-    "miss_m": ("predicted miss", "m"),
-    "plan_m": ("distance from the plan", "m"),
-    "bearing_deg": ("bearing", "°"),
-    "off_axis_deg": ("angle off the axis", "°"),
-    "roll_deg": ("roll", "°"),
-    "pitch_deg": ("pitch", "°"),
-    "yaw_deg": ("yaw", "°"),
-    "misalignment_deg": ("misalignment", "°"),
-    "turn_rate_deg_s": ("turn rate", "°/s"),
+Json = dict[str, Any]
+
+
+def _apart_deg(state: Json, one: str, other: str) -> float:
+    """The angle of a direction that is turned by two angles, one after the other."""
+    cosine = math.cos(state[one]) * math.cos(state[other])
+    return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
+
+
+# Name, unit and value in a state of what a limit may bound.
+_QUANTITIES: dict[str, tuple[str, str, Callable[[Json], float | None]]] = {
+    "range_m": ("range", "m", itemgetter("range_m")),
+    "range_sigma_m": ("range σ", "m", itemgetter("range_sigma_m")),
+    "range_rate_m_s": ("range rate", "m/s", itemgetter("range_rate_m_s")),
+    "along_m": ("distance along the axis", "m", itemgetter("along_m")),
+    "lateral_m": ("lateral offset", "m", lambda s: math.hypot(s["right_m"], s["up_m"])),
+    "lateral_rate_m_s": (
+        "lateral rate",
+        "m/s",
+        lambda s: math.hypot(s["right_rate_m_s"], s["up_rate_m_s"]),
+    ),
+    "miss_m": ("predicted miss", "m", itemgetter("miss_m")),
+    "plan_m": ("distance from the plan", "m", itemgetter("plan_m")),
+    "bearing_deg": ("bearing", "°", lambda s: _apart_deg(s, "azimuth_rad", "elevation_rad")),
+    "off_axis_deg": ("angle off the axis", "°", lambda s: math.degrees(s["off_axis_rad"])),
+    "roll_deg": ("roll", "°", lambda s: math.degrees(s["roll_rad"])),
+    "pitch_deg": ("pitch", "°", lambda s: math.degrees(s["pitch_rad"])),
+    "yaw_deg": ("yaw", "°", lambda s: math.degrees(s["yaw_rad"])),
+    "misalignment_deg": ("misalignment", "°", lambda s: _apart_deg(s, "yaw_rad", "pitch_rad")),
+    "turn_rate_deg_s": ("turn rate", "°/s", lambda s: math.degrees(s["turn_rate_rad_s"])),
 }
-
-
 _WITHOUT_PORT = ("range_m", "range_sigma_m", "range_rate_m_s", "plan_m", "bearing_deg",
                  "turn_rate_deg_s")  # fmt: skip
 
@@ -139,10 +153,7 @@ class ApproachMonitor:
         if speed[2] > _LEAST_RATE_M_S and place[2] < 0.0:
             contact_s = float(-place[2] / speed[2])
             place_at = math.hypot(*(place[:2] + contact_s * speed[:2]))
-        ahead = back[:, 2]
-        yaw = math.atan2(ahead[0], ahead[2])
-        pitch = math.atan2(-ahead[1], math.hypot(ahead[0], ahead[2]))
-        flat = (_about_y(yaw) @ _about_x(pitch)).T @ back
+        yaw, pitch, roll = Rotation.from_matrix(back).as_euler("YXZ").tolist()
         return {
             "along_m": float(-place[2]),
             "right_m": float(place[0]),
@@ -151,7 +162,7 @@ class ApproachMonitor:
             "right_rate_m_s": float(speed[0]),
             "up_rate_m_s": float(-speed[1]),
             "off_axis_rad": math.atan2(sideways, -place[2]),
-            "roll_rad": math.atan2(flat[1, 0], flat[0, 0]),
+            "roll_rad": roll,
             "pitch_rad": pitch,
             "yaw_rad": yaw,
             "contact_s": contact_s,
@@ -187,7 +198,7 @@ class ApproachMonitor:
         for limit in self._asked.limits:
             if limit.within_m is not None and state["range_m"] > limit.within_m:
                 continue
-            value = _quantity(limit.quantity, state)
+            value = _QUANTITIES[limit.quantity][2](state)
             said = None if value is None else _exceeded(limit, value)
             if said is not None:
                 found.append({"level": limit.level, "quantity": limit.quantity, "text": said})
@@ -195,31 +206,12 @@ class ApproachMonitor:
 
 
 def _exceeded(limit: LimitMessage, value: float) -> str | None:
-    name, unit = _WORDS[limit.quantity]
+    name, unit, _ = _QUANTITIES[limit.quantity]
     if limit.most is not None and value > limit.most:
         return f"{name} {value:.3g} {unit}: more than {limit.most:g} {unit}"
     if limit.least is not None and value < limit.least:
         return f"{name} {value:.3g} {unit}: less than {limit.least:g} {unit}"
     return None
-
-
-def _quantity(name: str, state: Json) -> float | None:
-    """A limit's quantity; None where it has no value."""
-    if name == "lateral_m":
-        return math.hypot(state["right_m"], state["up_m"])
-    if name == "lateral_rate_m_s":
-        return math.hypot(state["right_rate_m_s"], state["up_rate_m_s"])
-    if name == "bearing_deg":
-        cosine = math.cos(state["azimuth_rad"]) * math.cos(state["elevation_rad"])
-        return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
-    if name == "misalignment_deg":
-        cosine = math.cos(state["yaw_rad"]) * math.cos(state["pitch_rad"])
-        return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
-    key = name.replace("_deg", "_rad")
-    value: float | None = state[key]
-    if value is None or key == name:
-        return value
-    return math.degrees(value)
 
 
 def _port_of(asked: ApproachRequest, fusion: FusionRequest | None) -> Port | None:
@@ -245,13 +237,3 @@ def _sight(place: Array) -> tuple[Array, float]:
     """Direction and length."""
     length = float(np.linalg.norm(place))
     return place / max(length, _LEAST_M), length
-
-
-def _about_y(angle: float) -> Array:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
-def _about_x(angle: float) -> Array:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])

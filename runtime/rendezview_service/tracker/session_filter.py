@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class SensorCounts:
     kind: str
     lines: int = 0
     silent: int = 0  # lines without a measurement
-    measurements: int = 0
+    heard: int = 0  # measurements
     accepted: int = 0
     reason: str | None = None  # if its last measurement was rejected
 
@@ -205,16 +205,10 @@ class SessionFilter:
         found = {}
         for name, counts in self._counts.items():
             trust = trusts.get(name)
-            found[name] = {
-                "kind": counts.kind,
-                "lines": counts.lines,
-                "silent": counts.silent,
-                "heard": counts.measurements,
-                "accepted": counts.accepted,
+            found[name] = asdict(counts) | {
                 "locked_out": trust is not None and trust.locked,
                 "lockouts": 0 if trust is None else trust.lockouts,
                 "mean_nis": None if trust is None else _finite(trust.mean_nis),
-                "reason": counts.reason,
             }
         return found
 
@@ -236,7 +230,7 @@ class SessionFilter:
         self._newest_s = max(self._newest_s, time_s)
 
     def _add(self, measurement: Measurement, counts: SensorCounts) -> Json:
-        counts.measurements += 1
+        counts.heard += 1
         self.measured_s = max(self.measured_s, measurement.time_s)
         newest_s = max(self._newest_s, measurement.time_s)
         try:

@@ -6,14 +6,12 @@ import math
 
 import numpy as np
 
-from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.io.results import json_value
 from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.trajectory import FollowerOptions, PathFollower, plan_of
 from rendezview.trajectory.follower import record
 from rendezview_service.messages.frame_sensor_messages import TrajectoryRequest
-from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.tracker.sensor_lines import Json, pose_of_fused
 
 # A frame is fitted that is later than the last one by this share of the segment so far: of frames
@@ -73,17 +71,3 @@ class SessionPath:
             ).tolist(),
         }
         return self._record
-
-
-def trajectory_of(request: SessionRequest) -> TrajectoryRequest | None:
-    """The path that a session fits; None: none.
-
-    Raises:
-        RendezviewError: it has neither a shape nor a plan.
-    """
-    asked = None if request.sensors is None else request.sensors.trajectory
-    if not asked:
-        return None
-    if asked is True or (asked.shape is None and asked.plan is None):
-        raise RendezviewError("sensors: trajectory: what path is flown? Give a shape or a plan")
-    return asked

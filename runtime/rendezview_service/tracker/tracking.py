@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -19,6 +24,7 @@ from rendezview.sensors.appearance.edges.contour_at import contour_pixels
 from rendezview.sensors.appearance.integrity.monitor import IntegrityOptions
 from rendezview.sensors.appearance.region import Region
 from rendezview.sensors.observation import Status
+from rendezview_service.messages.frame_sensor_messages import TrajectoryRequest
 from rendezview_service.messages.message_parts import MOST_TIME_S, PoseMessage
 from rendezview_service.messages.messages import (
     CameraMessage,
@@ -30,13 +36,14 @@ from rendezview_service.messages.messages import (
 from rendezview_service.tracker.approach import ApproachMonitor
 from rendezview_service.tracker.frame_sensors import FrameSensors
 from rendezview_service.tracker.session_filter import SessionFilter
-from rendezview_service.tracker.session_path import SessionPath, trajectory_of
+from rendezview_service.tracker.session_path import SessionPath
 
 # A `State` as a dict. It is not validated, because it is made here for every frame.
 StateDict = dict[str, Any]
 
 # Keys of an observation's record that a state has as they are, in this order.
 _OBSERVED = ("status", "reason", "pose", "covariance", "confidence", "score")
+_VERSIONS = {name: metadata.version(name) for name in ("rendezview", "numpy", "numba")}
 _OUTLINE_POINTS = 600  # of a silhouette that is drawn. Source: a chosen limit
 
 
@@ -55,8 +62,31 @@ def camera_of(message: CameraMessage) -> Camera:
 
 def camera_message(camera: Camera, *, checked: bool = False) -> CameraMessage:
     """A camera as a message; ``checked``: what is odd about it is known."""
-    keys = {name: getattr(camera, name) for name in CameraMessage.model_fields if name != "checked"}
+    keys = asdict(camera)
+    del keys["doubts"]  # of its file
     return CameraMessage.model_validate(keys | {"checked": checked})
+
+
+def session_notes(
+    session: str, request: SessionRequest, target: str, model: Path, **more: str
+) -> dict[str, str]:
+    """What a tracker begins with: the metadata of a log.
+
+    Args:
+        model: its file, named by its hash.
+        more: ``model_file``, its own name; ``first_frame``, the number of the first frame;
+            ``forgotten`` and ``handover``, as in `SessionTracker`; and others.
+    """
+    return {
+        "session": session,
+        "request": request.model_dump_json(),
+        "target": target,
+        "model_file": model.name,
+        "model_sha256": model.stem,
+        "versions": json.dumps(_VERSIONS),
+        "opencv": cv2.__version__,
+        **more,
+    }
 
 
 class SessionTracker:
@@ -112,14 +142,29 @@ class SessionTracker:
         )
         if handover is not None:
             self.filter.resume(handover)
-        fits = trajectory_of(request)
+        fits = None if request.sensors is None else request.sensors.trajectory
         ring = None if request.fusion is None else request.fusion.ring
         centre_m = model.centre_m if ring is None else np.array(ring.centre_m)
-        self._path = None if fits is None else SessionPath(fits, centre_m)
+        self._path = SessionPath(fits, centre_m) if isinstance(fits, TrajectoryRequest) else None
         self._approach = ApproachMonitor(request.approach, request.fusion, model.centre_m)
         self.frames = 0  # tracked so far
         self.last_s = -math.inf  # of the last frame; -inf: none yet
         self._last_pose_s: float | None = None
+
+    @classmethod
+    def of_notes(
+        cls,
+        notes: dict[str, str],
+        request: SessionRequest,
+        model: ViewModel,
+        most_sensors: int | None = None,
+        recognizer: Recognizer | None = None,
+    ) -> SessionTracker:
+        """The tracker of a session by its `session_notes`; a replay makes the same one."""
+        forgotten = notes.get("forgotten") == "yes"
+        handover = json.loads(notes.get("handover", "null"))
+        name = notes.get("session", "replay")
+        return cls(name, model, request, most_sensors, forgotten, recognizer, handover)
 
     def track(
         self,

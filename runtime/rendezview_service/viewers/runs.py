@@ -43,21 +43,6 @@ def moments(log: Path, scene: Sequence | None = None) -> Iterator[Moment]:
     return _of_lines(log, scene)
 
 
-def pose_of(record: dict[str, Any], where: str) -> Pose | None:
-    """The pose in a record, camera_from_target; None if it has none.
-
-    Raises:
-        RendezviewError: the value is no pose.
-    """
-    pose = record.get("pose")
-    if pose is None:
-        return None
-    try:
-        return Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise RendezviewError(f"{where}: pose: {error}: this is no log of a run") from error
-
-
 def _of_lines(log: Path, scene: Sequence | None) -> Iterator[Moment]:
     frames: dict[int, Frame] = {} if scene is None else {f.im_id: f for f in scene}
     records = read_json_lines(log)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import gc
-import json
 import logging
+import mmap
 import os
 import select
 import signal
@@ -19,7 +19,6 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +31,11 @@ from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance import AppearanceObservation
 from rendezview_service.json_logging import set_up_logging
-from rendezview_service.logs.recording import RECORDED, LogWriter, RecordingOptions
+from rendezview_service.logs.recording import RECORDED, LogWriter
 from rendezview_service.messages.frames import read_frame
 from rendezview_service.messages.messages import SessionRequest
-from rendezview_service.messages.wire import Header, mapped, pack, receive
+from rendezview_service.messages.wire import Header, pack, receive
+from rendezview_service.settings import Settings
 from rendezview_service.tracker.tracking import (
     SessionTracker,
     StateDict,
@@ -66,8 +66,8 @@ class _WorkerSession:
 class WorkerProcess:
     """Answers the service's requests."""
 
-    def __init__(self, connection: socket.socket, memory: Any) -> None:
-        self._connection = connection
+    def __init__(self, connection: socket.socket, memory: Any, settings: Settings) -> None:
+        self._connection, self._settings = connection, settings
         self._memory = memoryview(memory)
         self._models = WorkerModels(self._tell)
         self._sessions: dict[str, _WorkerSession] = {}
@@ -149,40 +149,23 @@ class WorkerProcess:
             self._send({"kind": "progress", "loops": loops})
 
     def _open(self, request: Header) -> Header:
-        asked = SessionRequest.model_validate(request["request"])
-        sight = Sight.of(request["sight"])
+        notes, options, sight = request["notes"], self._settings, Sight.of(request["sight"])
+        asked = SessionRequest.model_validate_json(notes["request"])
+        self._models.load_loops(sensors=asked.sensors is not None and asked.sensors.any)
         try:
-            session = self._opened(request, asked, sight)
+            model, recognizer = self._models.model(sight.model), self._models.recognizer(sight)
+            tracker = SessionTracker.of_notes(notes, asked, model, options.sensors, recognizer)
+            writer = None
+            if request["log_path"] is not None:
+                whole = options.record_model and options.record_images
+                content = sight.model.read_bytes() if whole else None
+                place = Path(request["log_path"])
+                writer = LogWriter(place, tracker.camera, notes, content, options)
+            session = _WorkerSession(tracker, writer, sight)
             self._sessions[request["session"]] = session
         finally:
             self._drop_unused()
         return _report(session)
-
-    def _opened(self, request: Header, asked: SessionRequest, sight: Sight) -> _WorkerSession:
-        model = self._models.model(sight.model)
-        self._models.load_loops(sensors=asked.sensors is not None and asked.sensors.any)
-        tracker = SessionTracker(
-            request["session"],
-            model,
-            asked,
-            request["sensors"],
-            request["forgotten"],
-            self._models.recognizer(sight),
-            request["handover"],
-        )
-        writer = None
-        if request["log_path"] is not None:
-            options = RecordingOptions(**request["recording"])
-            content = sight.model.read_bytes() if request["log_model"] and options.images else None
-            notes = session_notes(request["session"], asked, model.name, sight.model)
-            notes["model_file"] = request["model_file"]
-            notes["opened_unix_s"] = repr(request["opened_unix_s"])
-            notes |= {"log": request["log"], "first_frame": str(request["first_frame"])}
-            notes["handover"] = json.dumps(request["handover"])
-            notes["forgotten"] = "yes" if request["forgotten"] else "no"
-            place = Path(request["log_path"])
-            writer = LogWriter(place, tracker.camera, notes, content, options)
-        return _WorkerSession(tracker, writer, sight)
 
     def _frame(self, request: Header) -> None:
         session = self._sessions[request["session"]]
@@ -226,9 +209,8 @@ class WorkerProcess:
         session = self._sessions[request["session"]]
         tracker, sensor = session.tracker, request["sensor"]
         text = bytes(self._memory[: request["length"]])
-        lines = tracker.filter.check(
-            sensor, text, tracker.last_s, request["waited_s"], request["most_lines"]
-        )
+        most_lines = self._settings.measurement_lines
+        lines = tracker.filter.check(sensor, text, tracker.last_s, request["waited_s"], most_lines)
         logged, verdicts, marks = [], [], None
         fused: StateDict | None = None
         for line in lines:
@@ -332,23 +314,6 @@ def decoding_time(camera: Camera) -> Iterator[None]:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
-def session_notes(
-    session: str, request: SessionRequest, model_name: str, model_path: Path
-) -> dict[str, str]:
-    """The metadata of a session in its log, for replay."""
-    return {
-        "session": session,
-        "request": request.model_dump_json(),
-        "target": model_name,
-        "model_file": model_path.name,
-        "model_sha256": model_path.stem,
-        "versions": json.dumps(
-            {name: metadata.version(name) for name in ("rendezview", "numpy", "numba")}
-        ),
-        "opencv": cv2.__version__,
-    }
-
-
 def jpeg(image: GreyImage, width: int) -> bytes:
     """A frame as JPEG for display, at most ``width`` pixels wide."""
     shown = image
@@ -378,7 +343,7 @@ def _report(session: _WorkerSession) -> Header:
 
 
 def main() -> None:
-    """Arguments: descriptors of the connection and of the shared memory, and its size."""
+    """Arguments: descriptors of the connection and of the shared memory, its size, settings."""
     # Signals to the process group are for the service, which asks its workers to quit.
     for sent in (signal.SIGINT, signal.SIGTERM):
         signal.signal(sent, signal.SIG_IGN)
@@ -392,7 +357,8 @@ def main() -> None:
     os.close(quiet)
     set_up_logging("info")
     connection, memory, size = (int(argument) for argument in sys.argv[1:4])
-    WorkerProcess(socket.socket(fileno=connection), mapped(memory, size)).run()
+    settings = Settings.model_validate_json(sys.argv[4])
+    WorkerProcess(socket.socket(fileno=connection), mmap.mmap(memory, size), settings).run()
 
 
 if __name__ == "__main__":

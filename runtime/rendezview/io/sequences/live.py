@@ -26,8 +26,8 @@ from rendezview.io.sequences.quiet import quiet_opencv
 
 T = TypeVar("T")
 
-_STREAM = re.compile(r"(rtsp|rtsps|http|https|udp|tcp)://.+")
-_TIMED = re.compile(r"(rtsp|rtsps|udp)://.+")  # pictures come with the sender's times
+_STREAM = re.compile(r"(rtsps?|rtmp|https?|udp|tcp)://.+", re.IGNORECASE)
+_TIMED = re.compile(r"(rtsps?|udp)://.+", re.IGNORECASE)  # pictures come with the sender's times
 _DEVICES = Path("/dev")
 _TRIES = 30  # frames in a row that do not come, at most: a second. Source: by construction
 _STALE = 5  # pictures in a row of one time: the stream has no times. Source: chosen
