@@ -59,12 +59,10 @@ _SKY_BLUR_PX = 12.0
 _SHRUNK_BLUR = 0.4
 # Of the hexagons in which a Sun is looked for: from less than half the spacing of the first
 # directions down to where shadows move by a pixel. Source: docs/notes/rivals.md
-_WIDE_STEPS_RAD, _FINE_STEPS_RAD = np.deg2rad([12.0, 6.0]), np.deg2rad([3.0, 1.5])
+_SUN_STEPS_RAD = np.deg2rad([12.0, 6.0, 3.0, 1.5])
 _MOST_SUN_MOVES = 3  # of each size. Source: docs/notes/rivals.md
 # Directions of a hemisphere that are tried first. Source: by construction, 30° apart
 _SUNS = 24
-# Pixels of the craft in which wide steps are tried. Source: docs/notes/rivals.md, all are no better
-_SUN_PX = 3000
 # Of the target's radius; triangles are clipped there. Source: by construction
 _NEAR_RADII = 1e-3
 
@@ -122,16 +120,6 @@ class Window:
         blurred = cv2.GaussianBlur(free * self.levels, *size) / np.maximum(weight, 1e-6)
         sky = np.where(weight > 1e-3, blurred, 0.0).astype(np.float32)
         return replace(self, sky=sky, seen=np.flatnonzero(near.ravel()))
-
-    def thinned(self, every: int) -> Window:
-        """One pixel of so many in each row and column."""
-        compared = np.zeros(self.levels.shape, bool)
-        compared.ravel()[self.seen] = True
-        levels, sky, compared = (
-            np.ascontiguousarray(one[::every, ::every]) for one in (self.levels, self.sky, compared)
-        )
-        seen = np.flatnonzero(compared)
-        return replace(self, levels=levels, sky=sky, seen=seen, cell_px=self.cell_px / every**2)
 
 
 class DrawnEvidence:
@@ -274,37 +262,17 @@ class Drawn:
         _unexplained(window.levels, drawn, window.seen, window.tolerance_grey, side, cells)
         return Explained(cells / window.cell_px, drawn, sun_camera)
 
-    def thinned(self) -> Drawn:
-        """The same in fewer pixels, as many as tell a Sun."""
-        every = max(1, round(math.sqrt(len(self.where) / _SUN_PX)))
-        window = self.window.thinned(every)
-        rows, columns = np.divmod(self.where, self.window.levels.shape[1])
-        kept = (rows % every == 0) & (columns % every == 0)
-        where = rows[kept] // every * window.levels.shape[1] + columns[kept] // every
-        return replace(
-            self, window=window, where=where, points=self.points[kept], normals=self.normals[kept],
-            albedo=self.albedo[kept], facets=self.facets[kept],
-        )  # fmt: skip
-
     def under_best_sun(self, seen: Explained, *, near: bool = False) -> Explained:
         """Under the Sun that explains the frame best, in front of the target or as ``seen``.
 
         ``near``: about that one only.
         """
-        thin = self.thinned()
-        found = thin.under(seen.sun_camera)
         if not near:
             towards = minimal_rotation(
                 np.array([0.0, 0.0, 1.0]), -self.pose.apply(self.evidence.centre_m)
             )
-            found = min([found, *map(thin.under, _HEMISPHERE @ towards.T)], key=cost_of)
-        found = thin._moved(found, _WIDE_STEPS_RAD)
-        found = min([seen, self.under(found.sun_camera)], key=cost_of)
-        return self._moved(found, _FINE_STEPS_RAD)
-
-    def _moved(self, seen: Explained, steps_rad: Array) -> Explained:
-        """Under a Sun beside, as long as that explains the frame better."""
-        for step_rad in steps_rad:
+            seen = min([seen, *map(self.under, _HEMISPHERE @ towards.T)], key=cost_of)
+        for step_rad in _SUN_STEPS_RAD:
             for _ in range(_MOST_SUN_MOVES):
                 around = [self.under(sun) for sun in _beside(seen.sun_camera, step_rad)]
                 best = min([seen, *around], key=cost_of)

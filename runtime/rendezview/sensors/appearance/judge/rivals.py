@@ -46,9 +46,6 @@ _OTHER_EDGES, _OTHER_LINES = 0.1, 0.03
 # Source: the limit of a wrong pose there
 RIVAL_RAD = np.deg2rad(5.0)
 _IN_DOUBT = 0.9999  # probability; below it Suns are looked for on the picture. Source: the same
-# Log odds behind the likeliest; poses further behind are not drawn again. Source:
-# docs/notes/rivals.md
-_FAR_BEHIND = 12.0
 _ROUNDING = 1e-9  # of a trace. Source: by construction
 _ROUNDS = 2  # of comparisons with the likeliest. Source: by construction
 
@@ -126,7 +123,7 @@ class Rivals:
                 scores, distinct = scored(explained)
         for _ in range(_ROUNDS):
             best = int(np.argmax(scores))
-            explained = self._turned_in_place(each, explained, scores)
+            explained = self._turned_in_place(each, explained, best)
             scores, distinct = scored(explained)
             if int(np.argmax(scores)) == best:
                 break
@@ -143,18 +140,18 @@ class Rivals:
         return sorted(weighed, key=lambda one: -one.probability)
 
     def _turned_in_place(
-        self, drawn: list[Drawn], explained: list[Explained], scores: Array
+        self, drawn: list[Drawn], explained: list[Explained], best: int
     ) -> list[Explained]:
         """Look-alikes of the likeliest pose drawn in its place, too, if they explain more there.
 
         Edges that mislead may have moved only one of them.
         """
-        explained, best = list(explained), int(np.argmax(scores))
+        explained = list(explained)
         for there in self.look_alikes(drawn[best].pose):
             apart = [one.pose.angle_to(there) for one in drawn]
             k = int(np.argmin(apart))
-            turned, near = None, scores[k] >= scores[best] - _FAR_BEHIND
-            if k != best and near and apart[k] <= RIVAL_RAD:
+            turned = None
+            if k != best and apart[k] <= RIVAL_RAD:
                 turned = self._evidence.drawn(drawn[best].window, there)
             if turned is not None:
                 suns = (explained[best].sun_camera, explained[k].sun_camera)
@@ -191,10 +188,9 @@ def _under_best_suns(
             there = drawn[k].under(explained[first].sun_camera)
             explained[k] = drawn[k].under_best_sun(min(explained[k], there, key=cost_of), near=True)
     others = [explained[k].sun_camera for k in order]
-    near = scores >= scores.max() - _FAR_BEHIND
     return [
-        min([seen, *map(one.under, others)], key=cost_of) if again else seen
-        for one, seen, again in zip(drawn, explained, near, strict=True)
+        min([seen, *map(one.under, others)], key=cost_of)
+        for one, seen in zip(drawn, explained, strict=True)
     ]
 
 
