@@ -121,12 +121,6 @@ class Rivals:
             if posterior(scores).max() < _IN_DOUBT:
                 explained = _under_best_suns(scores, each, explained, look=True)
                 scores, distinct = scored(explained)
-        for _ in range(_ROUNDS):
-            best = int(np.argmax(scores))
-            explained = self._turned_in_place(each, explained, best)
-            scores, distinct = scored(explained)
-            if int(np.argmax(scores)) == best:
-                break
         weighed = [
             replace(one, cost=np.inf, sun_camera=sun, probability=0.0)
             for one, sun in zip(hypotheses, suns, strict=True)
@@ -138,25 +132,6 @@ class Rivals:
                 distinct=float(apart),
             )  # fmt: skip
         return sorted(weighed, key=lambda one: -one.probability)
-
-    def _turned_in_place(
-        self, drawn: list[Drawn], explained: list[Explained], best: int
-    ) -> list[Explained]:
-        """Look-alikes of the likeliest pose drawn in its place, too, if they explain more there.
-
-        Edges that mislead may have moved only one of them.
-        """
-        explained = list(explained)
-        for there in self.look_alikes(drawn[best].pose):
-            apart = [one.pose.angle_to(there) for one in drawn]
-            k = int(np.argmin(apart))
-            turned = None
-            if k != best and apart[k] <= RIVAL_RAD:
-                turned = self._evidence.drawn(drawn[best].window, there)
-            if turned is not None:
-                suns = (explained[best].sun_camera, explained[k].sun_camera)
-                explained[k] = min([explained[k], *map(turned.under, suns)], key=cost_of)
-        return explained
 
     def weigh_coarse(self, image: Picture, sky: Sky, pose: Pose) -> list[Hypothesis]:
         """A pose that no edges have moved, beside its look-alikes; no edges count."""
