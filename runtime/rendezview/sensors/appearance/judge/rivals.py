@@ -115,12 +115,9 @@ class Rivals:
             return _scores(merits, beside, explained, window, _drawn_weight(each, explained))
 
         scores, distinct = scored(explained)
-        if known is None:
-            explained = _under_best_suns(scores, each, explained, look=False)
+        if known is None and posterior(scores).max() < _IN_DOUBT:
+            explained = _under_best_suns(scores, each, explained)
             scores, distinct = scored(explained)
-            if posterior(scores).max() < _IN_DOUBT:
-                explained = _under_best_suns(scores, each, explained, look=True)
-                scores, distinct = scored(explained)
         weighed = [
             replace(one, cost=np.inf, sun_camera=sun, probability=0.0)
             for one, sun in zip(hypotheses, suns, strict=True)
@@ -152,19 +149,18 @@ def _drawn_weight(drawn: list[Drawn], explained: list[Explained]) -> float:
 
 
 def _under_best_suns(
-    scores: Array, drawn: list[Drawn], explained: list[Explained], *, look: bool
+    scores: Array, drawn: list[Drawn], explained: list[Explained]
 ) -> list[Explained]:
-    """Each under the Suns of the two likeliest, too; ``look``: as their pictures show them best."""
-    order = np.argsort(-scores, kind="stable")[:2]
-    if look:
-        explained, first = list(explained), order[0]
-        explained[first] = drawn[first].under_best_sun(explained[first])
-        for k in order[1:]:  # the Sun is most likely there, too
-            there = drawn[k].under(explained[first].sun_camera)
-            explained[k] = drawn[k].under_best_sun(min(explained[k], there, key=cost_of), near=True)
-    others = [explained[k].sun_camera for k in order]
+    """Each under the Suns of the two likeliest, too, as their pictures show them best."""
+    first, *others = order = np.argsort(-scores, kind="stable")[:2]
+    explained = list(explained)
+    explained[first] = drawn[first].under_best_sun(explained[first])
+    for k in others:  # the Sun is most likely there, too
+        there = drawn[k].under(explained[first].sun_camera)
+        explained[k] = drawn[k].under_best_sun(min(explained[k], there, key=cost_of), near=True)
+    suns = [explained[k].sun_camera for k in order]
     return [
-        min([seen, *map(one.under, others)], key=cost_of)
+        min([seen, *map(one.under, suns)], key=cost_of)
         for one, seen in zip(drawn, explained, strict=True)
     ]
 
