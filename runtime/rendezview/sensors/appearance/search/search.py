@@ -285,30 +285,15 @@ class PoseSearch:
         return self._answer(candidates, image, sky, give_up, sketched)
 
     def near(
-        self, image: Picture, sky: Sky, near: Near, outlines: Outlines | None, also: list[Pose], *,
+        self, image: Picture, sky: Sky, near: Near, outlines: Outlines | None, *,
         give_up: float = 0.0,
     ) -> Found | None:  # fmt: skip
-        """The pose within some angle of a prior, from rotations of it and retrieved views."""
-        rotations, centres = self._starts_near(near, outlines, also)
+        """The pose within some angle of a prior, from rotations of it."""
+        rotations, centres = rotated_about(near.prior, self.model.centre_m, near.error_rad)
         candidates = self._candidates(image, sky, near.prior, outlines, near)
         candidates.refine_next_to([near.prior])
         candidates.refine_best(rotations, centres, _REFINED_NEAR)
         return self._answer(candidates, image, sky, give_up)
-
-    def _starts_near(
-        self, near: Near, outlines: Outlines | None, also: list[Pose]
-    ) -> tuple[Array, Array]:
-        """Rotations (K, 3, 3) and view centres (K, 3) to start from near a prior."""
-        rotations, centres = rotated_about(near.prior, self.model.centre_m, near.error_rad)
-        rotations = np.concatenate([rotations, *(p.rotation[None] for p in also)])
-        centres = np.concatenate([centres, *(p.apply(self.model.centre_m)[None] for p in also)])
-        if outlines is not None:
-            more, places = self._retrieval.of(outlines.signature, 3 * _RETRIEVED)
-            cosines = 0.5 * (np.einsum("kij,ij->k", more, near.prior.rotation) - 1.0)
-            close = np.flatnonzero(cosines > np.cos(near.error_rad))[:_RETRIEVED]
-            rotations = np.concatenate([rotations, more[close]])
-            centres = np.concatenate([centres, places[close]])
-        return rotations, centres
 
     def _around(self, candidates: Candidates, best: Pose) -> None:
         """Add poses from 9° around, nearer and farther, too: the best may be a local optimum."""
