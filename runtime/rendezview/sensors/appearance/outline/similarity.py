@@ -32,8 +32,8 @@ _KEPT = 2000
 # Of a signature, compared first in a large catalogue. Source: by construction, details of 18°
 _HARMONICS = 20
 # Entries; of a larger catalogue those with the most similar harmonics. Source: by construction, a
-# bound of time: 2000 find the same
-_CORRELATED = 500
+# bound of time
+_CORRELATED = 2000
 _SAME_ROLL_BINS = 3  # of 90, so 12°. Source: by construction
 # Rad around the roll that a neighbouring view gives. Source: recognition-accuracy, seed 1
 _ROLL_REACH_RAD = np.deg2rad(6.0)
