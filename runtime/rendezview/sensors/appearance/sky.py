@@ -19,6 +19,8 @@ _SCATTER_GREY = 3.0
 # rows; on so many the noise of neighbouring pixels is measured. Source: by construction, a bound of
 # time
 _GRAIN_ROWS = 64
+# px; in a smaller frame (width + height) windows overlap. Source: by construction, a bound of time
+_OVERLAPPING_BELOW_PX = 1000
 _ONE_SIGMA_BELOW = 0.1587  # quantile of a normal distribution. Source: by construction
 _HALF_SIGMA_ABOVE = 0.6915  # quantile of a normal distribution. Source: by construction
 
@@ -94,11 +96,12 @@ def _border_statistics(image: Picture, side: int) -> tuple[float, float]:
                 counts[image[y, k]] += 1
                 counts[image[y, width - 1 - k]] += 1
     else:
+        step = side if width + height > _OVERLAPPING_BELOW_PX else 1
         first = int(np.int64(0))  # as a literal, numba would compile a copy for it
-        for x in range(0, width - side + 1, side):
+        for x in range(0, width - side + 1, step):
             counts[_window_mean(image, first, x, side)] += 1
             counts[_window_mean(image, height - side, x, side)] += 1
-        for y in range(0, height - side + 1, side):
+        for y in range(0, height - side + 1, step):
             counts[_window_mean(image, y, first, side)] += 1
             counts[_window_mean(image, y, width - side, side)] += 1
     level = _quantile(counts, 0.5)

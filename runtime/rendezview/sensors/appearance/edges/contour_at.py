@@ -20,6 +20,7 @@ from rendezview.sensors.appearance.model.contours import (
 )
 from rendezview.sensors.appearance.model.view_model import ViewModel
 
+_FARTHEST_PX = 1e5  # from the picture, of a point that is kept. Source: a chosen limit
 _STEP_RADII = 0.01  # of the target's radius, along an edge, for its direction. Source: chosen
 
 NOWHERE: Box = (-1.0, -1.0, -1.0, -1.0)  # Source: by construction
@@ -59,7 +60,7 @@ def contour_pixels(
     places_m = points_m @ pose.rotation.T + centre
     points_px = camera.project(places_m)
     beyond_px = camera.project(places_m + _STEP_RADII * radius_m * (tangents @ pose.rotation.T))
-    inside = np.isfinite(points_px).all(axis=1)
+    inside = np.isfinite(points_px).all(axis=1) & (np.abs(points_px) < _FARTHEST_PX).all(axis=1)
     along = np.nan_to_num(beyond_px - points_px)
     length = np.linalg.norm(along, axis=1, keepdims=True)
     directions = np.divide(along, length, out=np.zeros_like(along), where=length > 0.0)

@@ -30,6 +30,7 @@ LARGEST_RADIUS_PX = 350.0
 FINEST_RADIUS_PX = 700.0
 # Rad; a refined pose further away is another one. Twenty times the error that the search leaves.
 _MOST_APART_RAD = np.deg2rad(1.0)  # Source: docs/notes/refinement.md, size of the target
+_MOST_TIMES = 32  # a target before the camera is never larger than that. Source: by construction
 # Px², variance that reading adds to a blurred edge: a pixel is a box of 1/12, and reading between
 # pixels a triangle of 1/6. Source: by construction
 _READING_PX2 = 1.0 / 12.0 + 1.0 / 6.0
@@ -112,7 +113,7 @@ def times_smaller(
 ) -> int:
     """By how many times a picture is shrunk for a target's radius of ``most_px`` at most."""
     radius_px = max(camera.fx, camera.fy) * radius_m / max(range_m, radius_m)
-    return max(1, math.ceil(radius_px / most_px))
+    return min(_MOST_TIMES, max(1, math.ceil(radius_px / most_px)))
 
 
 def shrunk_sky(image: Picture, sky: Sky) -> Sky:
