@@ -13,7 +13,6 @@ from rendezview.geometry.symmetry import (
     angle_between,
     common_point,
     discrete_turns,
-    first_of_each,
     nearest_alike,
 )
 
@@ -112,14 +111,3 @@ def test_a_record_without_a_point_is_about_the_origin() -> None:
     np.testing.assert_array_equal(new.point_m, CENTRE)
     with pytest.raises(ValueError, match="reshape"):
         Symmetry.of_record(new.record() | {"point_m": [1.0, 2.0]})
-
-
-def test_of_poses_that_are_near_or_alike_the_first_is_kept() -> None:
-    half = Symmetry("discrete", Y, math.pi)
-    turns = (0.0, 3.0, 20.0, 181.0, 24.0, 90.0)
-    poses = [Pose(Rotation.from_euler("y", t, degrees=True).as_matrix(), CENTRE) for t in turns]
-    apart_rad = math.radians(5.0)
-    assert list(first_of_each(poses, apart_rad)) == [0, 2, 3, 5]
-    assert list(first_of_each(poses, apart_rad, [half])) == [0, 2, 5]
-    assert next(first_of_each(iter(poses), apart_rad)) == 0
-    assert list(first_of_each([], apart_rad)) == []

@@ -6,7 +6,7 @@ A turn S about an axis through the point c maps p to ``S p + c − S c``. The po
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Literal
@@ -95,17 +95,6 @@ def angle_between(a: Pose, b: Pose, symmetries: Sequence[Symmetry]) -> float:
     if not symmetries:
         return a.angle_to(b)
     return nearest_alike(a, b, symmetries).angle_to(b)
-
-
-def first_of_each(
-    poses: Iterable[Pose], apart_rad: float, symmetries: Sequence[Symmetry] = ()
-) -> Iterator[int]:
-    """Indices of the poses that are farther than an angle from all that were kept before."""
-    kept: list[Pose] = []
-    for k, pose in enumerate(poses):
-        if all(angle_between(pose, other, symmetries) > apart_rad for other in kept):
-            kept.append(pose)
-            yield k
 
 
 def discrete_turns(symmetries: Sequence[Symmetry]) -> list[Array]:

@@ -287,26 +287,25 @@ class PoseFinder:
     def _near(
         self, search: PoseSearch, frame: Picture, sky: Sky, near: Near, clock: StageClock
     ) -> AppearanceObservation:
-        """Within the error of a prior: by outline and rotations of it, then on a sketch.
+        """Within the error of a prior: by rotations of it, then on a sketch.
 
         A sketch of its own for the outline before a bright sky would show nothing more.
         """
         prior, error_rad = near.prior, near.error_rad
         traced = self.outline.trace(frame, prior, clock, bright_sky=False)
-        view = self.outline.recognize(traced, prior, error_rad, clock)
         if self.overflows(prior):
-            return refused(view, None)
-        also = [] if view.pose is None else [view.pose]
+            return refused(self.outline.recognize(traced, prior, error_rad, clock), None)
         give_up = 0.0 if self.sketch is None else _LEAST_CONFIDENT
-        found = near.bounded(search.near(frame, sky, near, traced.outlines, also, give_up=give_up))
+        found = near.bounded(search.near(frame, sky, near, traced.outlines, give_up=give_up))
         clock.lap("refine")
         given, surer, _ = self._decided(search, frame, sky, traced, found, near, clock)
         given = near.bounded(given)
         if given is None:
+            view = self.outline.recognize(traced, prior, error_rad, clock)
             return refused(view, surer, dark=sky.dark)
         if not sky.dark and self.trees:
             view = self.outline.seen_from(frame, given.best.pose, clock, bright_sky=True)
-        elif given is not found:
+        else:
             view = self.outline.seen(traced, given.best.pose, clock)
         return self._given(view, given)
 

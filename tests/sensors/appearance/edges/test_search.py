@@ -257,7 +257,7 @@ def test_look_alikes_near_a_prior_are_tried_too(
     aside = turned(truth, Rotation.from_euler("x", 6.0, degrees=True).as_matrix(), centre_m)
     near = Near(aside, np.deg2rad(20.0), centre_m)
     for search_near in (search.at, search.near):
-        more = () if search_near == search.at else (None, [])
+        more = () if search_near == search.at else (None,)
         found = search_near(frame, Sky.of(frame), near, *more)
         assert found is not None
         assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)

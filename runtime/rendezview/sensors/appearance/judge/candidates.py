@@ -7,11 +7,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from rendezview.estimation.hypotheses import Choice, best_by, choose
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import angle_between, first_of_each
+from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.hypothesis import Aligned, Bound, Hypothesis
 from rendezview.sensors.appearance.judge.found import Found, merit
@@ -23,8 +22,6 @@ from rendezview.sensors.appearance.model.forest import ForestScores
 from rendezview.sensors.appearance.model.signature import Outlines
 from rendezview.sensors.appearance.outline.retrieval import Retrieval
 from rendezview.sensors.appearance.sky import Sky
-
-Indices = npt.NDArray[np.intp]
 
 # merit behind the best; shading is computed for poses closer than this. Source: by hand, seeds of
 # docs/notes/refinement.md
@@ -127,8 +124,7 @@ class Candidates:
     def weighed(self, on_sketch: Aligned | None = None) -> Found | None:
         """The likeliest pose beside its rivals, by drawn evidence if the model has a shape.
 
-        ``on_sketch``: of the sketch, where one was drawn of the frame. Poses that it leads to the
-        same pose are one answer.
+        ``on_sketch``: of the sketch, where one was drawn of the frame.
         """
         found, rivals = self.choose(), self.level.rivals
         if found is None or rivals is None:
@@ -147,10 +143,7 @@ class Candidates:
             )
         edges = MERIT_WEIGHT * own + (0.0 if lines is None else lines)
         order = np.argsort(-edges, kind="stable")
-        order = order[edges[order] >= edges.max() - _MOST_BEHIND]
-        if on_sketch is not None:
-            order = self._one_each(order, asked)
-        order = order[:_MOST_RIVALS]
+        order = order[edges[order] >= edges.max() - _MOST_BEHIND][:_MOST_RIVALS]
         weighed = rivals.weigh(
             self.image, self.sky, [asked[k] for k in order], own[order],
             None if lines is None else lines[order],
@@ -177,14 +170,6 @@ class Candidates:
         """Whether two poses are one answer."""
         a, b = self._all[k].pose, self._all[known].pose
         return bool(angle_between(a, b, self.level.refiner.model.symmetries) <= RIVAL_RAD)
-
-    def _one_each(self, order: Indices, asked: list[Hypothesis]) -> Indices:
-        """Of the poses that a sketch leads to the same pose the first."""
-        led = [(int(k), one.pose) for k in order if (one := asked[k].on_sketch) is not None]
-        symmetries = self.level.refiner.model.symmetries
-        firsts = first_of_each((pose for _, pose in led), RIVAL_RAD, symmetries)
-        kept = {led[i][0] for i in firsts}
-        return np.array([k for k in order if asked[k].on_sketch is None or int(k) in kept])
 
     def _votes(self, one: Hypothesis) -> float | None:
         """Log odds of the forest; None before a bright sky."""

@@ -29,11 +29,7 @@ _REACH_EDGES = 1.0
 # Edges around the answer; each view within gives a place.
 # Source: experiment trajectory-accuracy, seeds 1000–1002
 _NEAR_EDGES = 0.6
-_ROUNDS = 3  # changes of the view whose quadratic is used. Source: by construction, a bound only
 _STEPS = 8  # of Gauss–Newton. Source: by construction, a bound only
-# rad from its view; a quadratic is not used beyond. Source: trajectory-accuracy, seeds 1000–1002
-_FARTHEST_RAD = 0.17
-_LONGEST_STEP = 0.07  # rad, of one step. Source: trajectory-accuracy, seeds 1000–1002
 _KEPT = 256  # quadratics, of the views used last. Source: by construction, a bound of memory
 # px that an outline lies too far out, by blur and the low threshold: the mean over frames with
 # truth. Source: experiment trajectory-accuracy, seeds 1000–1002
@@ -80,12 +76,7 @@ class Interpolator:
         direction, attitude = match.direction, match.centred_from_target
         view = int(self._lattice.nearest(direction))
         range_m = self._range(np.eye(6)[0] @ self._local(view).area, signature)
-        for _ in range(_ROUNDS):
-            direction, range_m, _ = self._placed(view, direction, attitude, range_m, signature)
-            again = int(self._lattice.nearest(direction))
-            if again == view:
-                break
-            view = again
+        direction, range_m, _ = self._placed(view, direction, attitude, range_m, signature)
         views = self._lattice.within(direction, _NEAR_EDGES * self._edge)
         points, weights = np.empty((len(views), 3)), np.empty(len(views))
         for k, view in enumerate(views):
@@ -192,14 +183,8 @@ def descend(readings: Readings, surface: Array, misfit: Array, found: Array) -> 
             matrix[i, i] += 1e-9
         if not solve(matrix, right, lower, move):
             break
-        length = np.sqrt(move[0] ** 2 + move[1] ** 2)
-        if length > _LONGEST_STEP:
-            move *= _LONGEST_STEP / length
         found += move
-        far = np.sqrt(found[0] ** 2 + found[1] ** 2)
-        if far > _FARTHEST_RAD:
-            found[:2] *= _FARTHEST_RAD / far
-        if length < 1e-4 and abs(move[2]) < 1e-3:
+        if np.sqrt(move[0] ** 2 + move[1] ** 2) < 1e-4 and abs(move[2]) < 1e-3:
             break
     return float(np.sqrt(total / bins))
 

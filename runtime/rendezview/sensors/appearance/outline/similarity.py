@@ -34,8 +34,6 @@ _HARMONICS = 20
 # Entries; of a larger catalogue those with the most similar harmonics. Source: by construction, a
 # bound of time
 _CORRELATED = 2000
-# One value in 17 gives the bound; no divisor of a number of bins. Source: by construction
-_SAMPLED = 17
 _SAME_ROLL_BINS = 3  # of 90, so 12°. Source: by construction
 # Rad around the roll that a neighbouring view gives. Source: recognition-accuracy, seed 1
 _ROLL_REACH_RAD = np.deg2rad(6.0)
@@ -93,18 +91,9 @@ class Catalogue:
 
 
 def least(values: npt.NDArray[np.float32], count: int) -> Indices:
-    """Places, ascending, of the ``count`` least of many values (K,); all where there are fewer.
-
-    A bound from a sample of the values rejects nearly all of them quickly.
-    """
-    if count >= len(values):
-        return np.arange(len(values))
-    sample, place = values[::_SAMPLED], count // _SAMPLED * 3 // 2 + _SAMPLED
-    bound = np.partition(sample, place)[place] if place < len(sample) else np.inf
-    few = np.flatnonzero(values <= bound)
-    if len(few) < count:  # very unlikely with so large a sample
-        few = np.arange(len(values))
-    return np.sort(few[np.argpartition(values[few], count - 1)[:count]])
+    """Places, ascending, of the ``count`` least of many values (K,); all where there are fewer."""
+    count = min(count, len(values))
+    return np.sort(np.argpartition(values, count - 1)[:count])
 
 
 class ViewSimilarity:

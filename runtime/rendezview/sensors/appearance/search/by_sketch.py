@@ -47,8 +47,6 @@ _BOX_SIZES = (0.5, 0.6, 0.72, 0.86, 1.04, 1.25)
 _BOX_SHIFTS = (-0.3, -0.15, 0.0, 0.15, 0.3)  # Source: the same
 _LEAST_OVERLAP = 0.35  # Source: the same
 _COMPARED = 600  # of 6000 placements and rolls, in finer cells. Source: the same; 480 find the same
-_SORTED = 16384  # likeliest views and rolls that are looked through. Source: by construction
-_BLOCK = 512  # of them are compared with each other at once. Source: its cost
 
 towards = partial(minimal_rotation, BORESIGHT)  # the least turn of the boresight to (3,)
 
@@ -244,31 +242,18 @@ def _distinct(
     Args:
         spins: (R, 3, 3), and ``views``: (V, 3, 3), whose product is the attitude.
     """
-    flat = alike.ravel()
-    likely = np.flatnonzero(flat > -np.inf)
-    if len(likely) > _SORTED:
-        likely = likely[np.argpartition(-flat[likely], _SORTED)[:_SORTED]]
-    order = likely[np.argsort(-flat[likely], kind="stable")]
+    best = alike.max(0).ravel()  # of all placements at an attitude
+    order = np.argsort(-best, kind="stable")[: np.count_nonzero(best > -np.inf)]
+    roll, view = np.unravel_index(order, alike.shape[1:])
+    turned = (spins[roll] @ views[view]).reshape(-1, 9)
     least = 1.0 + 2.0 * np.cos(apart_rad)  # trace of the rotation between two
-    kept: list[int] = []
-    known = np.empty((most, 9))
-    for start in range(0, len(order), _BLOCK):
-        block = order[start : start + _BLOCK]
-        _, roll, view = np.unravel_index(block, alike.shape)
-        turned = (spins[roll] @ views[view]).reshape(-1, 9)
-        free = np.ones(len(block), bool)
-        if kept:
-            free = (turned @ known[: len(kept)].T).max(1) <= least
-        apart = turned @ turned.T <= least
-        while len(kept) < most and free.any():
-            k = int(np.argmax(free))
-            known[len(kept)] = turned[k]
-            kept.append(int(block[k]))
-            free &= apart[k]
-            free[k] = False
-        if len(kept) == most:
-            break
-    return kept
+    free, kept = np.ones(len(order), bool), list[int]()
+    while len(kept) < most and free.any():
+        k = int(np.argmax(free))
+        kept.append(k)
+        free &= turned @ turned[k] <= least
+    placement = alike.argmax(0).ravel()[order[kept]]
+    return [int(i) for i in placement * best.size + order[kept]]
 
 
 def _vectors(maps: Float32s) -> Float32s:

@@ -47,7 +47,6 @@ _VOTED_FIRST = 8
 # Log odds of the nodes about a pose: a forest that knows nothing gives −2.2, the share of a node's
 # views among its samples. Source: experiment tree-ablation (0.1), seed 4101
 _LEAST_VOTES = -2.0
-_LEAST_LEAD = 0.5  # log odds above every half turn. Source: tree-ablation (0.1), seed 4101
 # Inlier ratio after coarse alignment, before a sketch: of 252 right poses of Mitsuba none had less.
 # Source: docs/notes/photographs.md
 _WORTH_REFINING = 0.15
@@ -134,7 +133,7 @@ class PoseSearch:
         keep = _REFINED_OF_VOTED if brief else _REFINED
         rotations, centres = self._voted(outlines, _RETRIEVED, candidates.sky)
         if self._forest_scores is not None and candidates.sky.dark:
-            agreed = self._agreed(candidates, outlines, rotations, centres, least)
+            agreed = self._agreed(candidates, rotations, centres, least)
             if agreed is not None:
                 agreed = self._beside_look_alikes(candidates, agreed)
                 return self.levels.finished(agreed, image, sky)
@@ -212,21 +211,16 @@ class PoseSearch:
         return rotations[order], centres[order]
 
     def _agreed(
-        self, candidates: Candidates, outlines: Outlines, rotations: Array, centres: Array,
-        least: float,
-    ) -> Found | None:  # fmt: skip
+        self, candidates: Candidates, rotations: Array, centres: Array, least: float
+    ) -> Found | None:
         """The pose on which edges and forest agree, from the likeliest starts; None without one."""
-        assert self._forest_scores is not None
         first = slice(0, _VOTED_FIRST)
         starts = rotations[first].copy(), centres[first].copy()
         candidates.refine_best(*starts, _REFINED_OF_VOTED, least=least)
         found = candidates.choose()
         if found is None or found.confidence < _ENDS or found.votes is None:
             return None
-        turned = found.best.pose.rotation @ self._half_turns
-        other = float(np.max(self._forest_scores.scores(outlines.signature, turned)))
-        leads = found.votes >= _LEAST_VOTES and found.votes - other >= _LEAST_LEAD
-        return found if leads else None
+        return found if found.votes >= _LEAST_VOTES else None
 
     def at(
         self, image: Picture, sky: Sky, near: Near, sufficient_inlier_ratio: float = 1.0
@@ -285,30 +279,15 @@ class PoseSearch:
         return self._answer(candidates, image, sky, give_up, sketched)
 
     def near(
-        self, image: Picture, sky: Sky, near: Near, outlines: Outlines | None, also: list[Pose], *,
+        self, image: Picture, sky: Sky, near: Near, outlines: Outlines | None, *,
         give_up: float = 0.0,
     ) -> Found | None:  # fmt: skip
-        """The pose within some angle of a prior, from rotations of it and retrieved views."""
-        rotations, centres = self._starts_near(near, outlines, also)
+        """The pose within some angle of a prior, from rotations of it."""
+        rotations, centres = rotated_about(near.prior, self.model.centre_m, near.error_rad)
         candidates = self._candidates(image, sky, near.prior, outlines, near)
         candidates.refine_next_to([near.prior])
         candidates.refine_best(rotations, centres, _REFINED_NEAR)
         return self._answer(candidates, image, sky, give_up)
-
-    def _starts_near(
-        self, near: Near, outlines: Outlines | None, also: list[Pose]
-    ) -> tuple[Array, Array]:
-        """Rotations (K, 3, 3) and view centres (K, 3) to start from near a prior."""
-        rotations, centres = rotated_about(near.prior, self.model.centre_m, near.error_rad)
-        rotations = np.concatenate([rotations, *(p.rotation[None] for p in also)])
-        centres = np.concatenate([centres, *(p.apply(self.model.centre_m)[None] for p in also)])
-        if outlines is not None:
-            more, places = self._retrieval.of(outlines.signature, 3 * _RETRIEVED)
-            cosines = 0.5 * (np.einsum("kij,ij->k", more, near.prior.rotation) - 1.0)
-            close = np.flatnonzero(cosines > np.cos(near.error_rad))[:_RETRIEVED]
-            rotations = np.concatenate([rotations, more[close]])
-            centres = np.concatenate([centres, places[close]])
-        return rotations, centres
 
     def _around(self, candidates: Candidates, best: Pose) -> None:
         """Add poses from 9° around, nearer and farther, too: the best may be a local optimum."""
