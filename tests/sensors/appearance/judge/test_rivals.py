@@ -127,6 +127,21 @@ def test_a_small_part_of_a_craft_with_long_wings_tells_its_ends_apart(
     assert weighed[0].probability > 0.9
 
 
+def test_a_look_alike_that_edges_have_moved_is_drawn_in_its_place_too(
+    model: ViewModel, drum: Mesh
+) -> None:
+    """Else a pose that is wrong, and lies well, explains more of the frame than the right one."""
+    frame = picture(drum, SIDE)
+    moved = Rotation.from_rotvec([3.0, 2.0, 0.0], degrees=True).as_matrix()
+    right = Pose(moved @ SIDE.rotation, SIDE.translation_m)
+    rivals = Rivals(model, CAMERA)
+    weighed = rivals.weigh(
+        frame, Sky.of(frame), under([aside(SIDE, 60.0), right]), np.array([1.1, 1.0])
+    )
+    assert weighed[0].pose is right
+    assert weighed[0].cost < 40.0  # as drawn at the true pose
+
+
 def test_a_sun_that_is_known_is_used(model: ViewModel, drum: Mesh) -> None:
     frame, known = picture(drum, SIDE), np.array([0.0, 0.0, -1.0])
     poses = [SIDE, aside(SIDE, 60.0)]

@@ -115,9 +115,18 @@ class Rivals:
             return _scores(merits, beside, explained, window, _drawn_weight(each, explained))
 
         scores, distinct = scored(explained)
-        if known is None and posterior(scores).max() < _IN_DOUBT:
-            explained = _under_best_suns(scores, each, explained)
+        if known is None:
+            explained = _under_best_suns(scores, each, explained, look=False)
             scores, distinct = scored(explained)
+            if posterior(scores).max() < _IN_DOUBT:
+                explained = _under_best_suns(scores, each, explained, look=True)
+                scores, distinct = scored(explained)
+        for _ in range(_ROUNDS):
+            best = int(np.argmax(scores))
+            explained = self._turned_in_place(each, explained, best)
+            scores, distinct = scored(explained)
+            if int(np.argmax(scores)) == best:
+                break
         weighed = [
             replace(one, cost=np.inf, sun_camera=sun, probability=0.0)
             for one, sun in zip(hypotheses, suns, strict=True)
@@ -129,6 +138,25 @@ class Rivals:
                 distinct=float(apart),
             )  # fmt: skip
         return sorted(weighed, key=lambda one: -one.probability)
+
+    def _turned_in_place(
+        self, drawn: list[Drawn], explained: list[Explained], best: int
+    ) -> list[Explained]:
+        """Look-alikes of the likeliest pose drawn in its place, too, if they explain more there.
+
+        Edges that mislead may have moved only one of them.
+        """
+        explained = list(explained)
+        for there in self.look_alikes(drawn[best].pose):
+            apart = [one.pose.angle_to(there) for one in drawn]
+            k = int(np.argmin(apart))
+            turned = None
+            if k != best and apart[k] <= RIVAL_RAD:
+                turned = self._evidence.drawn(drawn[best].window, there)
+            if turned is not None:
+                suns = (explained[best].sun_camera, explained[k].sun_camera)
+                explained[k] = min([explained[k], *map(turned.under, suns)], key=cost_of)
+        return explained
 
     def weigh_coarse(self, image: Picture, sky: Sky, pose: Pose) -> list[Hypothesis]:
         """A pose that no edges have moved, beside its look-alikes; no edges count."""
@@ -149,18 +177,19 @@ def _drawn_weight(drawn: list[Drawn], explained: list[Explained]) -> float:
 
 
 def _under_best_suns(
-    scores: Array, drawn: list[Drawn], explained: list[Explained]
+    scores: Array, drawn: list[Drawn], explained: list[Explained], *, look: bool
 ) -> list[Explained]:
-    """Each under the Suns of the two likeliest, too, as their pictures show them best."""
-    first, *others = order = np.argsort(-scores, kind="stable")[:2]
-    explained = list(explained)
-    explained[first] = drawn[first].under_best_sun(explained[first])
-    for k in others:  # the Sun is most likely there, too
-        there = drawn[k].under(explained[first].sun_camera)
-        explained[k] = drawn[k].under_best_sun(min(explained[k], there, key=cost_of), near=True)
-    suns = [explained[k].sun_camera for k in order]
+    """Each under the Suns of the two likeliest, too; ``look``: as their pictures show them best."""
+    order = np.argsort(-scores, kind="stable")[:2]
+    if look:
+        explained, first = list(explained), order[0]
+        explained[first] = drawn[first].under_best_sun(explained[first])
+        for k in order[1:]:  # the Sun is most likely there, too
+            there = drawn[k].under(explained[first].sun_camera)
+            explained[k] = drawn[k].under_best_sun(min(explained[k], there, key=cost_of), near=True)
+    others = [explained[k].sun_camera for k in order]
     return [
-        min([seen, *map(one.under, suns)], key=cost_of)
+        min([seen, *map(one.under, others)], key=cost_of)
         for one, seen in zip(drawn, explained, strict=True)
     ]
 
