@@ -36,10 +36,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import Camera, LensModel, intrinsics_of
 from rendezview.io.calibration_yaml import parse_yaml
-from rendezview.io.camera_peers import keys_of_text, translated
+from rendezview.io.camera_peers import keys_of_text, number, translated
 from rendezview.io.files import StrPath, atomic_write_text, parse_json, read_text
 from rendezview.io.plausible import CHECKED, questioned
 
@@ -62,6 +62,8 @@ _POLYNOMIALS = (
 )  # fmt: skip
 _FISHEYES = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "opencv_fisheye")
 _COVARIANCE = "intrinsics_covariance"  # of fx fy cx cy and the coefficients; or their σ
+_CORRECT = ": correct the camera file"
+_GIVE = "give an OpenCV or ROS YAML file, or a BOP or SPEED camera.json"
 _LIMIT_BYTES = 4_000_000  # a video given by mistake is not read whole. Source: a chosen limit
 
 
@@ -83,10 +85,7 @@ def load_camera(path: StrPath, size: Callable[[], tuple[int, int]] | None = None
     text = read_text(path, "a camera file", limit_bytes=_LIMIT_BYTES)
     data = _parse(text, str(path))
     if not isinstance(data, dict):
-        raise RendezviewError(
-            f"{path}: not a camera file (no keys in it): give an OpenCV or ROS YAML file, "
-            f"or a BOP or SPEED camera.json"
-        )
+        raise RendezviewError(f"{path}: not a camera file (no keys in it): {_GIVE}")
     return camera_from_keys(data, str(path), size)
 
 
@@ -98,7 +97,7 @@ def camera_from_keys(
     Raises:
         RendezviewError: not one of a camera, of an unknown lens model, or impossible numbers.
     """
-    try:
+    with explained(f"{where}: ", _CORRECT):
         keys = translated(_only_camera(data))
         if size is not None and not any(_find(keys, k) for k in (_WIDTH_KEYS, ("resolution",))):
             keys = {**keys, **dict(zip(("width", "height"), size(), strict=True))}
@@ -107,8 +106,6 @@ def camera_from_keys(
             raise ValueError(f"{CHECKED}: must be true or false, not {checked!r}")
         unless = None if checked else f"{CHECKED}: true in the file"
         return _imaged(keys, questioned(_calibrated(keys), unless))
-    except ValueError as error:
-        raise RendezviewError(f"{where}: {error}: correct the camera file") from error
 
 
 def save_camera(camera: Camera, path: StrPath) -> None:
@@ -140,29 +137,21 @@ def _opencv_matrix(matrix: npt.NDArray[Any]) -> str:
 
 
 def _parse(text: str, where: str) -> Any:
-    try:
+    with explained(f"{where}: ", _CORRECT):
         known = keys_of_text(text)
-    except ValueError as error:
-        raise RendezviewError(f"{where}: {error}: correct the camera file") from error
     if known is not None:
         return known
     start = text.lstrip()[:1]
     if start == "{":
         return parse_json(text, where)
     if start == "<":
-        try:
+        faults = (ElementTree.ParseError, ValueError)
+        remedy = "): correct or replace the camera file"
+        with explained(f"{where}: not valid XML (", remedy, faults):
             return _xml_value(ElementTree.fromstring(text))
-        except (ElementTree.ParseError, ValueError) as error:
-            raise RendezviewError(
-                f"{where}: not valid XML ({error}): correct or replace the camera file"
-            ) from error
-    try:
+    unread = f"{where}: not a camera file that can be read ("
+    with explained(unread, f"): {_GIVE}", (ValueError, RecursionError)):
         return parse_yaml(text)
-    except (ValueError, RecursionError) as error:
-        raise RendezviewError(
-            f"{where}: not a camera file that can be read ({error}): "
-            f"give an OpenCV or ROS YAML file, or a BOP or SPEED camera.json"
-        ) from error
 
 
 def _xml_value(element: ElementTree.Element) -> Any:
@@ -205,11 +194,11 @@ def _calibrated(data: dict[Any, Any]) -> Camera:
     elif "intrinsics" in data:
         fx, fy, cx, cy = _counted(data, "intrinsics", 4)
     elif "ppx" in data or "ppy" in data:
-        fx = _number(data, "fx") / _positive(data, "ppx")
-        fy = _number(data, "fy") / _positive(data, "ppy")
-        cx, cy = _number(data, "Nu") / 2.0, _number(data, "Nv") / 2.0
+        fx = number(data, "fx") / _positive(data, "ppx")
+        fy = number(data, "fy") / _positive(data, "ppy")
+        cx, cy = number(data, "Nu") / 2.0, number(data, "Nv") / 2.0
     elif "fx" in data:
-        fx, fy, cx, cy = (_number(data, key) for key in ("fx", "fy", "cx", "cy"))
+        fx, fy, cx, cy = (number(data, key) for key in ("fx", "fy", "cx", "cy"))
     else:
         raise ValueError(
             "no camera matrix in it (looked for camera_matrix, cameraMatrix, K, M1, intrinsics and "
@@ -328,24 +317,15 @@ def _numbers(value: Any, key: str) -> list[float]:
     return [float(number) for number in array.ravel()]
 
 
-def _number(data: dict[Any, Any], key: str) -> float:
-    value = data.get(key)
-    if key not in data:
-        raise ValueError(f"{key}: missing: add it")
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{key}: must be a number, not {value!r}")
-    return float(value)
-
-
 def _positive(data: dict[Any, Any], key: str) -> float:
-    value = _number(data, key)
+    value = number(data, key)
     if not value > 0.0:
         raise ValueError(f"{key}: must be positive, not {value}")
     return value
 
 
 def _whole(data: dict[Any, Any], key: str, least: int = 1) -> int:
-    value = _number(data, key)
+    value = number(data, key)
     if not value.is_integer() or value < least:
         kind = "positive whole number" if least else "whole number, 0 or more"
         raise ValueError(f"{key}: must be a {kind}, not {value:g}")

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import camera_from_keys
 from rendezview.io.grey_frame import eight_bits
@@ -170,7 +170,5 @@ def _eight(levels: npt.NDArray[Any], where: str, bits: int | None) -> GreyImage:
             f"{where}: the levels have 16 bits, and nothing gives how many of them are used: give "
             "a camera file with bit_depth (10, 12, 14 or 16)"
         )
-    try:
+    with explained(f"{where}: ", faults=RendezviewError):
         return np.array(eight_bits(levels, bits or 8))
-    except RendezviewError as error:
-        raise RendezviewError(f"{where}: {error}") from error

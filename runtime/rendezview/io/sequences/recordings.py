@@ -17,7 +17,7 @@ from pathlib import Path
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
-from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
+from rendezview.io.sequences.frame import GreyImage, Sequence
 from rendezview.io.sequences.images import camera_beside
 from rendezview.io.sequences.message_images import Calibration, PackedPicture, RawPicture, grey
 from rendezview.io.sequences.message_video import VideoPart, VideoTopic
@@ -96,19 +96,11 @@ def open_recording(
         notes.append(f"{found.cut_off}: {len(times_s)} pictures of {chosen} before it")
     if not order:
         raise RendezviewError(f"{path}: no picture of {chosen} can be read: {'; '.join(notes)}")
-    frames = tuple(
-        Frame(
-            im_id=number,
-            name=f"{path.name}#{chosen}, frame {index}",
-            time_s=times_s[index],
-            camera=own,
-            camera_from_target=None,
-            obj_id=1,
-            fetch=partial(reader.read, index - lead),
-        )
-        for number, index in enumerate(order)
+    pictures = (
+        (f"{path.name}#{chosen}, frame {k}", times_s[k], partial(reader.read, k - lead))
+        for k in order
     )
-    return Sequence(scene_id=1, frames=frames, source=path, notes=tuple(notes))
+    return Sequence.of_pictures(path, own, pictures, notes)
 
 
 class RecordingReader:
