@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import DISTORTION_LENGTHS, Camera
 from rendezview.geometry.pose import Pose, nearest_rotation
 from rendezview.io.calibration_yaml import parse_yaml
@@ -130,7 +130,7 @@ def load_rig(path: StrPath) -> Rig:
         RendezviewError: missing, neither of these, or impossible numbers (named).
     """
     text = read_text(path, "a rig file", limit_bytes=_LIMIT_BYTES)
-    try:
+    with explained(f"{path}: ", ": correct the rig file"):
         if not text.lstrip().startswith("{"):
             return _from_opencv(text, path)
         file = checked(_RIG_FILE, parse_json(text, str(path)), str(path))
@@ -141,8 +141,6 @@ def load_rig(path: StrPath) -> Rig:
                 raise ValueError("covariance does not fit covariance_names")
         cameras = tuple(_camera(table) for table in file.cameras)
         return Rig(cameras, covariance, tuple(file.covariance_names))
-    except ValueError as error:
-        raise RendezviewError(f"{path}: {error}: correct the rig file") from error
 
 
 def _camera(table: _CameraTable) -> RigCamera:
