@@ -13,7 +13,7 @@ import typer
 
 from rendezview.cli.budget import BudgetReport
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
-from rendezview.cli.inputs import say_once
+from rendezview.cli.inputs import numbers_of, say_once
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
@@ -340,13 +340,9 @@ def _calibrate(
 def _affine(text: str | None) -> np.ndarray | None:
     if text is None:
         return None
-    try:
-        affine = np.array([float(part) for part in text.split(",")]).reshape(2, 3)
-        if not np.isfinite(affine).all() or abs(np.linalg.det(affine[:, :2])) < 1e-3:
-            raise ValueError(text)
-    except ValueError:
-        raise RendezviewError(
-            f"--lit-from-dark must be six numbers 'a,b,c,d,e,f' (u = a u' + b v' + c, "
-            f"v = d u' + e v' + f) that can be inverted, not {text!r}"
-        ) from None
-    return affine
+    words = ": the six numbers 'a,b,c,d,e,f' of u = a u' + b v' + c, v = d u' + e v' + f, "
+    words += "which can be inverted"
+    return numbers_of(
+        text, "--lit-from-dark", (6,), words,
+        lambda n: bool(abs(np.linalg.det(n.reshape(2, 3)[:, :2])) >= 1e-3),
+    ).reshape(2, 3)  # fmt: skip
