@@ -8,8 +8,10 @@ import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 
 from rendezview.cli.progress import as_json, say
 from rendezview.errors import RendezviewError
@@ -17,6 +19,10 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.io.camera_files import load_camera
 from rendezview.io.sequences import Sequence, open_sequence
+
+CameraFile = Annotated[
+    Path | None, typer.Option(help="Camera file; wins over that of the pictures.")
+]
 
 
 def given_camera(path: Path | None) -> Camera | None:

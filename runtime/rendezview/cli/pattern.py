@@ -19,7 +19,7 @@ from rendezview.calibration.pattern import (
     sightings_of_readings,
 )
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
-from rendezview.cli.inputs import check_positive, given_camera, numbers_of
+from rendezview.cli.inputs import CameraFile, check_positive, given_camera, numbers_of
 from rendezview.cli.progress import ProgressBar, say, say_table
 from rendezview.cli.reflectors import pairs_of
 from rendezview.errors import RendezviewError
@@ -48,9 +48,7 @@ def calibrate_pattern(
             "with --length only."
         ),
     ] = None,
-    camera: Annotated[
-        Path | None, typer.Option(help="Camera file; wins over that of the pictures.")
-    ] = None,
+    camera: CameraFile = None,
     group: Annotated[
         list[str] | None, typer.Option(help="Groups that there are; repeat for several. All.")
     ] = None,

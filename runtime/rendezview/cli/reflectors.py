@@ -13,7 +13,7 @@ import typer
 
 from rendezview.cli.budget import BudgetReport
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
-from rendezview.cli.inputs import numbers_of, say_once
+from rendezview.cli.inputs import CameraFile, numbers_of, say_once
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
@@ -75,9 +75,7 @@ def reflectors(
     target: Annotated[
         str | None, typer.Option(help="Target file with reflectors, its folder, or client.")
     ] = None,
-    camera: Annotated[
-        Path | None, typer.Option(help="Camera file; wins over that of the pictures.")
-    ] = None,
+    camera: CameraFile = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="JSON lines of readings.")
     ] = None,
@@ -216,9 +214,7 @@ def calibrate_reflectors(
         str, typer.Option(help="Target file with reflectors, its folder, or client.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Calibration to write (JSON).")],
-    camera: Annotated[
-        Path | None, typer.Option(help="Camera file; wins over that of the pictures.")
-    ] = None,
+    camera: CameraFile = None,
     group: Annotated[str | None, typer.Option(help="The group; the first, if not given.")] = None,
     mode: Annotated[
         Mode | None, typer.Option(help="Default: pairs; two folders: splitter.")

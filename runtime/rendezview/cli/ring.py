@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from rendezview.cli.inputs import check_positive, direction_of, given_sequence
+from rendezview.cli.inputs import CameraFile, check_positive, direction_of, given_sequence
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
@@ -52,9 +52,7 @@ def find(
     frames: Annotated[
         Path, typer.Argument(help="BOP scene, SPEED folder, folder of images, or video.")
     ],
-    camera: Annotated[
-        Path | None, typer.Option(help="Camera file; wins over that of the frames.")
-    ] = None,
+    camera: CameraFile = None,
     radius_m: Annotated[
         float | None, typer.Option("--radius-m", help="Radius of the ring's edge: gives poses.")
     ] = None,
@@ -161,9 +159,7 @@ def size(
             help="JSON lines of a laser ranger: range_m to the panel, sigma_m, time_s or im_id."
         ),
     ],
-    camera: Annotated[
-        Path | None, typer.Option(help="Camera file; wins over that of the frames.")
-    ] = None,
+    camera: CameraFile = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="JSON; standard output if absent.")
     ] = None,

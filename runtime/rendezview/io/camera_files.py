@@ -118,19 +118,20 @@ def save_camera(camera: Camera, path: StrPath) -> None:
         "%YAML:1.0\n---\n"
         f"image_width: {camera.width}\n"
         f"image_height: {camera.height}\n"
-        f"camera_matrix: {_opencv_matrix(camera.matrix)}"
-        f"distortion_coefficients: {_opencv_matrix(np.atleast_2d(coefficients))}"
+        f"camera_matrix: {opencv_matrix(camera.matrix)}"
+        f"distortion_coefficients: {opencv_matrix(np.atleast_2d(coefficients))}"
     )
     if camera.lens_model is LensModel.FISHEYE:
         text += "fisheye_model: 1\ndistortion_model: equidistant\n"
     if camera.bit_depth is not None:
         text += f"bit_depth: {camera.bit_depth}\n"
     if camera.covariance is not None:
-        text += f"{_COVARIANCE}: {_opencv_matrix(np.array(camera.covariance))}"
+        text += f"{_COVARIANCE}: {opencv_matrix(np.array(camera.covariance))}"
     atomic_write_text(path, text)
 
 
-def _opencv_matrix(matrix: npt.NDArray[Any]) -> str:
+def opencv_matrix(matrix: npt.NDArray[Any]) -> str:
+    """A matrix in OpenCV's YAML, in full precision."""
     rows, cols = matrix.shape
     numbers = ", ".join(repr(float(value)) for value in matrix.ravel())
     return f"!!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n   data: [ {numbers} ]\n"
@@ -192,7 +193,7 @@ def _calibrated(data: dict[Any, Any]) -> Camera:
         except ValueError as error:
             raise ValueError(f"{matrix_key}: {error}") from None
     elif "intrinsics" in data:
-        fx, fy, cx, cy = _counted(data, "intrinsics", 4)
+        fx, fy, cx, cy = counted(data, "intrinsics", 4)
     elif "ppx" in data or "ppy" in data:
         fx = number(data, "fx") / _positive(data, "ppx")
         fy = number(data, "fy") / _positive(data, "ppy")
@@ -205,7 +206,7 @@ def _calibrated(data: dict[Any, Any]) -> Camera:
             "fx): give an OpenCV, ROS or Kalibr YAML file, or a BOP or SPEED camera.json"
         )
     if "resolution" in data:
-        width, height = map(int, _counted(data, "resolution", 2))
+        width, height = map(int, counted(data, "resolution", 2))
     elif size_keys[0] is None or size_keys[1] is None:
         raise ValueError(
             "the image size is missing: add image_width and image_height (pixels) to the file, or "
@@ -332,7 +333,12 @@ def _whole(data: dict[Any, Any], key: str, least: int = 1) -> int:
     return int(value)
 
 
-def _counted(data: dict[Any, Any], key: str, count: int) -> list[float]:
+def counted(data: dict[Any, Any], key: str, count: int) -> list[float]:
+    """So many finite numbers of a key.
+
+    Raises:
+        ValueError: others.
+    """
     values = _numbers(data[key], key)
     if len(values) != count:
         raise ValueError(f"{key}: has {len(values)} numbers, needs {count}")

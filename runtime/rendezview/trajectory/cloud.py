@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.trajectory.no_fit import NoFit
 
@@ -133,9 +134,7 @@ def camera_place(
 
     c = −Rᵀ t, and with R' = exp([w]×) R, t' = t + v:  δc = −Rᵀ ([t]× w + v).
     """
-    x, y, z = pose.translation_m
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    lever = -pose.rotation.T @ np.hstack([cross, np.eye(3)])
+    lever = -pose.rotation.T @ np.hstack([so3.hat(pose.translation_m), np.eye(3)])
     place = pose.inverse().translation_m - np.asarray(centre_m, np.float64)
     return place, lever @ np.asarray(covariance, np.float64) @ lever.T
 
@@ -149,9 +148,7 @@ def centre_place(
     known, so that the target's takes no part.
     """
     arm = pose.rotation @ np.asarray(centre_m, np.float64)
-    x, y, z = arm
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    lever = np.hstack([cross, -np.eye(3)])
+    lever = np.hstack([so3.hat(arm), -np.eye(3)])
     return -(arm + pose.translation_m), lever @ np.asarray(covariance, np.float64) @ lever.T
 
 
