@@ -7,6 +7,7 @@ camera have one time and are stored together.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -82,26 +83,19 @@ class PointCloud:
 
     def joined(self, other: PointCloud) -> PointCloud:
         """Both clouds in order of time."""
-        times = np.concatenate([self.times_s, other.times_s])
-        order = np.argsort(times, kind="stable")
-        return PointCloud(
-            times[order],
-            np.concatenate([self.points, other.points])[order],
-            np.concatenate([self.whitening, other.whitening])[order],
-            np.concatenate([self.by_node, other.by_node])[order],
-            np.concatenate([self.weights, other.weights])[order],
-        )
+        pairs = zip(self._columns, other._columns, strict=True)
+        both = PointCloud(*(np.concatenate(pair) for pair in pairs))
+        order = np.argsort(both.times_s, kind="stable")
+        return PointCloud(*(column[order] for column in both._columns))
 
     def since(self, time_s: float) -> PointCloud:
         """The points from a time on."""
         first = int(np.searchsorted(self.times_s, time_s - 1e-9))
-        return PointCloud(
-            self.times_s[first:],
-            self.points[first:],
-            self.whitening[first:],
-            self.by_node[first:],
-            self.weights[first:],
-        )
+        return PointCloud(*(column[first:] for column in self._columns))
+
+    @property
+    def _columns(self) -> tuple[npt.NDArray[Any], ...]:
+        return self.times_s, self.points, self.whitening, self.by_node, self.weights
 
     def trouble(self, frames: int) -> NoFit | None:
         """Why no segment goes through these points; None where nothing speaks against it.

@@ -88,17 +88,12 @@ def open_bop_scene(
             and ``obj_id`` is not given.
     """
     cameras_path, truth_path = folder / "scene_camera.json", folder / "scene_gt.json"
-    cameras = _by_number(
-        checked(_SCENE_CAMERA, read_json(cameras_path, "a BOP scene"), str(cameras_path)),
-        cameras_path,
-    )
+    cameras = _by_number(_SCENE_CAMERA, cameras_path, "a BOP scene")
     if not cameras:
         raise RendezviewError(f"{cameras_path}: lists no frames: write the scene again")
     truth: dict[int, list[SceneTruth]] = {}
     if truth_path.is_file():
-        truth = _by_number(
-            checked(_SCENE_TRUTH, read_json(truth_path, "BOP truth"), str(truth_path)), truth_path
-        )
+        truth = _by_number(_SCENE_TRUTH, truth_path, "BOP truth")
     images_folder, images = _images(folder)
     base = camera if camera is not None else _scene_camera(folder, next(iter(images.values())))
     bits, notes = fitted(list(images.values()), base, images_folder)
@@ -145,9 +140,10 @@ def scene_of(
     return Sequence(scene_id, tuple(frames), source, notes)
 
 
-def _by_number(entries: dict[str, Listed], path: Path) -> dict[int, Listed]:
+def _by_number(adapter: TypeAdapter[dict[str, Listed]], path: Path, what: str) -> dict[int, Listed]:
+    """The entries of a file of a scene, by the number of their frame."""
     numbered: dict[int, Listed] = {}
-    for key, entry in entries.items():
+    for key, entry in checked(adapter, read_json(path, what), str(path)).items():
         if not (key.isascii() and key.isdigit()):
             raise RendezviewError(f"{path}: {key!r} is not a frame number: correct the file")
         numbered[int(key)] = entry

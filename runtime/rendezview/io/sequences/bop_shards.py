@@ -5,7 +5,6 @@ This is the form of WebDataset in which BOP's training data and HOT3D are publis
 
 from __future__ import annotations
 
-import json
 import tarfile
 from collections import defaultdict
 from collections.abc import Iterator
@@ -17,7 +16,7 @@ from pydantic import TypeAdapter
 
 from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import Camera
-from rendezview.io.files import checked
+from rendezview.io.files import Checked, checked, parse_json
 from rendezview.io.sequences.bop import Entry, SceneCamera, SceneTruth, scene_of
 from rendezview.io.sequences.decoding import decode_grey
 from rendezview.io.sequences.fitting import decoded, fitted_levels, sampled
@@ -51,6 +50,11 @@ class _Part:
         if len(content) < self.size:
             raise RendezviewError(f"{self.shard}: {self.name} is cut short: replace the shard")
         return content
+
+    def content(self, adapter: TypeAdapter[Checked]) -> Checked:
+        """Its JSON as the type of an adapter; errors of `checked` and `parse_json`."""
+        where = f"{self.shard}: {self.name}"
+        return checked(adapter, parse_json(self.read(), where), where)
 
 
 def open_bop_shard(path: Path, camera: Camera | None = None, obj_id: int | None = None) -> Sequence:
@@ -91,8 +95,8 @@ def open_bop_shard(path: Path, camera: Camera | None = None, obj_id: int | None 
             said, truth = (samples[key].get(name) for name in ("camera.json", "gt.json"))
             yield Entry(
                 int(number or 0), images[key].name, partial(_grey, images[key], bits or 16),
-                None if said is None else checked(_CAMERA, _content(said), at), f"{at}: cam_K",
-                [] if truth is None else checked(_TRUTH, _content(truth), truth_at), truth_at,
+                None if said is None else said.content(_CAMERA), f"{at}: cam_K",
+                [] if truth is None else truth.content(_TRUTH), truth_at,
             )  # fmt: skip
 
     return scene_of(path, entries(), base, camera, obj_id, notes)
@@ -101,30 +105,21 @@ def open_bop_shard(path: Path, camera: Camera | None = None, obj_id: int | None 
 def _samples(path: Path) -> dict[str, dict[str, _Part]]:
     """Parts by key and by what follows the key's first dot."""
     found: dict[str, dict[str, _Part]] = defaultdict(dict)
-    try:
-        with tarfile.open(path, "r:") as archive:
-            for member in archive:
-                kind = member.name.rpartition("/")[2].partition(".")[2]
-                if member.isreg() and kind:
-                    key = member.name.removesuffix(f".{kind}")
-                    part = _Part(path, member.name, member.offset_data, member.size)
-                    found[key][kind.lower()] = part
-    except (tarfile.TarError, OSError, ValueError) as error:
-        raise RendezviewError(
-            f"{path}: not a tar file that can be read ({error}): it is damaged, packed or cut short"
-        ) from error
+    unread, why = f"{path}: not a tar file that can be read (", "): damaged, packed or cut short"
+    faults = (tarfile.TarError, OSError, ValueError)
+    with explained(unread, why, faults), tarfile.open(path, "r:") as archive:
+        for member in archive:
+            kind = member.name.rpartition("/")[2].partition(".")[2]
+            if member.isreg() and kind:
+                key = member.name.removesuffix(f".{kind}")
+                part = _Part(path, member.name, member.offset_data, member.size)
+                found[key][kind.lower()] = part
     return found
 
 
 def _number(key: str) -> int | None:
     last = key.rpartition("/")[2].rpartition("_")[2]
     return int(last) if last.isascii() and last.isdigit() else None
-
-
-def _content(part: _Part) -> object:
-    with explained(f"{part.shard}: {part.name}: not valid JSON (", ")"):
-        found: object = json.loads(part.read())
-    return found
 
 
 def _grey(part: _Part, bits: int) -> GreyImage:

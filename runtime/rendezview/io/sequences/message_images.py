@@ -42,15 +42,10 @@ _EIGHT_BIT: dict[str, tuple[int, int | None]] = {
 }
 
 
-_SIXTEEN_BIT: dict[str, tuple[int, int | None]] = {
-    "mono16": (1, None),
-    "16UC1": (1, None),
-    "rgb16": (3, cv2.COLOR_RGB2GRAY),
-    "bgr16": (3, cv2.COLOR_BGR2GRAY),
-    "bayer_rggb16": (1, cv2.COLOR_BayerBG2GRAY),
-    "bayer_bggr16": (1, cv2.COLOR_BayerRG2GRAY),
-    "bayer_gbrg16": (1, cv2.COLOR_BayerGR2GRAY),
-    "bayer_grbg16": (1, cv2.COLOR_BayerGB2GRAY),
+_SIXTEEN_BIT = {
+    name.replace("8", "16"): how
+    for name, how in _EIGHT_BIT.items()
+    if name in ("mono8", "8UC1", "rgb8", "bgr8") or name.startswith("bayer_")
 }
 
 
