@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Iterable, Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -184,8 +184,8 @@ def reflectors(
             runs, patterns, threshold=options, acquisition=acquisition, accelerations=pushes
         )
         steps = (
-            _Step(s.pair, s.frames, s.observation,
-                  {"camera": s.camera, "chaser_from_target": s.chaser_from_target})
+            (s.pair, s.frames, s.observation,
+             {"camera": s.camera, "chaser_from_target": s.chaser_from_target})
             for s in of_set
         )  # fmt: skip
         chosen = itertools.islice(steps, total)
@@ -195,15 +195,18 @@ def reflectors(
     if calibrating:
         if output is None:
             raise RendezviewError("calibrate reflectors: give -o, the file for the calibration")
-        _calibrate(list(itertools.islice(pairs, total)), patterns[0], options, acquisition, output)
+        used = list(itertools.islice(pairs, total))
+        fitted, count = calibrate_run(used, patterns[0], threshold=options, acquisition=acquisition)
+        fitted.save(output)
+        say(f"{output}: closed form of {patterns[0].name!r} from {count} of {len(used)} readings")
         return
     read = follow(
         itertools.islice(pairs, total), patterns, threshold=options, acquisition=acquisition,
         accelerations=pushes, independent=independent,
         tracking=TrackingOptions(readout_s=1e-3 * readout_ms),
     )  # fmt: skip
-    steps = (_Step(*step, {}) for step in read)
-    _run(steps, patterns, forms, overlay, output, total, options, BudgetReport(budget))
+    plain = ((*step, dict[str, Any]()) for step in read)
+    _run(plain, patterns, forms, overlay, output, total, options, BudgetReport(budget))
 
 
 def calibrate_reflectors(
@@ -264,13 +267,8 @@ class _Hint:
         self._open = False
 
 
-class _Step(NamedTuple):
-    """One reading, with what a log has besides."""
-
-    pair: FramePair
-    frames: LitDark | None
-    observation: ReflectorObservation
-    more: dict[str, Any]
+# One reading, with what a log has besides.
+_Step = tuple[FramePair, LitDark | None, ReflectorObservation, dict[str, Any]]
 
 
 def pairs_of(
@@ -319,18 +317,6 @@ def _run(
     say_summary(summary, poses, summary.total, what="poses", step="reading")
     hint.tell()
     report.tell()
-
-
-def _calibrate(
-    pairs: list[FramePair],
-    pattern: ReflectorPattern,
-    threshold: ThresholdOptions,
-    acquisition: AcquisitionOptions,
-    output: Path,
-) -> None:
-    fitted, count = calibrate_run(pairs, pattern, threshold=threshold, acquisition=acquisition)
-    fitted.save(output)
-    say(f"{output}: closed form of {pattern.name!r} from {count} of {len(pairs)} readings")
 
 
 def _affine(text: str | None) -> np.ndarray | None:

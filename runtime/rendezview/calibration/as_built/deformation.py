@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.calibration.as_built.parts import MARGIN_RADII, Part, part_slopes, remounted
+from rendezview.calibration.as_built.parts import MARGIN_RADII, Part, remounted
 from rendezview.calibration.as_built.strain import matrix_of, strain_names, strained
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
@@ -104,10 +104,13 @@ class Deformation:
         if not self.parts:
             return slopes
         of = self.members(edges, radius_m)
-        for k, part in enumerate(self.parts):
+        shift = edges.pose_slopes[:, 3:] @ edges.rotation
+        for k, part in enumerate(
+            self.parts
+        ):  # about the middle of the part as it is mounted by now
             own = of == k
-            moved = part_slopes(part, edges, self._stretch @ part.middle_m)
-            slopes[own, self.of_part(k)] = moved[own]
+            arm = edges.places_m[own] - self._stretch @ part.middle_m - part.move_m
+            slopes[own, self.of_part(k)] = np.hstack([np.cross(arm, shift[own]), shift[own]])
         return slopes
 
     def described(self) -> str:

@@ -17,7 +17,6 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import exp, log
 from rendezview.io.parts import TrustedPart
-from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.model.contours import NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.model.view_model import ViewModel
 
@@ -76,16 +75,6 @@ class Part:
     def motion(self) -> Array:
         """(6,) rotation vector, rad, and shift, m."""
         return np.concatenate([log(self.turn), self.move_m])
-
-
-def part_slopes(part: Part, edges: MeasuredEdges, strained_middle_m: Array) -> Array:
-    """(N, 6) of the predicted edges with a turn and a shift of the part they are on: px/rad, px/m.
-
-    The turn is about the middle of the part as it is mounted by now.
-    """
-    shift = edges.pose_slopes[:, 3:] @ edges.rotation
-    arm = edges.places_m - strained_middle_m - part.move_m
-    return np.concatenate([np.cross(arm, shift), shift], axis=1)
 
 
 def remounted(
