@@ -19,6 +19,21 @@ def without_cache(error: RuntimeError) -> RendezviewError | None:
 
 
 @contextlib.contextmanager
+def explained(
+    before: str, after: str = "", faults: type[Exception] | tuple[type[Exception], ...] = ValueError
+) -> Iterator[None]:
+    """Raise an error of the work inside again with words before it (the place) and after it.
+
+    Raises:
+        RendezviewError: the work inside failed with one of the ``faults``.
+    """
+    try:
+        yield
+    except faults as error:
+        raise RendezviewError(f"{before}{error}{after}") from error
+
+
+@contextlib.contextmanager
 def optional(who: str, extra: str, said: str = "") -> Iterator[None]:
     """Say how to install the package that an import misses; ``who`` needs it.
 

@@ -80,7 +80,7 @@ def test_what_cannot_be_measured_is_said(run, mounted, tmp_path):
     for words, told in (
         ([log, "--target", mounted / "five.toml"], "a log has no camera"),
         ([log, "--target", mounted / "five.toml", "--camera", mounted / "camera.yaml"],
-         "line 1 is no reading"),
+         "record 1: no line of a log of poses"),
         (["--target", "client", "--group", "far"], "say nothing of their places"),
         (["--target", "client", "--length", "far-left=1"], "NAME:NAME=METRES"),
         (["--target", "client", "--length", "far-left:far-right=0.37", "--length-error-mm", "0"],

@@ -42,13 +42,19 @@ def observation(time_s: float) -> AppearanceObservation:
     )
 
 
+def seen_at(time_s: float) -> tuple:
+    """What a guide takes of it."""
+    seen = observation(time_s)
+    return time_s, seen.pose, seen.covariance, seen.cloud
+
+
 def test_plan_to_words_messages_and_pictures(tmp_path: Path):
     (tmp_path / "plan.toml").write_text(PLAN)
     guide = Guide(PathFollower(np.zeros(3), plan=load_plan(tmp_path / "plan.toml")))
     spoken = []
     with JsonLinesWriter(tmp_path / "log.jsonl") as log:
         for k in range(45):
-            told, words = guide.update(float(k), observation(float(k)))
+            told, words = guide.update(*seen_at(float(k)))
             if words:
                 spoken.append(words)
             seen = observation(float(k))
@@ -102,9 +108,9 @@ def test_attitudes_of_the_chaser_must_reach(tmp_path: Path):
     path = tmp_path / "chaser.csv"
     path.write_text("time_s,qw,qx,qy,qz\n0,1,0,0,0\n10,0,1,0,0\n")
     guide = Guide(PathFollower(np.zeros(3), Shape.CIRCULAR), chaser_attitudes(path))
-    guide.update(5.0, observation(5.0))
+    guide.update(*seen_at(5.0))
     with pytest.raises(RendezviewError, match="0 to 10 s"):
-        guide.update(11.0, observation(11.0))
+        guide.update(*seen_at(11.0))
 
 
 def test_an_unknown_shape_is_refused():

@@ -136,7 +136,7 @@ def test_a_matrix_that_is_none_is_told_by_its_look():
     ],
 )
 def test_times_that_are_no_seconds_or_missing_are_told(times_s, words):
-    doubts = [doubt.what for doubt in time_doubts(times_s)]
+    doubts = time_doubts(times_s)
     assert len(doubts) == len(words)
     assert all(word in doubt for word, doubt in zip(words, doubts, strict=True))
 

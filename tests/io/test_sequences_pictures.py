@@ -162,7 +162,7 @@ def test_the_comb_of_interlaced_video_is_told(shift: float, bits: int) -> None:
     woven[1::2] = scene(shift)[1::2]
     pictures = [woven, woven[:, ::-1], woven] if bits == 8 else [woven.astype(np.uint16) * 257]
     (doubt,) = comb_doubts(pictures)
-    assert "interlaced" in doubt.what
+    assert "interlaced" in doubt
 
 
 def test_pictures_without_a_comb_are_not_doubted() -> None:

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from rendezview import RendezviewError
+from rendezview.cli.inputs import numbers_of
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.frame import Frame, Sequence
-from rendezview.io.where_to_look import boxes_by_frame, each_box, masks_by_frame, numbers_of
+from rendezview.io.where_to_look import boxes_by_frame, each_box, masks_by_frame
 
 CAMERA = Camera.from_fov(64, 48, 0.5)
 

@@ -22,7 +22,7 @@ from rendezview.trajectory import (
 )
 from rendezview.trajectory.relative_orbit import transition
 from rendezview.trajectory.scaling import held, inverse_of, robust_root
-from rendezview.trajectory.shapes import code_of
+from rendezview.trajectory.shapes import CODES
 from rendezview.trajectory.simplex import RESIDUALS, cost, downhill_simplex
 from rendezview.trajectory.start import _linear
 
@@ -114,7 +114,7 @@ def test_simplex_ends_where_scipys_does():
     )  # fmt: skip
     start = found.parameters + np.array([0.02, -0.02, 0.02, 0.5, 1e-4])
     steps = np.array([0.02, 0.02, 0.02, 0.5, 1e-4])
-    code = code_of(Shape.CIRCULAR)
+    code = CODES[Shape.CIRCULAR]
     place, out = np.empty_like(first), np.empty((len(first), RESIDUALS))
 
     def asked(p):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from rendezview.calibration.bundle import Adjusted, Bundle, Observations, adjust
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.files import StrPath
+from rendezview.io.sequences.images import read_grey
 from rendezview.sensors.beacons.detect.brown_lens import Lens
 from rendezview.sensors.beacons.rig import Rig, RigCamera
 
@@ -25,6 +27,7 @@ _WINDOW_PX = 5
 # cells of a picture, across and down, in which an error of the lens model is about the same.
 # Source: by construction, a lens of nine numbers has no finer errors, and a dozen boards fill them
 _CELLS = (6, 4)
+_FLAT_M = 1e-9  # m; points that differ less along z lie in a plane. Source: by construction
 _CORNER_PX = 1.0  # initial σ; the residuals give the true one. Source: by construction
 
 
@@ -87,16 +90,14 @@ def pictures_of_a_camera(paths: Iterable[StrPath]) -> Iterator[npt.NDArray[np.ui
     """
     first: tuple[int, ...] | None = None
     for path in paths:
-        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        if grey is None:
-            raise RendezviewError(f"{path}: is no picture that can be read: replace it")
+        grey = read_grey(Path(path))
         first = first or grey.shape
         if grey.shape != first:
             raise RendezviewError(
                 f"{path}: is {grey.shape[1]} × {grey.shape[0]} pixels, the others are "
                 f"{first[1]} × {first[0]}: give pictures of one camera"
             )
-        yield np.asarray(grey, np.uint8)
+        yield grey
 
 
 def find_corners(grey: npt.NDArray[np.uint8], board: Chessboard) -> Array | None:
@@ -205,21 +206,12 @@ def rig_of(adjusted: Adjusted) -> Rig:
 
 
 def _observations(views: BoardViews, cameras: Sequence[int], used: Sequence[int]) -> Observations:
-    camera, view, point, places = [], [], [], []
-    for i, k in enumerate(cameras):
-        for j, v in enumerate(used):
-            corners = views.corners[k][v]
-            if corners is None:
-                continue
-            camera.append(np.full(len(corners), i))
-            view.append(np.full(len(corners), j))
-            point.append(np.arange(len(corners)))
-            places.append(corners)
-    positions = np.concatenate(places)
-    return Observations(
-        np.concatenate(camera), np.concatenate(view), np.concatenate(point), positions,
-        np.full(positions.shape, _CORNER_PX),
-    )  # fmt: skip
+    return Observations.joined(
+        (i, j, np.arange(len(corners)), corners, np.full(corners.shape, _CORNER_PX), None)
+        for i, k in enumerate(cameras)
+        for j, v in enumerate(used)
+        if (corners := views.corners[k][v]) is not None
+    )
 
 
 def _calibrated_alone(
@@ -247,11 +239,18 @@ def _calibrated_alone(
 def _board_pose(camera: RigCamera, points: Array, corners: Array) -> Pose:
     """camera_from_board of one view, lens left aside."""
     matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
-    ok, turn, place = cv2.solvePnP(
-        points, corners.astype(np.float64), matrix, None, flags=cv2.SOLVEPNP_IPPE
-    )
-    if not ok:
+    pose = pose_of_points(points, corners.astype(np.float64), matrix)
+    if pose is None:
         raise RendezviewError("a view of the board gives no pose: check --board and its pictures")
+    return pose
+
+
+def pose_of_points(points: Array, seen: Array, matrix: Array) -> Pose | None:
+    """camera_from_points of points (N, 3) seen at (N, 2), by OpenCV: in a plane z = 0, or not."""
+    flag = cv2.SOLVEPNP_IPPE if np.ptp(points[:, 2]) < _FLAT_M else cv2.SOLVEPNP_SQPNP
+    ok, turn, place = cv2.solvePnP(points, seen, matrix, None, flags=flag)
+    if not ok:
+        return None
     return Pose(
         np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place.ravel(), np.float64)
     )

@@ -8,6 +8,7 @@ counts all the others.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -43,6 +44,18 @@ class Observations:
     positions: Array  # (M, 2) detector units
     sigma: Array  # (M, 2)
     terms: Array | None = None  # (M, T) of the detector's response, where that is adjusted too
+
+    @classmethod
+    def joined(
+        cls, parts: Iterable[tuple[int, int, Ints, Array, Array, Array | None]]
+    ) -> Observations:
+        """Those of all cameras and views: the numbers of both, and the other columns."""
+        camera, view, *columns = zip(*parts, strict=True)
+        counts = [len(points) for points in columns[0]]
+        terms = None if columns[-1][0] is None else np.concatenate(columns[-1])
+        point, positions, sigma = (np.concatenate(column) for column in columns[:3])
+        numbers = np.repeat(camera, counts), np.repeat(view, counts)
+        return cls(*numbers, point, positions, sigma, terms)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,10 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 
-from rendezview.calibration.board import rig_of
+from rendezview.calibration.board import pose_of_points, rig_of
 from rendezview.calibration.bundle import Adjusted, Bundle, Observations, adjust
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
@@ -222,14 +221,10 @@ def _start(camera: RigCamera, record: LaboratoryRecord, k: int, view: int) -> Po
             "6 are needed"
         )
     ideal, _ = camera.ideal(spots)
-    flag = cv2.SOLVEPNP_IPPE if np.ptp(record.plate_m[:, 2]) < 1e-9 else cv2.SOLVEPNP_SQPNP
-    points = record.plate_m[spots.led]
-    ok, turn, place = cv2.solvePnP(points, ideal, np.eye(3), None, flags=flag)
-    if not ok:
+    pose = pose_of_points(record.plate_m[spots.led], ideal, np.eye(3))
+    if pose is None:
         raise RendezviewError(f"view {view} of the plate gives no pose in camera {camera.name!r}")
-    return Pose(
-        np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place.ravel(), np.float64)
-    )
+    return pose
 
 
 def _unsurveyed(cameras: Sequence[RigCamera], view: int, record: LaboratoryRecord) -> Pose:
@@ -243,7 +238,7 @@ def _observations(
     cameras: Sequence[RigCamera], record: LaboratoryRecord, which: Sequence[int],
     views: Sequence[int],
 ) -> Observations:  # fmt: skip
-    columns: list[list[Array]] = [[], [], [], [], [], []]
+    parts = []
     for i, k in enumerate(which):
         diode = cameras[i].photodiode
         assert diode is not None
@@ -254,24 +249,9 @@ def _observations(
             averaged = replace(diode, noise=diode.noise / np.sqrt(record.views[v].frames))
             spots = averaged.read(currents)
             sigma = np.hypot(spots.sigma, cameras[i].floor)
-            for column, value in zip(
-                columns,
-                (
-                    np.full(len(spots), i),
-                    np.full(len(spots), j),
-                    spots.led,
-                    spots.positions,
-                    sigma,
-                    diode.response.terms(currents[spots.led]),
-                ),
-                strict=True,
-            ):
-                column.append(value)
-    camera, view, point, positions, sigma, terms = map(np.concatenate, columns)
-    return Observations(
-        camera.astype(np.int64), view.astype(np.int64), point.astype(np.int64), positions, sigma,
-        terms,
-    )  # fmt: skip
+            terms = diode.response.terms(currents[spots.led])
+            parts.append((i, j, spots.led, spots.positions, sigma, terms))
+    return Observations.joined(parts)
 
 
 def _apart(rig: Rig, record: LaboratoryRecord) -> float:

@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import Field, FiniteFloat, TypeAdapter
 
 from rendezview.calibration.laboratory import CameraRecord, LaboratoryRecord, PlateView
-from rendezview.errors import RendezviewError
+from rendezview.errors import explained
 from rendezview.geometry.pose import Array
-from rendezview.io.files import StrPath, checked, parse_json, read_text
+from rendezview.io.files import StrPath, checked, read_json
 from rendezview.sensors.beacons.rig_files import PoseTable, Table
 
 _Numbers = list[FiniteFloat]
@@ -50,9 +50,9 @@ def load_record(path: StrPath) -> LaboratoryRecord:
     Raises:
         RendezviewError: missing, not a record, or tables of unequal lengths (named).
     """
-    text = read_text(path, "the record of a laboratory calibration (JSON)")
-    file = checked(_RECORD, parse_json(text, str(path)), str(path))
-    try:
+    content = read_json(path, "the record of a laboratory calibration (JSON)")
+    file = checked(_RECORD, content, str(path))
+    with explained(f"{path}: ", ": correct the record"):
         plate = _table(file.plate_m, (-1, 3), "plate_m")
         cameras = tuple(
             CameraRecord(
@@ -77,8 +77,6 @@ def load_record(path: StrPath) -> LaboratoryRecord:
             )
             place = None if view.rig_from_plate is None else view.rig_from_plate.pose()
             views.append(PlateView(place, seen, view.frames))
-    except ValueError as error:
-        raise RendezviewError(f"{path}: {error}: correct the record") from error
     return LaboratoryRecord(cameras, plate, file.plate_sigma_m, tuple(views))
 
 

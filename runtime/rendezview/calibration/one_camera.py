@@ -14,8 +14,8 @@ from rendezview.calibration.board import Chessboard, find_corners, pictures_of_a
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
+from rendezview.io.sequences.images import list_images
 
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 _FEWEST_VIEWS = 5  # Source: OpenCV's calibration tutorial asks for ten; five determine it
 _FEWEST_CORNERS = 8  # of a view of a ChArUco board. Source: by construction, twice those of a pose
 _NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
@@ -144,7 +144,7 @@ def _listed(pictures: Sequence[Path]) -> list[Path]:
     paths: list[Path] = []
     for path in pictures:
         if path.is_dir():
-            paths += sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES)
+            paths += list_images(path)
         else:
             paths.append(path)
     if not paths:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from rich.console import Console
-from rich.table import Table
-
-from rendezview.cli.progress import say
+from rendezview.cli.progress import say, say_table
 from rendezview.sensors.beacons.budget import Budget, budget_rows, unknown_causes
 
 
@@ -29,7 +26,4 @@ class BudgetReport:
         if unknown is not None:
             say(unknown)
         if self._wanted:
-            table = Table("cause", "σ of attitude, °", "σ of place, mm")
-            for row in budget_rows(self._budgets):
-                table.add_row(*row)
-            Console(stderr=True).print(table)
+            say_table(("cause", "σ of attitude, °", "σ of place, mm"), budget_rows(self._budgets))

@@ -8,16 +8,14 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from rendezview.calibration.as_built import AsBuilt, ShapeEstimator, strain_names
 from rendezview.calibration.as_built.picture import shape_picture
 from rendezview.calibration.board import Chessboard
 from rendezview.calibration.one_camera import CharucoBoard, calibrate_camera
-from rendezview.cli.inputs import given_sequence
+from rendezview.cli.inputs import board_of, check_positive, given_sequence
 from rendezview.cli.pattern import calibrate_pattern
-from rendezview.cli.progress import say
+from rendezview.cli.progress import say, say_table
 from rendezview.cli.reflectors import calibrate_reflectors
 from rendezview.cli.ring import size
 from rendezview.cli.stereo import calibrate_rig
@@ -61,24 +59,18 @@ def camera(
              rendezview calibrate camera boards --board 7x5 --pitch-mm 30 --marker-mm 22 -o c.yaml
     """
     check_place(output, "the camera file")
-    parted = re.fullmatch(r"(\d+)x(\d+)", board)
-    if parted is None or min(int(parted[1]), int(parted[2])) < 3:
-        raise RendezviewError(f"--board must be like 9x6, at least 3x3, not {board!r}")
-    for name, value in (("--pitch-mm", pitch_mm), ("--marker-mm", marker_mm)):
-        if value is not None and not (np.isfinite(value) and value > 0.0):
-            raise RendezviewError(f"{name} must be positive, not {value}")
-    columns, rows, pitch_m = int(parted[1]), int(parted[2]), 1e-3 * pitch_mm
+    columns, rows = board_of(board)
+    check_positive("--pitch-mm", pitch_mm)
+    check_positive("--marker-mm", marker_mm)
     pattern = (
-        Chessboard(columns, rows, pitch_m)
+        Chessboard(columns, rows, 1e-3 * pitch_mm)
         if marker_mm is None
-        else CharucoBoard(columns, rows, pitch_m, 1e-3 * marker_mm, dictionary)
+        else CharucoBoard(columns, rows, 1e-3 * pitch_mm, 1e-3 * marker_mm, dictionary)
     )
     found = calibrate_camera(pictures, pattern)
     save_camera(found.camera, output)
-    table = Table("parameter", "value", "σ")
-    for name, value, sigma in found.rows():
-        table.add_row(name, f"{value:.6g}", f"{sigma:.2g}")
-    Console(stderr=True).print(table)
+    numbers = ((name, f"{value:.6g}", f"{sigma:.2g}") for name, value, sigma in found.rows())
+    say_table(("parameter", "value", "σ"), numbers)
     say(
         f"{output}: from {found.used} of {found.given} pictures, r.m.s. {found.rms_px:.3f} px"
         + (f"; no board in {', '.join(found.without)}" if found.without else "")
@@ -162,10 +154,8 @@ def shape(
     Example: rendezview calibrate shape tango.rvm fly-around -o as-built.rvm --length x=0.571/0.560
     """
     check_place(output, "the model")
-    if picture is not None:
-        check_place(picture, "the picture")
-    if lens is not None:
-        check_place(lens, "the camera file")
+    check_place(picture, "the picture")
+    check_place(lens, "the camera file")
     loaded = ViewModel.load(model)
     mounted = () if parts is None else Target.load(parts).parts
     if parts is not None and not mounted:
@@ -232,22 +222,21 @@ def _triple(values: Array) -> str:
 
 
 def _tell(found: AsBuilt, output: Path, given: int) -> None:
-    table = Table("strain", "%", "σ, %")
     sigmas = np.sqrt(np.diag(found.covariance))
-    for name, value, sigma in zip(strain_names(), found.components, sigmas, strict=True):
-        table.add_row(name, f"{100 * value:+.2f}", f"{100 * sigma:.2f}")
-    console = Console(stderr=True)
-    console.print(table)
+    strain = zip(strain_names(), found.components, sigmas, strict=True)
+    say_table(
+        ("strain", "%", "σ, %"), ((n, f"{100 * v:+.2f}", f"{100 * s:.2f}") for n, v, s in strain)
+    )
     if found.mountings:
-        table = Table("part", "turned, °", "σ", "shifted, mm", "σ", "trust", "edges")
+        rows = []
         for part in found.mountings:
             turn, shift = np.sqrt(np.trace(part.covariance[:3, :3])), part.motion[3:]
-            table.add_row(
+            rows.append((
                 part.name, _triple(np.rad2deg(part.motion[:3])), f"{np.rad2deg(turn):.2g}",
                 _triple(1e3 * shift), f"{1e3 * np.sqrt(np.trace(part.covariance[3:, 3:])):.2g}",
                 f"{part.trust:.2f}", str(part.edges),
-            )  # fmt: skip
-        console.print(table)
+            ))  # fmt: skip
+        say_table(("part", "turned, °", "σ", "shifted, mm", "σ", "trust", "edges"), rows)
     if len(found.lens_covariance):
         sigmas = np.sqrt(np.diag(found.lens_covariance))
         seen = found.camera

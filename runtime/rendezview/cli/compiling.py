@@ -32,11 +32,7 @@ from numba.core.errors import NumbaError
 from numba.core.event import Event, Listener, register
 
 from rendezview.cli.progress import ProgressBar, say
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+from rendezview.io.file_lock import lock
 
 # By command, the groups of loops.json that it calls; those that are needed first come first.
 COMMANDS = {
@@ -359,12 +355,9 @@ def _saved_in_turn() -> Iterator[None]:
 @contextlib.contextmanager
 def _alone(folder: Path) -> Iterator[None]:
     """Meanwhile no other process is in here for this folder; without file locks at once."""
-    if fcntl is None:
-        yield
-        return
     with open(folder / ".rendezview-lock", "ab") as file:
         with contextlib.suppress(OSError):  # a file system without locks
-            fcntl.flock(file, fcntl.LOCK_EX)
+            lock(file.fileno(), wait=True)
         yield
 
 

@@ -61,11 +61,9 @@ def export(
         )
     if not (listing or rules) and (node or output):
         raise RendezviewError("--node and --output go with --listing or --rules")
-    if tum is not None:
-        _write_path(model, tum, tum_text)
-        return
-    if kitti is not None:
-        _write_path(model, kitti, kitti_text)
+    place = tum or kitti
+    if place is not None:
+        _write_path(model, place, kitti_text if tum is None else tum_text)
         return
     loaded = ViewModel.load(model)
     if c is not None:

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
+from rendezview.cli.inputs import check_positive
 from rendezview.cli.progress import ProgressBar, outcome_words, say
 from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, FusionOptions
@@ -73,8 +73,7 @@ def fuse(
     Example: rendezview fuse track.jsonl ring.jsonl laser.jsonl --target client -o state.jsonl
     """
     check_place(output, "the state")
-    if every_s is not None and not (np.isfinite(every_s) and every_s > 0.0):
-        raise RendezviewError(f"--every-s must be positive, not {every_s}")
+    check_positive("--every-s", every_s)
     named = [sensor_name(text) for text in logs]
     names = [name for name, _ in named]
     if len(set(names)) < len(names):

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 from scipy.spatial.transform import Rotation, Slerp
 
 from rendezview.cli.progress import say
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.ccsds import Names, attitude_message, epoch_of, orbit_message
 from rendezview.io.files import atomic_write_text, read_text
@@ -43,31 +43,13 @@ def chaser_attitudes(path: Path) -> Slerp:
     rows = list(csv.reader(read_text(path, "attitudes of the chaser (CSV)").splitlines()))
     if not rows or [cell.strip() for cell in rows[0]] != _HEADER:
         raise RendezviewError(f"{path}: line 1: the header must be {','.join(_HEADER)}")
-    try:
+    with explained(f"{path}: ", ": correct the file"):
         table = np.array([[float(cell) for cell in row] for row in rows[1:] if row])
         if table.ndim != 2 or table.shape[1] != 5 or len(table) < 2:
             raise ValueError("needs two rows or more of five numbers")
         if not np.isfinite(table).all() or np.any(np.diff(table[:, 0]) <= 0.0):
             raise ValueError("numbers must be finite, and the times rise")
         return Slerp(table[:, 0], Rotation.from_quat(table[:, [2, 3, 4, 1]]))
-    except ValueError as error:
-        raise RendezviewError(f"{path}: {error}: correct the file") from error
-
-
-class Seen(Protocol):
-    """What a guide takes of a frame: an observation of ``track``, or a pose of a log."""
-
-    @property
-    def pose(self) -> Pose | None:
-        """camera_from_target."""
-
-    @property
-    def covariance(self) -> Array | None:
-        """(6, 6) of the pose."""
-
-    @property
-    def cloud(self) -> tuple[Array, Array]:
-        """Points (K, 3) of the camera, target frame, and the trust in each (K,)."""
 
 
 # Options of the commands that fit a path.
@@ -143,8 +125,18 @@ class Guide:
         follower = PathFollower(centre_m, chosen, plan, options)
         return cls(follower, chaser_attitudes(chaser) if chaser else None)
 
-    def update(self, time_s: float, observation: Seen) -> tuple[dict[str, Any], str | None]:
+    def update(
+        self,
+        time_s: float,
+        pose: Pose | None,
+        covariance: Array | None,
+        cloud: tuple[Array, Array] | None = None,
+    ) -> tuple[dict[str, Any], str | None]:
         """Record of a frame, and words when a segment ends.
+
+        Args:
+            pose, covariance: camera_from_target and its (6, 6).
+            cloud: points (K, 3) of the camera, target frame, and the trust in each (K,).
 
         Raises:
             RendezviewError: the chaser's attitudes do not reach to this time.
@@ -159,10 +151,8 @@ class Guide:
                     f"the chaser's attitudes are of {first_s:g} to {last_s:g} s, the frame of "
                     f"{time_s:g} s: give attitudes of the whole sequence"
                 ) from None
-        points_m, weights = observation.cloud
-        report = self.follower.update(
-            time_s, observation.pose, observation.covariance, points_m, weights, attitude
-        )
+        points_m, weights = cloud or (None, None)
+        report = self.follower.update(time_s, pose, covariance, points_m, weights, attitude)
         self.last = report
         if isinstance(report.segment, Segment):
             self.times_s.append(time_s)
@@ -174,15 +164,8 @@ class Guide:
             self.attitudes.append(report.spin.at(time_s)[0][0])
         line = record(report)
         line["centre_m"] = self.follower.centre_m
-        line["path_from_target"] = self._path_from_target(time_s, attitude, observation)
+        line["path_from_target"] = report.path_from_target
         return line, describe(report) if report.ended else None
-
-    def _path_from_target(self, time_s: float, attitude: Array | None, observation: Seen) -> Array:
-        """(3, 3) as the follower took it; the identity for a frame that it could not use."""
-        if attitude is not None:
-            return np.eye(3) if observation.pose is None else attitude @ observation.pose.rotation
-        plan = self.follower.plan
-        return np.eye(3) if plan is None else plan.path_from_target(time_s)
 
     def frames(self) -> tuple[str, str]:
         """Names of the frames of the path and of the attitude's reference."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,22 +24,10 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.bundled import find_target
 from rendezview.io.files import check_place
-from rendezview.io.pose_log import logged_pose
-from rendezview.io.results import read_json_lines
+from rendezview.io.pose_log import logged_pose, read_poses
 from rendezview.sensors.run import Line, run
 
-
-@dataclass(frozen=True, slots=True)
-class _Logged:
-    """The pose of a line of a log."""
-
-    time_s: float
-    pose: Pose | None
-    covariance: Array | None
-
-    @property
-    def cloud(self) -> tuple[Array, Array]:
-        return np.zeros((0, 3)), np.zeros(0)
+_Logged = tuple[float, Pose | None, Array | None]  # time, pose and its covariance
 
 
 def guide(
@@ -76,49 +63,36 @@ def guide(
         if found.docking_ring is None:
             raise RendezviewError(f"{target}: this target has no docking_ring: leave --target out")
         name, centre_m = found.name, found.docking_ring.centre_m
-    poses = list(_poses(log))
-    moment = first_epoch(epoch, [seen.time_s for seen in poses[:1]], bool(oem or aem))
+    poses = _poses(log)
+    moment = first_epoch(epoch, [time_s for time_s, *_ in poses[:1]], bool(oem or aem))
     guided = Guide.of(centre_m, plan, shape, chaser, True)
 
     def lines() -> Iterator[Line]:
-        for seen in poses:
-            noted, words = guided.update(seen.time_s, seen)
+        for time_s, pose, covariance in poses:
+            noted, words = guided.update(time_s, pose, covariance)
             if words:
                 say(words)
-            yield Line({"time_s": seen.time_s, "trajectory": noted})
+            yield Line({"time_s": time_s, "trajectory": noted})
 
     with ProgressBar() as bar:
         run(lines(), log=output, progress=bar.stage("poses", len(poses)))
     guided.finish(oem, aem, moment, name)
 
 
-def _poses(path: Path) -> Iterator[_Logged]:
+def _poses(path: Path) -> list[_Logged]:
     """The poses of a log, in order of time; of several at one time the last.
 
     Raises:
         RendezviewError: missing, or a line that is of no log of poses.
     """
-    records = read_json_lines(path)
-    waiting: _Logged | None = None
-    for number, record in enumerate(records, start=1):
-        try:
-            seen = _pose(record)
-        except (KeyError, TypeError, ValueError) as error:
-            raise RendezviewError(
-                f"{path}: record {number}: no line of a log of poses ({error}): give that of "
-                "`rendezview fuse` or `track`"
-            ) from error
-        if waiting is not None and seen.time_s < waiting.time_s:
-            raise RendezviewError(f"{path}: record {number}: times must rise")
-        if waiting is not None and seen.time_s > waiting.time_s:
-            yield waiting
-        waiting = seen
-    if waiting is not None:
-        yield waiting
+    found: dict[float, _Logged] = {}
 
+    def take(record: dict[str, Any]) -> None:
+        given, time_s = record["pose"], float(record["time_s"])
+        if found and time_s < next(reversed(found)):
+            raise ValueError("times must rise")
+        known = given is not None and record["covariance"] is not None
+        found[time_s] = (time_s, *(logged_pose(record) if known else (None, None)))
 
-def _pose(record: dict[str, Any]) -> _Logged:
-    given, time_s = record["pose"], float(record["time_s"])
-    if given is None or record["covariance"] is None:
-        return _Logged(time_s, None, None)
-    return _Logged(time_s, *logged_pose(record))
+    read_poses(path, take)
+    return list(found.values())

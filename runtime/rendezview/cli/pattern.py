@@ -8,8 +8,6 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from rendezview.calibration.pattern import (
     KnownLength,
@@ -21,8 +19,8 @@ from rendezview.calibration.pattern import (
     sightings_of_readings,
 )
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
-from rendezview.cli.inputs import given_camera
-from rendezview.cli.progress import ProgressBar, say
+from rendezview.cli.inputs import CameraFile, check_positive, given_camera, numbers_of
+from rendezview.cli.progress import ProgressBar, say, say_table
 from rendezview.cli.reflectors import pairs_of
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -50,9 +48,7 @@ def calibrate_pattern(
             "with --length only."
         ),
     ] = None,
-    camera: Annotated[
-        Path | None, typer.Option(help="Camera file; wins over that of the pictures.")
-    ] = None,
+    camera: CameraFile = None,
     group: Annotated[
         list[str] | None, typer.Option(help="Groups that there are; repeat for several. All.")
     ] = None,
@@ -123,24 +119,24 @@ def _sightings(
 
 def _length(text: str, error_mm: float) -> KnownLength:
     parted = re.fullmatch(r"([^:=]+):([^:=]+)=([0-9.eE+-]+)", text.strip())
-    try:
-        metres = float(parted[3]) if parted else np.nan
-    except ValueError:
-        metres = np.nan
-    if parted is None or not (np.isfinite(metres) and metres > 0.0):
+    if parted is None:
         raise RendezviewError(f"--length must be NAME:NAME=METRES, not {text!r}")
-    if not (np.isfinite(error_mm) and error_mm > 0.0):
-        raise RendezviewError(f"--length-error-mm must be positive, not {error_mm}")
-    return KnownLength(parted[1], parted[2], metres, 1e-3 * error_mm)
+    (metres,) = numbers_of(parted[3], f"--length {text!r}", (1,))
+    check_positive(f"--length {text!r}", metres)
+    check_positive("--length-error-mm", error_mm)
+    return KnownLength(parted[1], parted[2], float(metres), 1e-3 * error_mm)
 
 
 def _tell(found: MeasuredPattern, output: Path, *, sized: bool) -> None:
-    table = Table("reflector", "moved, mm", "σ, mm", "off, %")
     rows = zip(found.pattern.names, found.moved_m, found.pattern.sigmas_m, found.off, strict=True)
-    for name, moved, sigma, off in rows:
-        by = " ".join(f"{1e3 * value:+.3f}" for value in moved)
-        table.add_row(name, by, f"{1e3 * sigma:.2g}", f"{100.0 * off:.0f}")
-    Console(stderr=True).print(table)
+    say_table(
+        ("reflector", "moved, mm", "σ, mm", "off, %"),
+        (
+            (name, " ".join(f"{1e3 * value:+.3f}" for value in moved), f"{1e3 * sigma:.2g}",
+             f"{100.0 * off:.0f}")
+            for name, moved, sigma, off in rows
+        ),
+    )  # fmt: skip
     for name in found.named:
         moved = found.moved_m[found.pattern.names.index(name)]
         say(f"{name} is off by {1e3 * float(np.linalg.norm(moved)):.2f} mm: its place is corrected")

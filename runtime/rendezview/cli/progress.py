@@ -11,11 +11,12 @@ import os
 import statistics
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from rendezview.sensors.observation import Status
 from rendezview.sensors.run import Summary
@@ -35,6 +36,14 @@ def as_json() -> bool:
 def say(text: str) -> None:
     """One line on stderr."""
     Console(stderr=True).print(text, highlight=False, soft_wrap=True)
+
+
+def say_table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
+    """A table on stderr."""
+    table = Table(*columns)
+    for row in rows:
+        table.add_row(*row)
+    Console(stderr=True).print(table)
 
 
 def say_summary(summary: Summary, poses: int, total: int, *, what: str, step: str) -> None:

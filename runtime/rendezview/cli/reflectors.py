@@ -6,14 +6,14 @@ import itertools
 from collections.abc import Iterable, Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
 from rendezview.cli.budget import BudgetReport
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
-from rendezview.cli.inputs import say_once
+from rendezview.cli.inputs import CameraFile, numbers_of, say_once
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
@@ -75,9 +75,7 @@ def reflectors(
     target: Annotated[
         str | None, typer.Option(help="Target file with reflectors, its folder, or client.")
     ] = None,
-    camera: Annotated[
-        Path | None, typer.Option(help="Camera file; wins over that of the pictures.")
-    ] = None,
+    camera: CameraFile = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="JSON lines of readings.")
     ] = None,
@@ -186,8 +184,8 @@ def reflectors(
             runs, patterns, threshold=options, acquisition=acquisition, accelerations=pushes
         )
         steps = (
-            _Step(s.pair, s.frames, s.observation,
-                  {"camera": s.camera, "chaser_from_target": s.chaser_from_target})
+            (s.pair, s.frames, s.observation,
+             {"camera": s.camera, "chaser_from_target": s.chaser_from_target})
             for s in of_set
         )  # fmt: skip
         chosen = itertools.islice(steps, total)
@@ -197,15 +195,18 @@ def reflectors(
     if calibrating:
         if output is None:
             raise RendezviewError("calibrate reflectors: give -o, the file for the calibration")
-        _calibrate(list(itertools.islice(pairs, total)), patterns[0], options, acquisition, output)
+        used = list(itertools.islice(pairs, total))
+        fitted, count = calibrate_run(used, patterns[0], threshold=options, acquisition=acquisition)
+        fitted.save(output)
+        say(f"{output}: closed form of {patterns[0].name!r} from {count} of {len(used)} readings")
         return
     read = follow(
         itertools.islice(pairs, total), patterns, threshold=options, acquisition=acquisition,
         accelerations=pushes, independent=independent,
         tracking=TrackingOptions(readout_s=1e-3 * readout_ms),
     )  # fmt: skip
-    steps = (_Step(*step, {}) for step in read)
-    _run(steps, patterns, forms, overlay, output, total, options, BudgetReport(budget))
+    plain = ((*step, dict[str, Any]()) for step in read)
+    _run(plain, patterns, forms, overlay, output, total, options, BudgetReport(budget))
 
 
 def calibrate_reflectors(
@@ -216,9 +217,7 @@ def calibrate_reflectors(
         str, typer.Option(help="Target file with reflectors, its folder, or client.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Calibration to write (JSON).")],
-    camera: Annotated[
-        Path | None, typer.Option(help="Camera file; wins over that of the pictures.")
-    ] = None,
+    camera: CameraFile = None,
     group: Annotated[str | None, typer.Option(help="The group; the first, if not given.")] = None,
     mode: Annotated[
         Mode | None, typer.Option(help="Default: pairs; two folders: splitter.")
@@ -268,13 +267,8 @@ class _Hint:
         self._open = False
 
 
-class _Step(NamedTuple):
-    """One reading, with what a log has besides."""
-
-    pair: FramePair
-    frames: LitDark | None
-    observation: ReflectorObservation
-    more: dict[str, Any]
+# One reading, with what a log has besides.
+_Step = tuple[FramePair, LitDark | None, ReflectorObservation, dict[str, Any]]
 
 
 def pairs_of(
@@ -325,28 +319,12 @@ def _run(
     report.tell()
 
 
-def _calibrate(
-    pairs: list[FramePair],
-    pattern: ReflectorPattern,
-    threshold: ThresholdOptions,
-    acquisition: AcquisitionOptions,
-    output: Path,
-) -> None:
-    fitted, count = calibrate_run(pairs, pattern, threshold=threshold, acquisition=acquisition)
-    fitted.save(output)
-    say(f"{output}: closed form of {pattern.name!r} from {count} of {len(pairs)} readings")
-
-
 def _affine(text: str | None) -> np.ndarray | None:
     if text is None:
         return None
-    try:
-        affine = np.array([float(part) for part in text.split(",")]).reshape(2, 3)
-        if not np.isfinite(affine).all() or abs(np.linalg.det(affine[:, :2])) < 1e-3:
-            raise ValueError(text)
-    except ValueError:
-        raise RendezviewError(
-            f"--lit-from-dark must be six numbers 'a,b,c,d,e,f' (u = a u' + b v' + c, "
-            f"v = d u' + e v' + f) that can be inverted, not {text!r}"
-        ) from None
-    return affine
+    words = ": the six numbers 'a,b,c,d,e,f' of u = a u' + b v' + c, v = d u' + e v' + f, "
+    words += "which can be inverted"
+    return numbers_of(
+        text, "--lit-from-dark", (6,), words,
+        lambda n: bool(abs(np.linalg.det(n.reshape(2, 3)[:, :2])) >= 1e-3),
+    ).reshape(2, 3)  # fmt: skip

@@ -10,11 +10,10 @@ from itertools import count
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 from typer.core import TyperGroup
 
-from rendezview.cli.inputs import given_sequence
+from rendezview.cli.inputs import CameraFile, check_positive, direction_of, given_sequence
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
@@ -53,9 +52,7 @@ def find(
     frames: Annotated[
         Path, typer.Argument(help="BOP scene, SPEED folder, folder of images, or video.")
     ],
-    camera: Annotated[
-        Path | None, typer.Option(help="Camera file; wins over that of the frames.")
-    ] = None,
+    camera: CameraFile = None,
     radius_m: Annotated[
         float | None, typer.Option("--radius-m", help="Radius of the ring's edge: gives poses.")
     ] = None,
@@ -114,8 +111,7 @@ def find(
     radius = radius_m if radius_m is not None or known is None else known.radius_m
     lengths = (("--radius-m", radius), ("--range-m", range_m), ("--range-sigma-m", range_sigma_m))
     for name, value in lengths:
-        if value is not None and not (math.isfinite(value) and value > 0.0):
-            raise RendezviewError(f"{name} must be a positive number of metres, not {value}")
+        check_positive(name, value)
     if range_sigma_m is not None and range_m is None:
         raise RendezviewError("--range-sigma-m is the error of --range-m: give that, too")
     prior = _prior(prior_axis, RingPrior(range_m=range_m, range_sigma_m=range_sigma_m), known)
@@ -163,9 +159,7 @@ def size(
             help="JSON lines of a laser ranger: range_m to the panel, sigma_m, time_s or im_id."
         ),
     ],
-    camera: Annotated[
-        Path | None, typer.Option(help="Camera file; wins over that of the frames.")
-    ] = None,
+    camera: CameraFile = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="JSON; standard output if absent.")
     ] = None,
@@ -239,13 +233,5 @@ def _prior(
             return replace(given, axis=truth.rotation @ known.axis)
 
         return from_scene
-    try:
-        axis = np.array([float(part) for part in text.split(",")])
-        if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0.0:
-            raise ValueError(text)
-    except ValueError:
-        raise RendezviewError(
-            f"--prior-axis must be 'scene' or three numbers 'x,y,z', not all zero, not {text!r}"
-        ) from None
-    axis = axis / np.linalg.norm(axis)
+    axis = direction_of(text, "--prior-axis", "or 'scene'")
     return lambda frame: replace(given, axis=axis)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,15 +9,14 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from rendezview.calibration.board import OPENCV_FIVE, Chessboard, calibrate_board, read_board_views
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.calibration.laboratory_files import load_record
 from rendezview.cli.budget import BudgetReport
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
-from rendezview.cli.progress import ProgressBar, say_summary
+from rendezview.cli.inputs import board_of, check_apart, check_positive
+from rendezview.cli.progress import ProgressBar, say, say_summary, say_table
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
 from rendezview.io.files import check_place
@@ -125,9 +123,7 @@ def track(
     Example: rendezview stereo track rig.json scole readings.jsonl -o poses.csv --log log.jsonl
     """
     check_place(output, "the results")
-    places = [path.resolve() for path in (output, log, rig, readings) if path is not None]
-    if len(set(places)) < len(places):
-        raise RendezviewError(f"{output}: rig, readings, results and log must be different files")
+    check_apart(output, log, rig, readings)
     loaded = load_rig(rig)
     lights = find_target(target)
     names = tuple(led.name for led in lights.leds)
@@ -173,25 +169,16 @@ def track(
 
 
 def _from_pictures(folder: Path, board: str, pitch_mm: float, lens: str) -> Rig:
-    parted = re.fullmatch(r"(\d+)x(\d+)", board)
-    if parted is None or min(int(parted[1]), int(parted[2])) < 3:
-        raise RendezviewError(
-            f"--board must be inner corners like 9x6, at least 3x3, not {board!r}"
-        )
-    if not (np.isfinite(pitch_mm) and pitch_mm > 0.0):
-        raise RendezviewError(f"--pitch-mm must be positive, not {pitch_mm}")
+    columns, rows = board_of(board)
+    check_positive("--pitch-mm", pitch_mm)
     if lens not in ("opencv", "welch"):
         raise RendezviewError(f"--lens must be opencv or welch, not {lens!r}")
-    pattern = Chessboard(int(parted[1]), int(parted[2]), 1e-3 * pitch_mm)
-    views = read_board_views(picture_pairs(folder), pattern)
+    views = read_board_views(picture_pairs(folder), Chessboard(columns, rows, 1e-3 * pitch_mm))
     free = OPENCV_FIVE if lens == "opencv" else INTRINSICS
     made = calibrate_board(views, free=free, corrects=lens == "welch")
-    Console(stderr=True).print(
-        "r.m.s. "
-        + ", ".join(f"{n} {a.rms:.3f} px" for n, a in zip(views.names, made.separate, strict=True))
-        + f", together {made.together.rms:.3f} px",
-        highlight=False,
-    )
+    alone = zip(views.names, made.separate, strict=True)
+    each = ", ".join(f"{name} {found.rms:.3f} px" for name, found in alone)
+    say(f"r.m.s. {each}, together {made.together.rms:.3f} px")
     return made.rig
 
 
@@ -199,19 +186,19 @@ def _from_record(path: Path, order: int, normalisation: Normalisation) -> Rig:
     if order not in (3, 5):
         raise RendezviewError(f"--order must be 3 or 5, not {order}")
     made = calibrate_laboratory(load_record(path), normalisation, order)
-    table = Table("step", "before, µm", "after, µm")
-    for step in made.steps:
-        table.add_row(step.name, f"{1e6 * step.before_m:.2f}", f"{1e6 * step.after_m:.2f}")
-    Console(stderr=True).print(table)
+    say_table(
+        ("step", "before, µm", "after, µm"),
+        ((s.name, f"{1e6 * s.before_m:.2f}", f"{1e6 * s.after_m:.2f}") for s in made.steps),
+    )
     return made.rig
 
 
 def _print_rig(rig: Rig) -> None:
-    table = Table("camera", "parameter", "value", "σ")
+    rows = []
     for camera in rig.cameras:
         values = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.lens.coefficients]
         for name, value in zip(INTRINSICS, values, strict=True):
             sigma = camera.sigma.get(name, camera.sigma.get("f") if name[0] == "f" else None)
             if sigma is not None:
-                table.add_row(camera.name, name, f"{value:.6g}", f"{sigma:.2g}")
-    Console(stderr=True).print(table)
+                rows.append((camera.name, name, f"{value:.6g}", f"{sigma:.2g}"))
+    say_table(("camera", "parameter", "value", "σ"), rows)

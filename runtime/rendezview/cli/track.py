@@ -21,7 +21,7 @@ from rendezview.cli.guide import (
     ShapeName,
     first_epoch,
 )
-from rendezview.cli.inputs import given_camera, given_sequence
+from rendezview.cli.inputs import check_apart, direction_of, given_camera, given_sequence
 from rendezview.cli.live_view import LiveView
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.cli.where import At, Box, Boxes, Instances, Mask, given_regions
@@ -136,7 +136,9 @@ def track(
     """
     if output is None and not is_live(scene):
         raise typer.BadParameter("recorded frames need a file for the results", param_hint="-o")
-    _check_places(output, log, video, model, oem, aem, plan, chaser)
+    check_place(output, "the results")
+    check_place(log, "the log")
+    check_apart(output, log, video, model, oem, aem, plan, chaser)
     first_epoch(epoch, [], False)  # a wrong one is said before the frames are opened
     loaded = ViewModel.load(model)
     taken: Iterable[Frame] | None = None
@@ -153,7 +155,7 @@ def track(
     )
     first = _prior(prior, sequence, loaded) if others is None else None
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
-    light = _direction(sun)
+    light = None if sun is None else direction_of(sun, "--sun", "towards the Sun")
     sequence, where, first_where = given_regions(sequence, obj_id, box, boxes, mask, at, instances)
     independent = independent or instances > 1
     integrity = _integrity(integrity_risk, alarm_attitude_deg, alarm_position_m)
@@ -195,7 +197,9 @@ def track(
             noted = record(frame, observation)
             if guide is not None:
                 time_s = float(index) if frame.time_s is None else frame.time_s
-                noted["trajectory"], words = guide.update(time_s, observation)
+                noted["trajectory"], words = guide.update(
+                    time_s, observation.pose, observation.covariance, observation.cloud
+                )
                 if words:
                     say(words)
             levels.add(observation.protection)
@@ -213,18 +217,6 @@ def track(
     if integrity is not None:
         say(str(levels))
     say_summary(summary, len(summary.rows), summary.total, what="poses", step="frame")
-
-
-def _check_places(output: Path | None, log: Path | None, *others: Path | None) -> None:
-    """Refuse at once what would fail, or do harm, only when all frames are computed."""
-    check_place(output, "the results")
-    check_place(log, "the log")
-    places = [path.resolve() for path in (output, log, *others) if path is not None]
-    if len(set(places)) < len(places):
-        raise RendezviewError(
-            f"{output or log}: everything read and written must be different files: choose another "
-            "name"
-        )
 
 
 def _guide(
@@ -268,18 +260,6 @@ def _silhouette(threshold: str) -> SilhouetteOptions:
         raise RendezviewError(
             f"--threshold must be noise, otsu or a grey level from 0 to 254, not {threshold!r}"
         ) from None
-
-
-def _direction(text: str | None) -> list[float] | None:
-    if text is None:
-        return None
-    try:
-        direction = [float(part) for part in text.split(",")]
-    except ValueError:
-        direction = []
-    if len(direction) != 3 or not 0.0 < np.linalg.norm(direction) < np.inf:
-        raise RendezviewError(f"--sun must be 'x,y,z', towards the Sun, not {text!r}")
-    return direction
 
 
 def _prior(text: str | None, sequence: Sequence, model: ViewModel) -> Pose | None:

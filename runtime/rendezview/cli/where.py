@@ -8,9 +8,10 @@ from typing import Annotated
 import numpy.typing as npt
 import typer
 
+from rendezview.cli.inputs import numbers_of
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import Sequence
-from rendezview.io.where_to_look import Where, boxes_by_frame, each_box, masks_by_frame, numbers_of
+from rendezview.io.where_to_look import Where, boxes_by_frame, each_box, masks_by_frame
 
 Box = Annotated[
     str | None, typer.Option(help="'x,y,width,height', px: where the target is in the first frame.")

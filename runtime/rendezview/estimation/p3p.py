@@ -93,7 +93,7 @@ def solve_p3p_batch(rays: npt.ArrayLike, points_m: npt.ArrayLike) -> tuple[Array
     rotations = np.full((len(given), MAX_ROOTS, 3, 3), np.nan)
     translations = np.full((len(given), MAX_ROOTS, 3), np.nan)
     counts = np.zeros(len(given), np.int64)
-    _batch(given, points, _EXACT, rotations, translations, counts)
+    _batch(given, points, rotations, translations, counts)
     return rotations, translations, counts
 
 
@@ -106,12 +106,11 @@ def _checked(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Array:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _batch(
-    rays: Array, points: Array, residual: float, rotations: Array, translations: Array,
-    counts: Counts,
-) -> None:  # fmt: skip
+    rays: Array, points: Array, rotations: Array, translations: Array, counts: Counts
+) -> None:
     for n in range(rays.shape[0]):
         model = points[n] if points.shape[0] > 1 else points[0]
-        counts[n] = p3p_roots(rays[n], model, residual, rotations[n], translations[n])
+        counts[n] = p3p_roots(rays[n], model, _EXACT, rotations[n], translations[n])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

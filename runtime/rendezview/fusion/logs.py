@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.fusion.fusion import Estimate, Fusion
 from rendezview.fusion.options import FusionOptions
 from rendezview.fusion.trust import Verdict
@@ -144,12 +144,10 @@ def read_surfaces(path: StrPath) -> tuple[BeamSurface, ...]:
         RendezviewError: missing, no list of such, or a wrong value.
     """
     content = read_json(path, "surfaces")
-    try:
+    with explained(f"{path}: no surfaces: ", faults=(ValueError, TypeError)):
         if not isinstance(content, list) or not content:
             raise ValueError("a list of surfaces is needed")
         return tuple(BeamSurface(**one) for one in content)
-    except (ValueError, TypeError) as error:
-        raise RendezviewError(f"{path}: no surfaces: {error}") from error
 
 
 def read_mount(path: StrPath) -> Pose:
@@ -158,12 +156,9 @@ def read_mount(path: StrPath) -> Pose:
     Raises:
         RendezviewError: missing, or no pose.
     """
-    try:
+    needs = f"{path}: needs quat_wxyz and translation_m of sensor_from_camera: "
+    with explained(needs, faults=(ValueError, KeyError, TypeError)):
         return _pose(read_json(path, "a sensor's place"))
-    except (ValueError, KeyError, TypeError) as error:
-        raise RendezviewError(
-            f"{path}: needs quat_wxyz and translation_m of sensor_from_camera: {error}"
-        ) from error
 
 
 def _check_known(kind: str, where: str, context: LogContext) -> None:

@@ -36,10 +36,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import Camera, LensModel, intrinsics_of
 from rendezview.io.calibration_yaml import parse_yaml
-from rendezview.io.camera_peers import keys_of_text, translated
+from rendezview.io.camera_peers import keys_of_text, number, translated
 from rendezview.io.files import StrPath, atomic_write_text, parse_json, read_text
 from rendezview.io.plausible import CHECKED, questioned
 
@@ -62,6 +62,8 @@ _POLYNOMIALS = (
 )  # fmt: skip
 _FISHEYES = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "opencv_fisheye")
 _COVARIANCE = "intrinsics_covariance"  # of fx fy cx cy and the coefficients; or their σ
+_CORRECT = ": correct the camera file"
+_GIVE = "give an OpenCV or ROS YAML file, or a BOP or SPEED camera.json"
 _LIMIT_BYTES = 4_000_000  # a video given by mistake is not read whole. Source: a chosen limit
 
 
@@ -83,10 +85,7 @@ def load_camera(path: StrPath, size: Callable[[], tuple[int, int]] | None = None
     text = read_text(path, "a camera file", limit_bytes=_LIMIT_BYTES)
     data = _parse(text, str(path))
     if not isinstance(data, dict):
-        raise RendezviewError(
-            f"{path}: not a camera file (no keys in it): give an OpenCV or ROS YAML file, "
-            f"or a BOP or SPEED camera.json"
-        )
+        raise RendezviewError(f"{path}: not a camera file (no keys in it): {_GIVE}")
     return camera_from_keys(data, str(path), size)
 
 
@@ -98,7 +97,7 @@ def camera_from_keys(
     Raises:
         RendezviewError: not one of a camera, of an unknown lens model, or impossible numbers.
     """
-    try:
+    with explained(f"{where}: ", _CORRECT):
         keys = translated(_only_camera(data))
         if size is not None and not any(_find(keys, k) for k in (_WIDTH_KEYS, ("resolution",))):
             keys = {**keys, **dict(zip(("width", "height"), size(), strict=True))}
@@ -107,8 +106,6 @@ def camera_from_keys(
             raise ValueError(f"{CHECKED}: must be true or false, not {checked!r}")
         unless = None if checked else f"{CHECKED}: true in the file"
         return _imaged(keys, questioned(_calibrated(keys), unless))
-    except ValueError as error:
-        raise RendezviewError(f"{where}: {error}: correct the camera file") from error
 
 
 def save_camera(camera: Camera, path: StrPath) -> None:
@@ -121,48 +118,41 @@ def save_camera(camera: Camera, path: StrPath) -> None:
         "%YAML:1.0\n---\n"
         f"image_width: {camera.width}\n"
         f"image_height: {camera.height}\n"
-        f"camera_matrix: {_opencv_matrix(camera.matrix)}"
-        f"distortion_coefficients: {_opencv_matrix(np.atleast_2d(coefficients))}"
+        f"camera_matrix: {opencv_matrix(camera.matrix)}"
+        f"distortion_coefficients: {opencv_matrix(np.atleast_2d(coefficients))}"
     )
     if camera.lens_model is LensModel.FISHEYE:
         text += "fisheye_model: 1\ndistortion_model: equidistant\n"
     if camera.bit_depth is not None:
         text += f"bit_depth: {camera.bit_depth}\n"
     if camera.covariance is not None:
-        text += f"{_COVARIANCE}: {_opencv_matrix(np.array(camera.covariance))}"
+        text += f"{_COVARIANCE}: {opencv_matrix(np.array(camera.covariance))}"
     atomic_write_text(path, text)
 
 
-def _opencv_matrix(matrix: npt.NDArray[Any]) -> str:
+def opencv_matrix(matrix: npt.NDArray[Any]) -> str:
+    """A matrix in OpenCV's YAML, in full precision."""
     rows, cols = matrix.shape
     numbers = ", ".join(repr(float(value)) for value in matrix.ravel())
     return f"!!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n   data: [ {numbers} ]\n"
 
 
 def _parse(text: str, where: str) -> Any:
-    try:
+    with explained(f"{where}: ", _CORRECT):
         known = keys_of_text(text)
-    except ValueError as error:
-        raise RendezviewError(f"{where}: {error}: correct the camera file") from error
     if known is not None:
         return known
     start = text.lstrip()[:1]
     if start == "{":
         return parse_json(text, where)
     if start == "<":
-        try:
+        faults = (ElementTree.ParseError, ValueError)
+        remedy = "): correct or replace the camera file"
+        with explained(f"{where}: not valid XML (", remedy, faults):
             return _xml_value(ElementTree.fromstring(text))
-        except (ElementTree.ParseError, ValueError) as error:
-            raise RendezviewError(
-                f"{where}: not valid XML ({error}): correct or replace the camera file"
-            ) from error
-    try:
+    unread = f"{where}: not a camera file that can be read ("
+    with explained(unread, f"): {_GIVE}", (ValueError, RecursionError)):
         return parse_yaml(text)
-    except (ValueError, RecursionError) as error:
-        raise RendezviewError(
-            f"{where}: not a camera file that can be read ({error}): "
-            f"give an OpenCV or ROS YAML file, or a BOP or SPEED camera.json"
-        ) from error
 
 
 def _xml_value(element: ElementTree.Element) -> Any:
@@ -203,20 +193,20 @@ def _calibrated(data: dict[Any, Any]) -> Camera:
         except ValueError as error:
             raise ValueError(f"{matrix_key}: {error}") from None
     elif "intrinsics" in data:
-        fx, fy, cx, cy = _counted(data, "intrinsics", 4)
+        fx, fy, cx, cy = counted(data, "intrinsics", 4)
     elif "ppx" in data or "ppy" in data:
-        fx = _number(data, "fx") / _positive(data, "ppx")
-        fy = _number(data, "fy") / _positive(data, "ppy")
-        cx, cy = _number(data, "Nu") / 2.0, _number(data, "Nv") / 2.0
+        fx = number(data, "fx") / _positive(data, "ppx")
+        fy = number(data, "fy") / _positive(data, "ppy")
+        cx, cy = number(data, "Nu") / 2.0, number(data, "Nv") / 2.0
     elif "fx" in data:
-        fx, fy, cx, cy = (_number(data, key) for key in ("fx", "fy", "cx", "cy"))
+        fx, fy, cx, cy = (number(data, key) for key in ("fx", "fy", "cx", "cy"))
     else:
         raise ValueError(
             "no camera matrix in it (looked for camera_matrix, cameraMatrix, K, M1, intrinsics and "
             "fx): give an OpenCV, ROS or Kalibr YAML file, or a BOP or SPEED camera.json"
         )
     if "resolution" in data:
-        width, height = map(int, _counted(data, "resolution", 2))
+        width, height = map(int, counted(data, "resolution", 2))
     elif size_keys[0] is None or size_keys[1] is None:
         raise ValueError(
             "the image size is missing: add image_width and image_height (pixels) to the file, or "
@@ -328,31 +318,27 @@ def _numbers(value: Any, key: str) -> list[float]:
     return [float(number) for number in array.ravel()]
 
 
-def _number(data: dict[Any, Any], key: str) -> float:
-    value = data.get(key)
-    if key not in data:
-        raise ValueError(f"{key}: missing: add it")
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{key}: must be a number, not {value!r}")
-    return float(value)
-
-
 def _positive(data: dict[Any, Any], key: str) -> float:
-    value = _number(data, key)
+    value = number(data, key)
     if not value > 0.0:
         raise ValueError(f"{key}: must be positive, not {value}")
     return value
 
 
 def _whole(data: dict[Any, Any], key: str, least: int = 1) -> int:
-    value = _number(data, key)
+    value = number(data, key)
     if not value.is_integer() or value < least:
         kind = "positive whole number" if least else "whole number, 0 or more"
         raise ValueError(f"{key}: must be a {kind}, not {value:g}")
     return int(value)
 
 
-def _counted(data: dict[Any, Any], key: str, count: int) -> list[float]:
+def counted(data: dict[Any, Any], key: str, count: int) -> list[float]:
+    """So many finite numbers of a key.
+
+    Raises:
+        ValueError: others.
+    """
     values = _numbers(data[key], key)
     if len(values) != count:
         raise ValueError(f"{key}: has {len(values)} numbers, needs {count}")

@@ -69,11 +69,11 @@ def _nerf(data: Keys) -> Keys | None:
         if isinstance(first, dict) and "fl_x" in first:
             raise ValueError("each frame has a camera of its own: give one camera for all")
         return None
-    width, height = _number(data, "w"), _number(data, "h")
+    width, height = number(data, "w"), number(data, "h")
     if "fl_x" in data:
-        fx = _number(data, "fl_x")
+        fx = number(data, "fl_x")
     else:
-        fx = 0.5 * width / math.tan(0.5 * _number(data, "camera_angle_x"))
+        fx = 0.5 * width / math.tan(0.5 * number(data, "camera_angle_x"))
     model = str(data.get("camera_model", "OPENCV"))
     fisheye = bool(data.get("is_fisheye")) or "FISHEYE" in model
     if model in _COLMAP_BENT or (not fisheye and model not in _COLMAP):
@@ -324,15 +324,22 @@ def keys_of_text(text: str) -> Keys | None:
     return next((found for read in TEXTS if (found := read(text)) is not None), None)
 
 
-def _number(data: Keys, key: str) -> float:
+def number(data: Keys, key: str) -> float:
+    """The number of a key.
+
+    Raises:
+        ValueError: it is not there, or none.
+    """
     value = data.get(key)
+    if value is None:
+        raise ValueError(f"{key}: missing: add it")
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{key}: {'missing: add it' if value is None else 'must be a number'}")
+        raise ValueError(f"{key}: must be a number, not {value!r}")
     return float(value)
 
 
 def _numbers(data: Keys, keys: str) -> list[float]:
-    return [_number(data, key) for key in keys.split()]
+    return [number(data, key) for key in keys.split()]
 
 
 def _bent(name: str, bend: Bend, six: list[Any]) -> Keys:

@@ -19,8 +19,8 @@ except ImportError:  # Windows
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)  # errors of file systems without locks
 
 
-def lock(descriptor: int) -> bool:
-    """Lock an open file for this process; False if another has it.
+def lock(descriptor: int, *, wait: bool = False) -> bool:
+    """Lock an open file for this process; False if another has it, unless it is waited for.
 
     Raises:
         OSError: its file system has no locks (`NO_LOCKS`).
@@ -28,7 +28,7 @@ def lock(descriptor: int) -> bool:
     if fcntl is None:
         return True
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
         return False
     return True

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 
 StrPath = str | os.PathLike[str]
 Checked = TypeVar("Checked")
@@ -159,13 +159,12 @@ def read_toml(path: StrPath, what: str) -> dict[str, Any]:
     Raises:
         RendezviewError: as `read_text`, or not TOML.
     """
-    try:
+    faults = (tomllib.TOMLDecodeError, RecursionError)
+    with explained(f"{path}: not valid TOML (", "): correct the file", faults):
         return tomllib.loads(read_text(path, f"{what} (TOML)"))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from error
 
 
-def parse_json(text: str, where: str) -> Any:
+def parse_json(text: str | bytes, where: str) -> Any:
     """A JSON document; ``where`` (path, line) starts the message of an error.
 
     Raises:

@@ -41,7 +41,7 @@ CHECKED = "checked"  # key of a camera file
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """One finding."""
+    """One finding about a camera."""
 
     what: str  # what is odd, and what to do
     refused: bool = False  # nothing good can follow
@@ -163,7 +163,7 @@ def _middle_doubts(camera: Camera) -> list[Doubt]:
     return [Doubt(f"{place}: if the pictures are a part of the calibrated one, give its roi")]
 
 
-def time_doubts(times_s: Sequence[float | None]) -> list[Doubt]:
+def time_doubts(times_s: Sequence[float | None]) -> list[str]:
     """What is odd about the times of frames."""
     known = [time_s for time_s in times_s if time_s is not None]
     if not known:
@@ -171,19 +171,17 @@ def time_doubts(times_s: Sequence[float | None]) -> list[Doubt]:
     found = []
     if max(map(abs, known)) > _MILLISECONDS:
         found.append(
-            Doubt(f"a time of {max(known):.0f} s is no date: times in milliseconds? Give seconds")
+            f"a time of {max(known):.0f} s is no date: times in milliseconds? Give seconds"
         )
     if len(known) < len(times_s):
         found.append(
-            Doubt(
-                f"{len(times_s) - len(known)} of {len(times_s)} frames have no time: there the "
-                "frame's number counts as seconds"
-            )
+            f"{len(times_s) - len(known)} of {len(times_s)} frames have no time: there the "
+            "frame's number counts as seconds"
         )
     return found
 
 
-def comb_doubts(pictures: Sequence[npt.NDArray[np.generic]]) -> list[Doubt]:
+def comb_doubts(pictures: Sequence[npt.NDArray[np.generic]]) -> list[str]:
     """Whether the odd rows of pictures (height, width) were taken at another time than the even."""
     shares = np.array([(_comb(picture), _comb(picture.T)) for picture in pictures])
     if not len(shares):
@@ -196,10 +194,8 @@ def comb_doubts(pictures: Sequence[npt.NDArray[np.generic]]) -> list[Doubt]:
     if rows < max(_COMB_LEAST, _COMB_LEAST_PX / max(looked_at, 1)) or rows < _COMB_TIMES * columns:
         return []
     return [
-        Doubt(
-            "odd and even rows of the pictures differ as those of interlaced video: store every "
-            "second row, with binning_y: 2 in the camera file, or deinterlace them"
-        )
+        "odd and even rows of the pictures differ as those of interlaced video: store every "
+        "second row, with binning_y: 2 in the camera file, or deinterlace them"
     ]
 
 

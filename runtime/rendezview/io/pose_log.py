@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.files import StrPath
 from rendezview.io.results import read_json_lines
@@ -15,6 +15,29 @@ from rendezview.io.sequences.frame import Frame
 
 Known = TypeVar("Known")
 _SAME_TIME_S = 1e-6  # s; Source: the times of one frame in two files differ by rounding only
+
+
+def read_poses(
+    path: StrPath,
+    of_line: Callable[[dict[str, Any]], Known],
+    of: str = "`rendezview track` or `fuse`",
+) -> list[Known]:
+    """What is made of each line of a log of poses.
+
+    Args:
+        path: of the log.
+        of_line: raises KeyError, TypeError or ValueError where a line is of another log.
+        of: the command that writes such logs, for the message.
+
+    Raises:
+        RendezviewError: missing, or a line (named) that is of another log.
+    """
+    found = []
+    for number, line in enumerate(read_json_lines(path), start=1):
+        where = f"{path}: record {number}: no line of a log of poses ("
+        with explained(where, f"): give that of {of}", (KeyError, TypeError, ValueError)):
+            found.append(of_line(line))
+    return found
 
 
 def poses_by_frame(
@@ -36,20 +59,17 @@ def poses_by_frame(
     """
     by_id: dict[int, Known] = {}
     timed: list[tuple[float, Known]] = []
-    for number, line in enumerate(read_json_lines(path), start=1):
-        try:
-            if line["pose"] is None or line["covariance"] is None or line.get("roll_ambiguous"):
-                continue
-            known = use(*logged_pose(line))
-            if line.get("im_id") is not None:
-                by_id[int(line["im_id"])] = known
-            else:
-                timed.append((float(line["time_s"]), known))
-        except (KeyError, TypeError, ValueError) as error:
-            raise RendezviewError(
-                f"{path}: record {number}: no line of a log of poses ({error}): give that of "
-                "`rendezview track` or `fuse`"
-            ) from error
+
+    def take(line: dict[str, Any]) -> None:
+        if line["pose"] is None or line["covariance"] is None or line.get("roll_ambiguous"):
+            return
+        known = use(*logged_pose(line))
+        if line.get("im_id") is not None:
+            by_id[int(line["im_id"])] = known
+        else:
+            timed.append((float(line["time_s"]), known))
+
+    read_poses(path, take)
     times = np.array([time_s for time_s, _ in timed])
 
     def of_frame(frame: Frame) -> Known | None:

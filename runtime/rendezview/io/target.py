@@ -24,12 +24,13 @@ from pydantic import (
     TypeAdapter,
 )
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.joint import Hinge
 from rendezview.geometry.symmetry import Symmetry, common_point, discrete_turns
 from rendezview.io.files import StrPath, checked, read_toml
 from rendezview.io.joints import HingedParts, JointedParts, joint_of
 from rendezview.io.parts import TrustedPart
+from rendezview.io.results import json_value
 
 Array = npt.NDArray[np.float64]
 
@@ -51,12 +52,7 @@ class DockingRing:
 
     def record(self) -> dict[str, Any]:
         """As JSON."""
-        return {
-            "centre_m": self.centre_m.tolist(),
-            "axis": self.axis.tolist(),
-            "radius_m": self.radius_m,
-            "circles": [list(circle) for circle in self.circles],
-        }
+        return dict(json_value(self))
 
     @classmethod
     def of_record(cls, record: dict[str, Any]) -> DockingRing:
@@ -79,21 +75,13 @@ class Reflector:
 
     def record(self) -> dict[str, Any]:
         """As JSON."""
-        return {
-            "name": self.name,
-            "group": self.group,
-            "position_m": self.position_m.tolist(),
-            "normal": self.normal.tolist(),
-            "diameter_m": self.diameter_m,
-            "position_sigma_m": self.position_sigma_m,
-        }
+        return dict(json_value(self))
 
     @classmethod
     def of_record(cls, record: dict[str, Any]) -> Reflector:
         """The inverse of `record`."""
         place, normal = _frozen(record["position_m"]), _frozen(record["normal"])
-        name, group, wide = str(record["name"]), str(record["group"]), float(record["diameter_m"])
-        return cls(name, group, place, normal, wide, record.get("position_sigma_m"))
+        return cls(**{**record, "position_m": place, "normal": normal})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,20 +205,16 @@ class _RingTable(_Table):
     circles: list[_CircleTable] = []
 
 
-class _ReflectorTable(_Table):
-    name: _Name
-    group: _Name
-    position_m: _Vector
-    normal: _Direction
-    diameter_m: _Length
-    position_sigma_m: _Sigma | None = None
-
-
 class _LedTable(_Table):
     name: _Name
     position_m: _Vector
     normal: _Direction
     position_sigma_m: _Sigma | None = None
+
+
+class _ReflectorTable(_LedTable):
+    group: _Name
+    diameter_m: _Length
 
 
 class _HingeTable(_Table):
@@ -286,10 +270,8 @@ _TARGET_FILE = TypeAdapter(_TargetFile)
 
 def _read_target(path: Path) -> Target:
     file = checked(_TARGET_FILE, read_toml(path, "a target file"), str(path))
-    _refuse_twice(path, "reflectors", [reflector.name for reflector in file.reflectors])
-    _refuse_twice(path, "leds", [led.name for led in file.leds])
-    _refuse_twice(path, "joints", [joint.name for joint in file.joints])
-    _refuse_twice(path, "parts", [part.name for part in file.parts])
+    for key in ("reflectors", "leds", "joints", "parts"):
+        _refuse_twice(path, key, [table.name for table in getattr(file, key)])
     mesh_path = None
     if file.mesh is not None:
         mesh_path = Path(os.path.normpath(path.parent / file.mesh.path))
@@ -311,11 +293,8 @@ def _read_target(path: Path) -> Target:
         unit=None if file.mesh is None else file.mesh.unit,
         shape_error=0.0 if file.mesh is None else file.mesh.shape_error,
         docking_ring=None if ring is None else _ring(ring),
-        reflectors=tuple(_reflector(table) for table in file.reflectors),
-        leds=tuple(
-            Led(led.name, _frozen(led.position_m), _frozen(led.normal), led.position_sigma_m)
-            for led in file.leds
-        ),
+        reflectors=tuple(Reflector(**_placed(table)) for table in file.reflectors),
+        leds=tuple(Led(**_placed(table)) for table in file.leds),
         symmetries=_symmetries(path, file.symmetries),
         joints=tuple(_joint(path, joint) for joint in file.joints),
         parts=tuple(_part(path, part) for part in file.parts),
@@ -330,11 +309,9 @@ def _symmetries(
         Symmetry(t.kind, _frozen(t.axis), getattr(t, "angle_rad", None), _frozen(t.point_m))
         for t in tables
     )
-    try:
+    with explained(f"{path}: symmetries: ", ": correct them"):
         discrete_turns(symmetries)
         common_point(symmetries)
-    except ValueError as error:
-        raise RendezviewError(f"{path}: symmetries: {error}: correct them") from error
     return symmetries
 
 
@@ -372,9 +349,9 @@ def _boxes(where: str, corners: list[list[list[float]]]) -> tuple[Array, ...]:
     return boxes
 
 
-def _reflector(table: _ReflectorTable) -> Reflector:
-    place, normal, sigma = _frozen(table.position_m), _frozen(table.normal), table.position_sigma_m
-    return Reflector(table.name, table.group, place, normal, table.diameter_m, sigma)
+def _placed(table: _LedTable) -> dict[str, Any]:
+    place, normal = _frozen(table.position_m), _frozen(table.normal)
+    return {**dict(table), "position_m": place, "normal": normal}
 
 
 def _ring(table: _RingTable) -> DockingRing:

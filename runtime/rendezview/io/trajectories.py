@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
-from rendezview.io.results import read_json_lines
+from rendezview.io.pose_log import read_poses
 
 TimedPose = tuple[float | None, Pose]
 
@@ -21,24 +22,19 @@ def poses_of_log(path: Path) -> tuple[list[TimedPose], int]:
     Raises:
         RendezviewError: missing, no line of poses, or a line that is none.
     """
-    found: list[TimedPose] = []
-    empty = 0
-    for number, line in enumerate(read_json_lines(path), start=1):
-        try:
-            given, time_s = line["pose"], line["time_s"]
-            if given is None:
-                empty += 1
-                continue
-            pose = Pose.from_quat_wxyz(given["quat_wxyz"], given["translation_m"])
-            found.append((None if time_s is None else float(time_s), pose))
-        except (KeyError, TypeError, ValueError) as error:
-            raise RendezviewError(
-                f"{path}: record {number}: no line of a log of poses ({error}): give that of "
-                "`rendezview track` or `fuse`"
-            ) from error
+
+    def of_line(line: dict[str, Any]) -> TimedPose | None:
+        given, time_s = line["pose"], line["time_s"]
+        if given is None:
+            return None
+        pose = Pose.from_quat_wxyz(given["quat_wxyz"], given["translation_m"])
+        return None if time_s is None else float(time_s), pose
+
+    lines = read_poses(path, of_line)
+    found = [timed for timed in lines if timed is not None]
     if not found:
-        raise RendezviewError(f"{path}: none of its {empty} lines has a pose")
-    return found, empty
+        raise RendezviewError(f"{path}: none of its {len(lines)} lines has a pose")
+    return found, len(lines) - len(found)
 
 
 def tum_text(timed: Iterable[TimedPose]) -> str:

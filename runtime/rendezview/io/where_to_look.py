@@ -7,23 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.boxes import overlap
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array
 from rendezview.io.files import StrPath, checked, read_json
 from rendezview.io.sequences.frame import Frame, Sequence
-from rendezview.io.sequences.images import read_grey
+from rendezview.io.sequences.images import list_images, read_grey
 
 # What `Recognizer.recognize` takes as ``roi`` of a frame; None: nothing is told.
 Where = Callable[[Frame], npt.ArrayLike | None]
 
 _SAME = 0.5  # intersection over union of two boxes of one thing. Source: as in detection
-_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 
 
 class _Detection(BaseModel):
@@ -37,22 +34,6 @@ class _Detection(BaseModel):
 
 
 _DETECTIONS = TypeAdapter(list[_Detection])
-
-
-def numbers_of(text: str, option: str, counts: tuple[int, ...]) -> Array:
-    """The numbers of an option such as 'x,y,w,h', of one of these counts.
-
-    Raises:
-        RendezviewError: something else.
-    """
-    try:
-        numbers = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        numbers = np.zeros(0)
-    if len(numbers) not in counts or not np.isfinite(numbers).all():
-        how_many = " or ".join(map(str, counts))
-        raise RendezviewError(f"{option} needs {how_many} numbers with commas, not {text!r}")
-    return numbers
 
 
 def boxes_by_frame(path: StrPath, sequence: Sequence, obj_id: int | None = None) -> Where:
@@ -145,7 +126,7 @@ def masks_by_frame(path: Path) -> Where:
     if not path.is_dir():
         mask = read_grey(path)
         return lambda frame: mask
-    files = sorted(f for f in path.iterdir() if f.suffix.lower() in _PICTURES)
+    files = list_images(path)
     if not files:
         raise RendezviewError(f"{path}: no pictures in the folder of masks")
     by_stem: dict[str, Path] = {}

@@ -7,10 +7,12 @@ camera have one time and are stored together.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.trajectory.no_fit import NoFit
 
@@ -81,26 +83,19 @@ class PointCloud:
 
     def joined(self, other: PointCloud) -> PointCloud:
         """Both clouds in order of time."""
-        times = np.concatenate([self.times_s, other.times_s])
-        order = np.argsort(times, kind="stable")
-        return PointCloud(
-            times[order],
-            np.concatenate([self.points, other.points])[order],
-            np.concatenate([self.whitening, other.whitening])[order],
-            np.concatenate([self.by_node, other.by_node])[order],
-            np.concatenate([self.weights, other.weights])[order],
-        )
+        pairs = zip(self._columns, other._columns, strict=True)
+        both = PointCloud(*(np.concatenate(pair) for pair in pairs))
+        order = np.argsort(both.times_s, kind="stable")
+        return PointCloud(*(column[order] for column in both._columns))
 
     def since(self, time_s: float) -> PointCloud:
         """The points from a time on."""
         first = int(np.searchsorted(self.times_s, time_s - 1e-9))
-        return PointCloud(
-            self.times_s[first:],
-            self.points[first:],
-            self.whitening[first:],
-            self.by_node[first:],
-            self.weights[first:],
-        )
+        return PointCloud(*(column[first:] for column in self._columns))
+
+    @property
+    def _columns(self) -> tuple[npt.NDArray[Any], ...]:
+        return self.times_s, self.points, self.whitening, self.by_node, self.weights
 
     def trouble(self, frames: int) -> NoFit | None:
         """Why no segment goes through these points; None where nothing speaks against it.
@@ -133,9 +128,7 @@ def camera_place(
 
     c = −Rᵀ t, and with R' = exp([w]×) R, t' = t + v:  δc = −Rᵀ ([t]× w + v).
     """
-    x, y, z = pose.translation_m
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    lever = -pose.rotation.T @ np.hstack([cross, np.eye(3)])
+    lever = -pose.rotation.T @ np.hstack([so3.hat(pose.translation_m), np.eye(3)])
     place = pose.inverse().translation_m - np.asarray(centre_m, np.float64)
     return place, lever @ np.asarray(covariance, np.float64) @ lever.T
 
@@ -149,9 +142,7 @@ def centre_place(
     known, so that the target's takes no part.
     """
     arm = pose.rotation @ np.asarray(centre_m, np.float64)
-    x, y, z = arm
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    lever = np.hstack([cross, -np.eye(3)])
+    lever = np.hstack([so3.hat(arm), -np.eye(3)])
     return -(arm + pose.translation_m), lever @ np.asarray(covariance, np.float64) @ lever.T
 
 

@@ -51,6 +51,7 @@ class Report:
     segment: Segment | NoFit
     correction: Correction | NoFit | None  # None without a plan
     spin: Spin | NoFit | None  # None where it is not asked for
+    path_from_target: Array  # (3, 3); the identity where it is not known
 
 
 class PathFollower:
@@ -128,15 +129,17 @@ class PathFollower:
                 is that about the line of sight's frame.
         """
         with self._lock:
-            trouble = self._trouble(time_s, pose, covariance, points_m)
-            if trouble is not None:
-                return Report(time_s, self._number, False, trouble, None, None)
-            self._last_s = time_s
-            self._began_s = time_s if self._began_s is None else self._began_s
             attitude = (
                 None if path_from_camera is None else np.asarray(path_from_camera, np.float64)
             )
-            self._take(time_s, pose, covariance, points_m, weights, attitude)
+            path = self._path_from_target(time_s, pose, attitude)
+            known = np.eye(3) if path is None else path
+            trouble = self._trouble(time_s, pose, covariance, points_m)
+            if trouble is not None:
+                return Report(time_s, self._number, False, trouble, None, None, known)
+            self._last_s = time_s
+            self._began_s = time_s if self._began_s is None else self._began_s
+            self._take(time_s, pose, covariance, points_m, weights, attitude, path)
             self._refit(time_s)
             ended = self._advance(time_s)
             correction: Correction | NoFit | None = None
@@ -144,7 +147,9 @@ class PathFollower:
                 correction = self._correction(time_s)
             if self.options.spin:
                 self._turn_rates(time_s, ended)
-            report = Report(time_s, self._number, ended, self._segment, correction, self._spin)
+            report = Report(
+                time_s, self._number, ended, self._segment, correction, self._spin, known
+            )
             if ended:
                 self._number += 1
                 self._began_s = time_s
@@ -173,6 +178,16 @@ class PathFollower:
             return NoFit("the camera is at the centre of the path: there is no line of sight")
         return None
 
+    def _path_from_target(
+        self, time_s: float, pose: Pose | None, attitude: Array | None
+    ) -> Array | None:
+        """(3, 3); None without a pose where the chaser's own attitude is known."""
+        if attitude is not None:
+            return None if pose is None else attitude @ pose.rotation
+        if self.plan is None or not np.isfinite(time_s):
+            return np.eye(3)
+        return self.plan.path_from_target(time_s)
+
     def _take(
         self,
         time_s: float,
@@ -181,15 +196,9 @@ class PathFollower:
         points_m: npt.ArrayLike | None,
         weights: npt.ArrayLike | None,
         attitude: Array | None,
+        path_from_target: Array | None,
     ) -> None:
         """Points and attitude of one frame, in the plan's axes."""
-        path_from_target: Array | None = None
-        if attitude is None:
-            path_from_target = (
-                np.eye(3) if self.plan is None else self.plan.path_from_target(time_s)
-            )
-        elif pose is not None:
-            path_from_target = attitude @ pose.rotation
         if self.options.poses and pose is not None and covariance is not None:
             if attitude is None:
                 place, spread = camera_place(pose, covariance, self.centre_m)

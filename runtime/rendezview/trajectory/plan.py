@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.pose import Array
 from rendezview.io.files import StrPath, checked, read_toml
 from rendezview.trajectory.relative_orbit import transition
@@ -212,11 +212,9 @@ def plan_of(file: PlanFile, path: str) -> Plan:
             f"{path}: {len(given)} paths: give exactly one of {', '.join(_KINDS)}"
         )
     kind = given[0]
-    try:
+    with explained(f"{path}: "):
         numbers, first_s, last_s = _numbers(kind, getattr(file, kind))
         orbit = None if file.orbit is None else _orbit(file.orbit)
-    except ValueError as error:
-        raise RendezviewError(f"{path}: {error}") from error
     if kind == "orbit_path" and orbit is None:
         raise RendezviewError(f"{path}: orbit_path is motion in an orbit: give [orbit] too")
     start_s = first_s if first_s is not None else file.start_s

@@ -14,7 +14,7 @@ from rendezview.trajectory.cloud import PointCloud
 from rendezview.trajectory.descent import CUT, Descent, Method, descend
 from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.scaling import held, inverse_of, robust_root, typical_sizes
-from rendezview.trajectory.shapes import HOPS, SPIRAL, Shape, code_of, places
+from rendezview.trajectory.shapes import CODES, HOPS, SPIRAL, Shape, places
 from rendezview.trajectory.simplex import RESIDUALS, jacobian, normal_equations, residuals
 from rendezview.trajectory.start import first_guess
 
@@ -171,7 +171,7 @@ def fit_segment(
         misfits say.
     """
     options = options or FitOptions()
-    code = code_of(shape)
+    code = CODES[shape]
     trouble = cloud.trouble(LEAST_FRAMES)
     if trouble is not None:
         return trouble

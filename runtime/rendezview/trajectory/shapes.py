@@ -41,18 +41,14 @@ class Shape(StrEnum):
 CIRCULAR, SPIRAL, LINE, HOPS, ORBIT, DRIFT = range(6)
 SIZE = (5, 6, 6, 11, 6, 9)  # parameters of each. Source: by construction
 
-_CODES = {
+# The numbers by which the compiled loops know the shapes.
+CODES = {
     Shape.CIRCULAR: CIRCULAR,
     Shape.SPIRAL: SPIRAL,
     Shape.VBAR: LINE,
     Shape.ORBIT: ORBIT,
     Shape.DRIFT: DRIFT,
 }
-
-
-def code_of(shape: Shape) -> int:
-    """The number by which the compiled loops know a shape."""
-    return _CODES[shape]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -178,11 +178,11 @@ class _Data:
     roots: Array  # (N, 3, 3) root of the information
     sight: Array | None  # (3,) of the directions, reference frame; None for attitudes
 
-    def misfits(self, rotation: Array, rate: Array, moments: Array) -> Array:
+    def misfits(self, state: _SpinState) -> Array:
         """(N, 3) in standard deviations."""
         count = len(self.times)
         turned, rates = np.empty((count, 3, 3)), np.empty((count, 3))
-        rotations(moments, rotation, rate, self.times, turned, rates)
+        rotations(state.moments, state.rotation, state.rate, self.times, turned, rates)
         if self.sight is None:
             off = Rotation.from_matrix(turned @ np.swapaxes(self.observed, 1, 2)).as_rotvec()
         else:
@@ -237,13 +237,12 @@ def _best(
 
 
 def _variance(data: _Data, state: _SpinState, dof: int) -> float:
-    misfits = data.misfits(state.rotation, state.rate, state.moments)
-    return max(float(np.median(np.sum(misfits**2, axis=1))) / float(chdtri(dof, 0.5)), 1e-12)
+    squares = np.sum(data.misfits(state) ** 2, axis=1)
+    return max(float(np.median(squares)) / float(chdtri(dof, 0.5)), 1e-12)
 
 
 def _cost(data: _Data, state: _SpinState, cut: float) -> float:
-    misfits = data.misfits(state.rotation, state.rate, state.moments)
-    squares = np.sum(misfits**2, axis=1)
+    squares = np.sum(data.misfits(state) ** 2, axis=1)
     return float(np.sum(squares / (1.0 + squares / cut)))
 
 
@@ -255,8 +254,7 @@ def _slopes(data: _Data, state: _SpinState, size: int) -> Array:
     for j in range(size):
         step = np.zeros(size)
         step[j] = steps[j]
-        ends = [state.moved(sign * step) for sign in (1.0, -1.0)]
-        after, before = (data.misfits(e.rotation, e.rate, e.moments) for e in ends)
+        after, before = (data.misfits(state.moved(sign * step)) for sign in (1.0, -1.0))
         columns.append((after - before) / (2.0 * steps[j]))
     return np.stack(columns, axis=-1)
 
@@ -265,7 +263,7 @@ def _normal(
     data: _Data, state: _SpinState, size: int, cut: float
 ) -> tuple[Array, Array, Array, Array]:
     """Matrix, right side, slopes and weighted misfits of one robust Gauss–Newton step."""
-    misfits = data.misfits(state.rotation, state.rate, state.moments)
+    misfits = data.misfits(state)
     slopes = _slopes(data, state, size)
     weights = 1.0 / (1.0 + np.sum(misfits**2, axis=1) / cut) ** 2
     weighted = weights[:, None] * misfits

@@ -61,13 +61,10 @@ class SessionPath:
             )
         else:
             report = self._follower.update(time_s, *(pose_of_fused(fused) or (None, None)))
-        plan = self._follower.plan
         self._record = {
             "time_s": time_s,
             **json_value(record(report)),
             "centre_m": self._follower.centre_m.tolist(),
-            "path_from_target": (
-                np.eye(3) if plan is None else plan.path_from_target(time_s)
-            ).tolist(),
+            "path_from_target": report.path_from_target.tolist(),
         }
         return self._record

@@ -19,7 +19,7 @@ from rendezview.fusion import Measurement, PoseMeasurement, RingCandidate, RingM
 from rendezview.geometry.pose import Array
 from rendezview.trajectory import FitOptions, Method, PointCloud, Segment, Shape, fit_segment
 from rendezview.trajectory.relative_orbit import transition
-from rendezview.trajectory.shapes import code_of
+from rendezview.trajectory.shapes import CODES
 from rendezview.trajectory.simplex import RESIDUALS, cost, downhill_simplex, gauss_newton
 
 STEPS = 101  # of each kind
@@ -121,7 +121,7 @@ def ways_of(shape: Shape) -> dict[str, Callable[[], object]]:
         cloud.times_s - best.middle_s, best.base, best.constants, np.zeros((POINTS, 3)),
         cloud.points, cloud.whitening, cloud.by_node,
     )  # fmt: skip
-    weights, code = cloud.weights, code_of(shape)
+    weights, code = cloud.weights, CODES[shape]
     scales = np.maximum(np.abs(best.parameters), 0.02)
     goal, _ = gauss_newton(code, best.parameters, scales, data, weights, CUT, 20)
     steps = 0.02 * scales

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.calibration.as_built.parts import Part, members, part_slopes, remounted
+from rendezview.calibration.as_built.parts import MARGIN_RADII, Part, remounted
 from rendezview.calibration.as_built.strain import matrix_of, strain_names, strained
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
@@ -79,8 +79,15 @@ class Deformation:
         return remounted(made, original, self.parts, strain)
 
     def members(self, edges: MeasuredEdges, radius_m: float) -> npt.NDArray[np.intp]:
-        """(N,) which part each edge is of; −1: of none."""
-        return members(self.parts, edges, self._stretch, radius_m)
+        """(N,) which part each edge, measured with the model so deformed, is of; −1: of none."""
+        found = np.full(len(edges.weight), -1, dtype=np.intp)
+        unstretch = np.linalg.inv(self._stretch)
+        for k, part in enumerate(self.parts):
+            middle = self._stretch @ part.middle_m
+            unmoved = (edges.places_m - middle - part.move_m) @ part.turn + middle
+            inside = part.holds(unmoved @ unstretch.T, MARGIN_RADII * radius_m)
+            found[inside & (found < 0)] = k
+        return found
 
     def slopes(self, edges: MeasuredEdges, radius_m: float, camera: Camera) -> Array:
         """(N, size) of the predicted edges: px per unit of strain, px/rad, px/m, camera's.
@@ -97,10 +104,13 @@ class Deformation:
         if not self.parts:
             return slopes
         of = self.members(edges, radius_m)
-        for k, part in enumerate(self.parts):
+        shift = edges.pose_slopes[:, 3:] @ edges.rotation
+        for k, part in enumerate(
+            self.parts
+        ):  # about the middle of the part as it is mounted by now
             own = of == k
-            moved = part_slopes(part, edges, self._stretch @ part.middle_m)
-            slopes[own, self.of_part(k)] = moved[own]
+            arm = edges.places_m[own] - self._stretch @ part.middle_m - part.move_m
+            slopes[own, self.of_part(k)] = np.hstack([np.cross(arm, shift[own]), shift[own]])
         return slopes
 
     def described(self) -> str:

@@ -189,12 +189,12 @@ class ShapeEstimator:
         return np.asarray(np.isfinite(rms) & (rms <= self.options.most_rms * median))
 
     def _reduced(
-        self, edges: MeasuredEdges, deformation: Deformation, off_px: Array | None = None
+        self, edges: MeasuredEdges, deformation: Deformation
     ) -> tuple[Array, Array, Array, Array]:
-        """Information (U, U) and right side (U,) of the shape with the pose eliminated; the pose's
-        own answer (6,) and its response to the shape (6, U). ``off_px``: (N,) in place of the
-        edges' residuals."""
-        off_px = edges.residual_px if off_px is None else off_px
+        """Information (U, U) and right sides (U, 2) of the shape with the pose eliminated; the
+        pose's own answer (6,) and its response to the shape (6, U). The first right side is of the
+        edges' residuals, the second of what all edges are off alike."""
+        off_px = np.column_stack([edges.residual_px, np.full(len(edges.weight), SHARED_PX)])
         sigma2 = max(edges.residual_rms_px, LEAST_RMS_PX) ** 2 * self.options.edges_as_one
         weight = edges.weight / sigma2
         pose = edges.pose_slopes
@@ -209,7 +209,7 @@ class ShapeEstimator:
         moved = shape * weight[:, None]
         information = moved.T @ shape - cross.T @ response
         left = np.asarray(moved.T @ off_px - cross.T @ answer)
-        return information, left, np.asarray(answer), np.asarray(response)
+        return information, left, np.asarray(answer[:, 0]), np.asarray(response)
 
     def _step(
         self,
@@ -230,7 +230,7 @@ class ShapeEstimator:
             if edges is not None:
                 parts[k] = self._reduced(edges, shape)
                 matrix += parts[k][0]
-                right += parts[k][1]
+                right += parts[k][1][:, 0]
         about = None
         for _ in range(_PRIOR_ROUNDS):  # the prior's weights follow the strain
             information, towards = self._prior(shape, known, about)
@@ -305,9 +305,8 @@ class ShapeEstimator:
             if edges is not None:
                 information, right, _, _ = self._reduced(edges, shape)
                 matrix += information
-                scatter += np.outer(right, right)
-                off_px = np.full(len(edges.weight), SHARED_PX)
-                alike += self._reduced(edges, shape, off_px)[1]
+                scatter += np.outer(right[:, 0], right[:, 0])
+                alike += right[:, 1]
         inverse = np.linalg.inv(matrix)
         own, between = inverse, inverse @ (scatter + prior) @ inverse
         larger = np.trace(own[:6, :6]) > np.trace(between[:6, :6])

@@ -17,11 +17,10 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import exp, log
 from rendezview.io.parts import TrustedPart
-from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.model.contours import NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.model.view_model import ViewModel
 
-_MARGIN_RADII = 2e-4  # of the target's radius; beyond a box, for rounding. Source: unit of points
+MARGIN_RADII = 2e-4  # of the target's radius; beyond a box, for rounding. Source: unit of points
 _SEED = 0  # of the points that a distrusted part keeps. Source: by construction
 
 Shorts = npt.NDArray[np.int16]
@@ -78,37 +77,6 @@ class Part:
         return np.concatenate([log(self.turn), self.move_m])
 
 
-def members(
-    parts: Sequence[Part], edges: MeasuredEdges, stretch: Array, radius_m: float
-) -> npt.NDArray[np.intp]:
-    """(N,) which part each edge is of; −1: of none.
-
-    Args:
-        parts: as the model has them by now.
-        edges: measured with that model.
-        stretch: (3, 3) from the places of the model as it was to those of the strained one.
-        radius_m: of the target.
-    """
-    found = np.full(len(edges.weight), -1, dtype=np.intp)
-    unstretch = np.linalg.inv(stretch)
-    for k, part in enumerate(parts):
-        middle = stretch @ part.middle_m
-        unmoved = (edges.places_m - middle - part.move_m) @ part.turn + middle
-        inside = part.holds(unmoved @ unstretch.T, _MARGIN_RADII * radius_m)
-        found[inside & (found < 0)] = k
-    return found
-
-
-def part_slopes(part: Part, edges: MeasuredEdges, strained_middle_m: Array) -> Array:
-    """(N, 6) of the predicted edges with a turn and a shift of the part they are on: px/rad, px/m.
-
-    The turn is about the middle of the part as it is mounted by now.
-    """
-    shift = edges.pose_slopes[:, 3:] @ edges.rotation
-    arm = edges.places_m - strained_middle_m - part.move_m
-    return np.concatenate([np.cross(arm, shift), shift], axis=1)
-
-
 def remounted(
     model: ViewModel, original: ViewModel, parts: Sequence[Part], strain: Array
 ) -> ViewModel:
@@ -125,7 +93,7 @@ def remounted(
     contours, surface = model.contours, model.surface
     assert contours is not None
     unit_m = POINT_UNIT * model.target_radius_m
-    margin_m = _MARGIN_RADII * model.target_radius_m
+    margin_m = MARGIN_RADII * model.target_radius_m
 
     def mounted(points: Shorts, directions: Bytes, places: Array) -> tuple[Shorts, Bytes]:
         """Points and directions of the strained model, by their places as they were."""
@@ -157,7 +125,7 @@ def distrusted(
     drop = np.zeros(kind.shape, dtype=np.bool_)
     rng = np.random.default_rng(_SEED)
     for part, trust in trusts:
-        own = part.holds(places, _MARGIN_RADII * original.target_radius_m)
+        own = part.holds(places, MARGIN_RADII * original.target_radius_m)
         drop |= own & (rng.random(kind.shape) >= trust)
     drop &= kind != NO_POINT
     if not drop.any():

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.files import StrPath
-from rendezview.io.results import read_json_lines
+from rendezview.io.pose_log import read_poses
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview.sensors.beacons.observation import ReflectorObservation
 
@@ -73,19 +72,14 @@ def sightings_of_log(path: StrPath, pattern: ReflectorPattern) -> list[Sighting]
         RendezviewError: missing, or a line (named) is none of such a log.
     """
 
-    def of_line(number: int, line: dict[str, Any]) -> Sighting | None:
-        try:
-            if line["pose"] is None:
-                return None
-            pose = Pose.from_quat_wxyz(line["pose"]["quat_wxyz"], line["pose"]["translation_m"])
-            names = [spot["reflector"] for spot in line["spots"]]
-            return _sighting(pose, bool(line["roll_ambiguous"]), names, line["spots"], pattern)
-        except (KeyError, TypeError, ValueError) as error:
-            raise RendezviewError(
-                f"{path}: line {number} is no reading of rendezview reflectors ({error})"
-            ) from error
+    def of_line(line: dict[str, Any]) -> Sighting | None:
+        if line["pose"] is None:
+            return None
+        pose = Pose.from_quat_wxyz(line["pose"]["quat_wxyz"], line["pose"]["translation_m"])
+        names = [spot["reflector"] for spot in line["spots"]]
+        return _sighting(pose, bool(line["roll_ambiguous"]), names, line["spots"], pattern)
 
-    return _told(of_line(k, line) for k, line in enumerate(read_json_lines(path), start=1))
+    return _told(read_poses(path, of_line, "`rendezview reflectors`"))
 
 
 def _sighting(

@@ -6,7 +6,8 @@ with the image size and the lens distortion, which BOP does not have.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -14,17 +15,17 @@ from typing import Annotated, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import Camera, intrinsics_of
 from rendezview.geometry.pose import Pose, nearest_rotation
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import checked, read_json
 from rendezview.io.plausible import questioned
 from rendezview.io.sequences.fitting import fitted
-from rendezview.io.sequences.frame import Frame, Sequence
+from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 from rendezview.io.sequences.images import list_images, read_grey
 
-Entry = TypeVar("Entry")
+Listed = TypeVar("Listed")
 _Nine = Annotated[list[FiniteFloat], Field(min_length=9, max_length=9)]
 _Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 
@@ -46,6 +47,19 @@ class SceneTruth(BaseModel):
     cam_R_m2c: _Nine  # row-wise
     cam_t_m2c: _Three  # mm
     obj_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What a scene says of a frame."""
+
+    im_id: int
+    name: str
+    fetch: Callable[[], GreyImage]
+    camera: SceneCamera | None
+    camera_at: str  # where that is said, for messages
+    truth: list[SceneTruth]
+    truth_at: str
 
 
 _SCENE_CAMERA = TypeAdapter(dict[str, SceneCamera])
@@ -74,56 +88,62 @@ def open_bop_scene(
             and ``obj_id`` is not given.
     """
     cameras_path, truth_path = folder / "scene_camera.json", folder / "scene_gt.json"
-    cameras = _by_number(
-        checked(_SCENE_CAMERA, read_json(cameras_path, "a BOP scene"), str(cameras_path)),
-        cameras_path,
-    )
+    cameras = _by_number(_SCENE_CAMERA, cameras_path, "a BOP scene")
     if not cameras:
         raise RendezviewError(f"{cameras_path}: lists no frames: write the scene again")
     truth: dict[int, list[SceneTruth]] = {}
     if truth_path.is_file():
-        truth = _by_number(
-            checked(_SCENE_TRUTH, read_json(truth_path, "BOP truth"), str(truth_path)), truth_path
-        )
+        truth = _by_number(_SCENE_TRUTH, truth_path, "BOP truth")
     images_folder, images = _images(folder)
     base = camera if camera is not None else _scene_camera(folder, next(iter(images.values())))
     bits, notes = fitted(list(images.values()), base, images_folder)
-    frames = []
-    several = 0
-    for im_id, entry in sorted(cameras.items()):
-        own = camera
+
+    def entries() -> Iterator[Entry]:
+        for im_id, entry in sorted(cameras.items()):
+            path = images.get(im_id, images_folder / f"{im_id:06d}.png")
+            yield Entry(
+                im_id, path.name, partial(read_grey, path, bits), entry,
+                f"{cameras_path}: {im_id}.cam_K", truth.get(im_id, []), f"{truth_path}: {im_id}",
+            )  # fmt: skip
+
+    return scene_of(folder, entries(), base, camera, obj_id, notes, _scene_id(folder))
+
+
+def scene_of(
+    source: Path, entries: Iterable[Entry], base: Camera, camera: Camera | None,
+    obj_id: int | None, notes: tuple[str, ...], scene_id: int = 1,
+) -> Sequence:  # fmt: skip
+    """The frames of a scene, by what it says of them; arguments as for `open_bop_scene`.
+
+    Args:
+        base: size and lens of the frames' cameras, where ``camera`` is None.
+
+    Raises:
+        RendezviewError: an entry is wrong, has no camera, or shows several objects.
+    """
+    frames, several = list[Frame](), 0
+    for entry in entries:
+        own, time_s = camera, None
+        if entry.camera is not None:
+            time_s = entry.camera.timestamp_s
+            own = camera or _with_matrix(base, entry.camera.cam_K, entry.camera_at)
         if own is None:
-            own = with_matrix(base, entry.cam_K, f"{cameras_path}: {im_id}.cam_K")
-        shown = chosen(truth.get(im_id, []), obj_id, f"{truth_path}: {im_id}")
-        target = shown[0] if len(shown) == 1 else None
+            raise RendezviewError(f"{entry.camera_at}: missing: give a camera file")
+        shown = _chosen(entry.truth, obj_id, entry.truth_at)
         several += len(shown) > 1
-        path = images.get(im_id, images_folder / f"{im_id:06d}.png")
-        frames.append(
-            Frame(
-                im_id=im_id,
-                name=path.name,
-                time_s=entry.timestamp_s,
-                camera=own,
-                camera_from_target=None
-                if target is None
-                else pose_of(target, f"{truth_path}: {im_id}"),
-                obj_id=shown[0].obj_id if shown else (obj_id or 1),
-                fetch=partial(read_grey, path, bits),
-            )
-        )
-    notes = (*notes, *instances_note(several, len(frames)))
-    return Sequence(scene_id=_scene_id(folder), frames=tuple(frames), source=folder, notes=notes)
+        pose = _pose_of(shown[0], entry.truth_at) if len(shown) == 1 else None
+        of = shown[0].obj_id if shown else (obj_id or 1)
+        frames.append(Frame(entry.im_id, entry.name, time_s, own, pose, of, entry.fetch))
+    if several:
+        said = f"{several} of {len(frames)} frames show the target several times"
+        notes = (*notes, f"{said}: they have no truth")
+    return Sequence(scene_id, tuple(frames), source, notes)
 
 
-def instances_note(several: int, frames: int) -> tuple[str, ...]:
-    """What is said of frames that show the target several times."""
-    said = f"{several} of {frames} frames show the target several times: they have no truth"
-    return (said,) if several else ()
-
-
-def _by_number(entries: dict[str, Entry], path: Path) -> dict[int, Entry]:
-    numbered: dict[int, Entry] = {}
-    for key, entry in entries.items():
+def _by_number(adapter: TypeAdapter[dict[str, Listed]], path: Path, what: str) -> dict[int, Listed]:
+    """The entries of a file of a scene, by the number of their frame."""
+    numbered: dict[int, Listed] = {}
+    for key, entry in checked(adapter, read_json(path, what), str(path)).items():
         if not (key.isascii() and key.isdigit()):
             raise RendezviewError(f"{path}: {key!r} is not a frame number: correct the file")
         numbered[int(key)] = entry
@@ -153,27 +173,17 @@ def _scene_camera(folder: Path, first_image: Path) -> Camera:
     return Camera(width, height, 1.0, 1.0, 0.0, 0.0)  # its matrix is replaced for every frame
 
 
-def with_matrix(camera: Camera, values: list[float], where: str) -> Camera:
-    """The camera with the matrix of a frame.
-
-    Raises:
-        RendezviewError: none, or one from which nothing good can follow.
-    """
-    try:
+def _with_matrix(camera: Camera, values: list[float], where: str) -> Camera:
+    """The camera with the matrix of a frame."""
+    with explained(f"{where}: ", ": correct the scene"):
         fx, fy, cx, cy = intrinsics_of(values)
         if (fx, fy, cx, cy) == (camera.fx, camera.fy, camera.cx, camera.cy):
             return camera  # one object for all frames of a fixed camera
         return questioned(replace(camera, fx=fx, fy=fy, cx=cx, cy=cy), "give it by --camera")
-    except ValueError as error:
-        raise RendezviewError(f"{where}: {error}: correct the scene") from error
 
 
-def chosen(entries: list[SceneTruth], obj_id: int | None, where: str) -> list[SceneTruth]:
-    """The instances of the target.
-
-    Raises:
-        RendezviewError: several objects without ``obj_id``.
-    """
+def _chosen(entries: list[SceneTruth], obj_id: int | None, where: str) -> list[SceneTruth]:
+    """The instances of the target."""
     if obj_id is not None:
         entries = [entry for entry in entries if entry.obj_id == obj_id]
     if len({entry.obj_id for entry in entries}) > 1:
@@ -185,16 +195,10 @@ def chosen(entries: list[SceneTruth], obj_id: int | None, where: str) -> list[Sc
     return entries
 
 
-def pose_of(entry: SceneTruth, where: str) -> Pose:
-    """camera_from_target of an object.
-
-    Raises:
-        RendezviewError: not a rotation.
-    """
-    try:
+def _pose_of(entry: SceneTruth, where: str) -> Pose:
+    """camera_from_target of an object."""
+    with explained(f"{where}: cam_R_m2c: ", ": correct the scene"):
         rotation = nearest_rotation(np.reshape(entry.cam_R_m2c, (3, 3)))
-    except ValueError as error:
-        raise RendezviewError(f"{where}: cam_R_m2c: {error}: correct the scene") from error
     return Pose(rotation, np.asarray(entry.cam_t_m2c) / 1000.0)
 
 

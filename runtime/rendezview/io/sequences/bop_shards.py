@@ -5,29 +5,22 @@ This is the form of WebDataset in which BOP's training data and HOT3D are publis
 
 from __future__ import annotations
 
-import json
 import tarfile
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import Camera
-from rendezview.io.files import checked
-from rendezview.io.sequences.bop import (
-    SceneCamera,
-    SceneTruth,
-    chosen,
-    instances_note,
-    pose_of,
-    with_matrix,
-)
+from rendezview.io.files import Checked, checked, parse_json
+from rendezview.io.sequences.bop import Entry, SceneCamera, SceneTruth, scene_of
 from rendezview.io.sequences.decoding import decode_grey
 from rendezview.io.sequences.fitting import decoded, fitted_levels, sampled
-from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
+from rendezview.io.sequences.frame import GreyImage, Sequence
 
 _IMAGES = ("gray.png", "gray.tif", "gray.jpg", "rgb.png", "rgb.jpg", "rgb.jpeg")  # as preferred
 _CAMERA, _TRUTH = TypeAdapter(SceneCamera), TypeAdapter(list[SceneTruth])
@@ -57,6 +50,11 @@ class _Part:
         if len(content) < self.size:
             raise RendezviewError(f"{self.shard}: {self.name} is cut short: replace the shard")
         return content
+
+    def content(self, adapter: TypeAdapter[Checked]) -> Checked:
+        """Its JSON as the type of an adapter; errors of `checked` and `parse_json`."""
+        where = f"{self.shard}: {self.name}"
+        return checked(adapter, parse_json(self.read(), where), where)
 
 
 def open_bop_shard(path: Path, camera: Camera | None = None, obj_id: int | None = None) -> Sequence:
@@ -90,65 +88,38 @@ def open_bop_shard(path: Path, camera: Camera | None = None, obj_id: int | None 
     numbers = [_number(key) for key in keys]
     if None in numbers or len(set(numbers)) < len(numbers):
         numbers = list(range(len(keys)))
-    frames = []
-    several = 0
-    for number, key in zip(numbers, keys, strict=True):
-        parts, own, time_s = samples[key], camera, None
-        if "camera.json" in parts:
-            where = f"{path}: {key}.camera.json"
-            entry = checked(_CAMERA, _content(parts["camera.json"]), where)
-            time_s = entry.timestamp_s
-            own = camera or with_matrix(base, entry.cam_K, f"{where}: cam_K")
-        if own is None:
-            raise RendezviewError(f"{path}: {key} has no camera.json: give a camera file")
-        where = f"{path}: {key}.gt.json"
-        truth = checked(_TRUTH, _content(parts["gt.json"]), where) if "gt.json" in parts else []
-        shown = chosen(truth, obj_id, where)
-        several += len(shown) > 1
-        frames.append(
-            Frame(
-                im_id=int(number or 0),
-                name=images[key].name,
-                time_s=time_s,
-                camera=own,
-                camera_from_target=pose_of(shown[0], where) if len(shown) == 1 else None,
-                obj_id=shown[0].obj_id if shown else (obj_id or 1),
-                fetch=partial(_grey, images[key], bits or 16),
-            )
-        )
-    notes = (*notes, *instances_note(several, len(frames)))
-    return Sequence(scene_id=1, frames=tuple(frames), source=path, notes=notes)
+
+    def entries() -> Iterator[Entry]:
+        for number, key in zip(numbers, keys, strict=True):
+            at, truth_at = f"{path}: {key}.camera.json", f"{path}: {key}.gt.json"
+            said, truth = (samples[key].get(name) for name in ("camera.json", "gt.json"))
+            yield Entry(
+                int(number or 0), images[key].name, partial(_grey, images[key], bits or 16),
+                None if said is None else said.content(_CAMERA), f"{at}: cam_K",
+                [] if truth is None else truth.content(_TRUTH), truth_at,
+            )  # fmt: skip
+
+    return scene_of(path, entries(), base, camera, obj_id, notes)
 
 
 def _samples(path: Path) -> dict[str, dict[str, _Part]]:
     """Parts by key and by what follows the key's first dot."""
     found: dict[str, dict[str, _Part]] = defaultdict(dict)
-    try:
-        with tarfile.open(path, "r:") as archive:
-            for member in archive:
-                kind = member.name.rpartition("/")[2].partition(".")[2]
-                if member.isreg() and kind:
-                    key = member.name.removesuffix(f".{kind}")
-                    part = _Part(path, member.name, member.offset_data, member.size)
-                    found[key][kind.lower()] = part
-    except (tarfile.TarError, OSError, ValueError) as error:
-        raise RendezviewError(
-            f"{path}: not a tar file that can be read ({error}): it is damaged, packed or cut short"
-        ) from error
+    unread, why = f"{path}: not a tar file that can be read (", "): damaged, packed or cut short"
+    faults = (tarfile.TarError, OSError, ValueError)
+    with explained(unread, why, faults), tarfile.open(path, "r:") as archive:
+        for member in archive:
+            kind = member.name.rpartition("/")[2].partition(".")[2]
+            if member.isreg() and kind:
+                key = member.name.removesuffix(f".{kind}")
+                part = _Part(path, member.name, member.offset_data, member.size)
+                found[key][kind.lower()] = part
     return found
 
 
 def _number(key: str) -> int | None:
     last = key.rpartition("/")[2].rpartition("_")[2]
     return int(last) if last.isascii() and last.isdigit() else None
-
-
-def _content(part: _Part) -> object:
-    try:
-        found: object = json.loads(part.read())
-    except ValueError as error:
-        raise RendezviewError(f"{part.shard}: {part.name}: not valid JSON ({error})") from error
-    return found
 
 
 def _grey(part: _Part, bits: int) -> GreyImage:

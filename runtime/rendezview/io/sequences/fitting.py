@@ -69,8 +69,7 @@ def fitted_levels(
     """As `fitted`, of pictures that were read, and their marks."""
     check_sizes(pictures, camera, folder)
     bits, notes = _bits_of(pictures, camera)
-    combed = (doubt.what for doubt in comb_doubts(pictures))
-    return bits, (*notes, *mark_notes(marks), *combed)
+    return bits, (*notes, *mark_notes(marks), *comb_doubts(pictures))
 
 
 def _bits_of(pictures: Sequence[Levels], camera: Camera) -> tuple[int | None, tuple[str, ...]]:

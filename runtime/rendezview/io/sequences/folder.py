@@ -9,7 +9,7 @@ from pathlib import Path
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.fitting import fitted
-from rendezview.io.sequences.frame import Frame, Sequence
+from rendezview.io.sequences.frame import Sequence
 from rendezview.io.sequences.images import list_images, read_grey, required_camera
 from rendezview.io.sequences.stacks import has_format, open_stacks
 
@@ -59,16 +59,5 @@ def open_images(images: list[Path], camera: Camera, source: Path) -> Sequence:
     if all(map(has_format, images)):
         return open_stacks(images, camera, source)
     bits, notes = fitted(images, camera, images[0].parent)
-    frames = tuple(
-        Frame(
-            im_id=index,
-            name=path.name,
-            time_s=None,
-            camera=camera,
-            camera_from_target=None,
-            obj_id=1,
-            fetch=partial(read_grey, path, bits),
-        )
-        for index, path in enumerate(images)
-    )
-    return Sequence(scene_id=1, frames=frames, source=source, notes=notes)
+    pictures = ((path.name, None, partial(read_grey, path, bits)) for path in images)
+    return Sequence.of_pictures(source, camera, pictures, notes)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import overload
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -16,6 +17,12 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.sequences.misfit import misfit
 
 GreyImage = npt.NDArray[np.uint8]  # (height, width)
+
+
+def grey_of(image: cv2.typing.MatLike) -> GreyImage:
+    """A decoded picture, grey or blue, green, red, as grey uint8 (height, width)."""
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return np.asarray(grey, dtype=np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +58,21 @@ class Sequence:
     frames: tuple[Frame, ...]
     source: Path
     notes: tuple[str, ...] = ()  # what a user should check, one line each
+
+    @classmethod
+    def of_pictures(
+        cls,
+        source: Path,
+        camera: Camera,
+        pictures: Iterable[tuple[str, float | None, Callable[[], GreyImage]]],
+        notes: Iterable[str] = (),
+    ) -> Sequence:
+        """Pictures of one camera, numbered from 0, without truth: name, time and reader of each."""
+        frames = tuple(
+            Frame(k, name, time_s, camera, None, 1, fetch)
+            for k, (name, time_s, fetch) in enumerate(pictures)
+        )
+        return cls(1, frames, source, tuple(notes))
 
     def __len__(self) -> int:
         return len(self.frames)

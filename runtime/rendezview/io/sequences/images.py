@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write, read_bytes
@@ -35,10 +35,8 @@ def read_grey(path: Path, bits: int | None = None) -> GreyImage:
         RendezviewError: missing, unreadable, not an image, cut short, or a level needs more bits.
     """
     content = read_bytes(path, "an image")
-    try:
+    with explained(f"{path}: ", faults=RendezviewError):
         image = decode_grey(content, bits or 16)
-    except RendezviewError as error:
-        raise RendezviewError(f"{path}: {error}") from error
     if image is None:
         why = "animated" if is_animated(content) else "damaged, cut short or of another kind"
         raise RendezviewError(f"{path}: not an image that can be read ({why}): replace the file")

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 from urllib.parse import urlsplit
@@ -21,7 +22,7 @@ import numpy as np
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
-from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
+from rendezview.io.sequences.frame import Frame, GreyImage, Sequence, grey_of
 from rendezview.io.sequences.quiet import quiet_opencv
 
 T = TypeVar("T")
@@ -160,12 +161,11 @@ def _frames(
             pictures = _pictures(capture, bool(_TIMED.fullmatch(source)), start_s, first)
             with closing(pictures if every or ends else _newest(pictures)) as taken:
                 for number, (image, time_s) in taken:
-                    grey = _grey(image)
+                    grey = grey_of(image)
                     _check_size(grey, camera, name)
                     last_s, first = max(time_s, last_s + 1e-6), number + 1
-                    yield Frame(
-                        number, f"{name}, frame {number}", last_s, camera, None, 1, _Taken(grey)
-                    )
+                    there = partial(np.asarray, grey)
+                    yield Frame(number, f"{name}, frame {number}", last_s, camera, None, 1, there)
             if ends:
                 return
             capture.release()
@@ -240,11 +240,6 @@ def _pictures(
         number += 1
 
 
-def _grey(image: cv2.typing.MatLike) -> GreyImage:
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    return np.asarray(grey, dtype=np.uint8)
-
-
 def _again(source: str) -> cv2.VideoCapture:
     """A stream opened again.
 
@@ -271,16 +266,6 @@ def _check_size(image: GreyImage, camera: Camera, name: str) -> None:
             f"{name}: its pictures are {width} × {height}, the camera file is for {camera.width} × "
             f"{camera.height}: set the camera to that size, or calibrate it as it is"
         )
-
-
-class _Taken:
-    """A picture that is there already."""
-
-    def __init__(self, grey: GreyImage) -> None:
-        self._grey = grey
-
-    def __call__(self) -> GreyImage:
-        return self._grey
 
 
 def with_rate(sequence: Sequence, rate_hz: float) -> Sequence:

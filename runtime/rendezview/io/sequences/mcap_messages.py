@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -119,35 +120,26 @@ def _foxglove(path: Path, name: str, encoding: str) -> _Decoder:
     return decoder
 
 
+def _content(name: str, field: Callable[[str], Any], data: Callable[[], Any]) -> Content:
+    """What a message holds, by its fields and its packed data."""
+    if name == "foxglove.RawImage":
+        size = field("width"), field("height"), field("step")
+        return RawPicture(*size, field("encoding"), data())
+    if name == "foxglove.CompressedImage":
+        return PackedPicture(data())
+    if name == "foxglove.CompressedVideo":
+        return VideoPart(field("format"), data())
+    lists = (tuple(field(key)) for key in ("D", "K", "P"))
+    return Calibration(field("width"), field("height"), field("distortion_model"), *lists)
+
+
 def _protobuf_content(name: str, found: Any) -> tuple[float, Content]:
     stamp_s = found.timestamp.seconds + 1e-9 * found.timestamp.nanos
-    if name == "foxglove.RawImage":
-        return stamp_s, RawPicture(
-            found.width, found.height, found.step, found.encoding, found.data
-        )
-    if name == "foxglove.CompressedImage":
-        return stamp_s, PackedPicture(found.data)
-    if name == "foxglove.CompressedVideo":
-        return stamp_s, VideoPart(found.format, found.data)
-    return stamp_s, Calibration(
-        found.width, found.height, found.distortion_model, tuple(found.D), tuple(found.K),
-        tuple(found.P),
-    )  # fmt: skip
+    return stamp_s, _content(name, partial(getattr, found), lambda: found.data)
 
 
 def _json_content(name: str, found: Any) -> tuple[float, Content]:
     stamp = found.get("timestamp") or {}
-    stamp_s = stamp.get("sec", 0) + 1e-9 * stamp.get("nsec", 0)
-    if name == "foxglove.CameraCalibration":
-        return stamp_s, Calibration(
-            found["width"], found["height"], found.get("distortion_model", ""),
-            tuple(found.get("D", ())), tuple(found["K"]), tuple(found.get("P", ())),
-        )  # fmt: skip
-    data = base64.b64decode(found["data"])
-    if name == "foxglove.CompressedImage":
-        return stamp_s, PackedPicture(data)
-    if name == "foxglove.CompressedVideo":
-        return stamp_s, VideoPart(found["format"], data)
-    return stamp_s, RawPicture(
-        found["width"], found["height"], found["step"], found["encoding"], data
-    )
+    fields = {"distortion_model": "", "D": (), "P": (), **found}
+    content = _content(name, fields.__getitem__, lambda: base64.b64decode(found["data"]))
+    return stamp.get("sec", 0) + 1e-9 * stamp.get("nsec", 0), content

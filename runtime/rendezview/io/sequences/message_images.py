@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import camera_from_keys
 from rendezview.io.grey_frame import eight_bits
@@ -42,15 +42,10 @@ _EIGHT_BIT: dict[str, tuple[int, int | None]] = {
 }
 
 
-_SIXTEEN_BIT: dict[str, tuple[int, int | None]] = {
-    "mono16": (1, None),
-    "16UC1": (1, None),
-    "rgb16": (3, cv2.COLOR_RGB2GRAY),
-    "bgr16": (3, cv2.COLOR_BGR2GRAY),
-    "bayer_rggb16": (1, cv2.COLOR_BayerBG2GRAY),
-    "bayer_bggr16": (1, cv2.COLOR_BayerRG2GRAY),
-    "bayer_gbrg16": (1, cv2.COLOR_BayerGR2GRAY),
-    "bayer_grbg16": (1, cv2.COLOR_BayerGB2GRAY),
+_SIXTEEN_BIT = {
+    name.replace("8", "16"): how
+    for name, how in _EIGHT_BIT.items()
+    if name in ("mono8", "8UC1", "rgb8", "bgr8") or name.startswith("bayer_")
 }
 
 
@@ -170,7 +165,5 @@ def _eight(levels: npt.NDArray[Any], where: str, bits: int | None) -> GreyImage:
             f"{where}: the levels have 16 bits, and nothing gives how many of them are used: give "
             "a camera file with bit_depth (10, 12, 14 or 16)"
         )
-    try:
+    with explained(f"{where}: ", faults=RendezviewError):
         return np.array(eight_bits(levels, bits or 8))
-    except RendezviewError as error:
-        raise RendezviewError(f"{where}: {error}") from error

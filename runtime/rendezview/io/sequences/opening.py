@@ -52,7 +52,7 @@ def open_sequence(
     """
     opened = _risen(_opened(path, camera, obj_id))
     cameras = dict.fromkeys(d for frame in opened.frames[:1] for d in frame.camera.doubts)
-    times = (doubt.what for doubt in time_doubts([frame.time_s for frame in opened]))
+    times = time_doubts([frame.time_s for frame in opened])
     return replace(opened, notes=(*opened.notes, *cameras, *times))
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
-from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
+from rendezview.io.sequences.frame import GreyImage, Sequence
 from rendezview.io.sequences.images import camera_beside
 from rendezview.io.sequences.message_images import Calibration, PackedPicture, RawPicture, grey
 from rendezview.io.sequences.message_video import VideoPart, VideoTopic
@@ -49,9 +49,8 @@ Messages = Callable[[Path], Iterator[Message]]  # those of one pass through a fi
 class _Found:
     """Results of the first pass."""
 
-    stamps_s: dict[str, list[float]]  # of the pictures, by topic
-    logged_s: dict[str, list[float]]  # times of recording
-    keys: dict[str, list[bool]]  # of topics with video: key pictures
+    # Of the pictures, by topic: stamp, time of recording, whether a video's is a key picture
+    pictures: dict[str, list[tuple[float, float, bool | None]]]
     calibrations: dict[str, Calibration]  # the first, by topic
     cut_off: str | None = None
 
@@ -83,11 +82,11 @@ def open_recording(
     found = _first_pass(path, messages)
     chosen = _topic(path, found, topic)
     own = camera if camera is not None else _camera(path, found, chosen)
-    stamps_s = found.stamps_s[chosen]
-    times_s = stamps_s if any(stamps_s) else found.logged_s[chosen]
+    stamps_s, logged_s, keys = zip(*found.pictures[chosen], strict=True)
+    times_s = stamps_s if any(stamps_s) else logged_s
     reader: RecordingReader | VideoReader
-    if chosen in found.keys:
-        lead = next((k for k, key in enumerate(found.keys[chosen]) if key), len(times_s))
+    if None not in keys:
+        lead = next((k for k, key in enumerate(keys) if key), len(times_s))
         reader = VideoReader(VideoTopic(path, partial(_parts, path, messages, chosen, lead)))
     else:
         lead, reader = 0, RecordingReader(path, messages, chosen, own.bit_depth)
@@ -96,19 +95,11 @@ def open_recording(
         notes.append(f"{found.cut_off}: {len(times_s)} pictures of {chosen} before it")
     if not order:
         raise RendezviewError(f"{path}: no picture of {chosen} can be read: {'; '.join(notes)}")
-    frames = tuple(
-        Frame(
-            im_id=number,
-            name=f"{path.name}#{chosen}, frame {index}",
-            time_s=times_s[index],
-            camera=own,
-            camera_from_target=None,
-            obj_id=1,
-            fetch=partial(reader.read, index - lead),
-        )
-        for number, index in enumerate(order)
+    pictures = (
+        (f"{path.name}#{chosen}, frame {k}", times_s[k], partial(reader.read, k - lead))
+        for k in order
     )
-    return Sequence(scene_id=1, frames=frames, source=path, notes=tuple(notes))
+    return Sequence.of_pictures(path, own, pictures, notes)
 
 
 class RecordingReader:
@@ -155,7 +146,7 @@ class RecordingReader:
 
 
 def _first_pass(path: Path, messages: Messages) -> _Found:
-    found = _Found({}, {}, {}, {})
+    found = _Found({}, {})
     try:
         for message in messages(path):
             if message.calibrates:
@@ -165,10 +156,9 @@ def _first_pass(path: Path, messages: Messages) -> _Found:
                         found.calibrations[message.topic] = content
                 continue
             stamp_s, content = _decoded(path, message)
-            if isinstance(content, VideoPart):
-                found.keys.setdefault(message.topic, []).append(content.is_key)
-            found.stamps_s.setdefault(message.topic, []).append(stamp_s)
-            found.logged_s.setdefault(message.topic, []).append(1e-9 * message.logged_ns)
+            key = content.is_key if isinstance(content, VideoPart) else None
+            seen = (stamp_s, 1e-9 * message.logged_ns, key)
+            found.pictures.setdefault(message.topic, []).append(seen)
     except CutOff as cut:
         found.cut_off = str(cut)
     return found
@@ -202,7 +192,7 @@ def _decoded(path: Path, message: Message) -> tuple[float, Content]:
 
 
 def _topic(path: Path, found: _Found, topic: str | None) -> str:
-    topics = sorted(found.stamps_s)
+    topics = sorted(found.pictures)
     if not topics:
         raise RendezviewError(
             f"{path}: holds no pictures (sensor_msgs Image or CompressedImage, foxglove RawImage, "
@@ -210,9 +200,9 @@ def _topic(path: Path, found: _Found, topic: str | None) -> str:
             + (f": it is {found.cut_off}, before the first one" if found.cut_off else "")
             + ": record a camera's topic"
         )
-    listed = ", ".join(f"{name} ({len(found.stamps_s[name])})" for name in topics)
+    listed = ", ".join(f"{name} ({len(found.pictures[name])})" for name in topics)
     if topic is not None:
-        if topic not in found.stamps_s:
+        if topic not in found.pictures:
             raise RendezviewError(f"{path}: has no pictures of {topic}; it has {listed}")
         return topic
     if len(topics) > 1:

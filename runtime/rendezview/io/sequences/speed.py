@@ -25,7 +25,7 @@ from typing import Annotated
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import load_camera
@@ -142,7 +142,5 @@ def _pose(label: _Label, where: str) -> Pose | None:
     if label.quat_wxyz is None or label.translation_m is None:
         missing = "q_vbs2tango" if label.quat_wxyz is None else "r_Vo2To_vbs"
         raise RendezviewError(f"{where}: {missing}: missing, add it or remove the other")
-    try:
+    with explained(f"{where}: ", ": correct the labels"):
         return Pose.from_quat_wxyz(label.quat_wxyz, label.translation_m)
-    except ValueError as error:
-        raise RendezviewError(f"{where}: {error}: correct the labels") from error

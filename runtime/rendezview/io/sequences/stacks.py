@@ -14,18 +14,19 @@ from typing import Any
 
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import Camera
 from rendezview.io.grey_frame import eight_bits
 from rendezview.io.sequences.fits import FITS_ENDINGS, fits_pictures, read_fits
 from rendezview.io.sequences.fitting import fitted_levels, sampled
-from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
+from rendezview.io.sequences.frame import GreyImage, Sequence
 from rendezview.io.sequences.picture import Picture, counts, unit_of
 from rendezview.io.sequences.picture_marks import Marks
 from rendezview.io.sequences.tiff import read_tiff, tiff_pictures
 
 TIFF_ENDINGS = (".tif", ".tiff")
 _DAMAGED = -1  # place of a picture that is not found in its file. Source: by construction
+_FAULTS = (OSError, ValueError, struct.error)  # of readers, over any bytes
 _WRONG = "not a picture that can be read, damaged, cut short or of another kind"
 
 
@@ -86,19 +87,8 @@ def open_stacks(paths: list[Path], camera: Camera, source: Path) -> Sequence:
     )
     if unit != 1.0 and unit != 65_535.0:
         notes[f"levels beyond 16 bits: {1.0 / unit:g} of them are one"] = None
-    frames = tuple(
-        Frame(
-            im_id=index,
-            name=picture.name,
-            time_s=picture.time_s,
-            camera=camera,
-            camera_from_target=None,
-            obj_id=1,
-            fetch=partial(_read, picture, unit, bits or 16),
-        )
-        for index, picture in enumerate(pictures)
-    )
-    return Sequence(scene_id=1, frames=frames, source=source, notes=(*notes, *more))
+    read = ((p.name, p.time_s, partial(_read, p, unit, bits or 16)) for p in pictures)
+    return Sequence.of_pictures(source, camera, read, (*notes, *more))
 
 
 def first_levels(path: Path) -> npt.NDArray[Any]:
@@ -116,10 +106,8 @@ def _format(path: Path) -> Format:
 
 
 def _listed(path: Path) -> tuple[list[Picture], list[str]]:
-    try:
+    with explained(f"{path}: {_WRONG} (", "): replace the file", _FAULTS):
         pictures, notes = _format(path).pictures(path)
-    except (OSError, ValueError, struct.error) as error:
-        raise RendezviewError(f"{path}: {_WRONG} ({error}): replace the file") from error
     if not pictures:
         raise RendezviewError(f"{path}: {_WRONG}: replace the file")
     return pictures, notes
@@ -128,10 +116,8 @@ def _listed(path: Path) -> tuple[list[Picture], list[str]]:
 def _levels(picture: Picture) -> npt.NDArray[Any]:
     if picture.place == _DAMAGED:
         _listed(picture.path)  # says what is wrong
-    try:
+    with explained(f"{picture.path}: {_WRONG} (", "): replace the file", _FAULTS):
         levels = _format(picture.path).read(picture.path, picture.place)
-    except (OSError, ValueError, struct.error) as error:
-        raise RendezviewError(f"{picture.path}: {_WRONG} ({error}): replace the file") from error
     if levels is None or levels.ndim != 2:
         raise RendezviewError(
             f"{picture.path}: {picture.name} cannot be read: it is damaged, or of a packing or "
@@ -141,7 +127,5 @@ def _levels(picture: Picture) -> npt.NDArray[Any]:
 
 
 def _read(picture: Picture, unit: float, bits: int) -> GreyImage:
-    try:
+    with explained(f"{picture.name}: ", faults=RendezviewError):
         return eight_bits(counts(_levels(picture), unit), bits)
-    except RendezviewError as error:
-        raise RendezviewError(f"{picture.name}: {error}") from error

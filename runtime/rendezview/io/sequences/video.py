@@ -9,12 +9,11 @@ from functools import partial
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.fitting import check_sizes
-from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
+from rendezview.io.sequences.frame import GreyImage, Sequence, grey_of
 from rendezview.io.sequences.images import required_camera
 from rendezview.io.sequences.message_video import VideoTopic
 from rendezview.io.sequences.quiet import quiet_opencv
@@ -57,21 +56,13 @@ def open_video(path: Path, camera: Camera | None = None) -> Sequence:
     found = required_camera(camera, path.parent, path)
     reader = VideoReader(path)
     check_sizes(_first(VideoReader(path)), found, path.parent)
-    frames = tuple(
-        Frame(
-            im_id=index,
-            name=f"{path.name}, frame {index}",
-            time_s=time_s,
-            camera=found,
-            camera_from_target=None,
-            obj_id=1,
-            fetch=partial(reader.read, index),
-        )
+    pictures = (
+        (f"{path.name}, frame {index}", time_s, partial(reader.read, index))
         for index, time_s in enumerate(times_s)
     )
     steps = [b - a for a, b in itertools.pairwise(times_s) if a is not None and b is not None]
     uneven = f"the frames come {min(steps):.3g} to {max(steps):.3g} s apart" if not even else ""
-    return Sequence(scene_id=1, frames=frames, source=path, notes=(uneven,) if uneven else ())
+    return Sequence.of_pictures(path, found, pictures, (uneven,) if uneven else ())
 
 
 def _times(path: Path) -> tuple[list[float | None], bool]:
@@ -164,8 +155,7 @@ class VideoReader:
             raise RendezviewError(
                 f"{self._path}: frame {index} cannot be decoded: convert the video again"
             )
-        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        return np.asarray(grey, dtype=np.uint8)
+        return grey_of(image)
 
 
 def _first(reader: VideoReader) -> list[GreyImage]:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import Field, FiniteFloat, TypeAdapter
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import StrPath, checked, read_toml
@@ -87,10 +87,8 @@ def load_cameras(
         chosen = mode or (Mode.SPLITTER if len(sequences) == 2 else Mode.PAIRS)
         mount = Pose.identity()
         if table.camera_from_chaser is not None:
-            try:
+            with explained(f"{path}: camera {table.name!r}: "):
                 mount = table.camera_from_chaser.pose()
-            except ValueError as error:
-                raise RendezviewError(f"{path}: camera {table.name!r}: {error}") from error
         pairs = pair_up(sequences, chosen, None, invert)
         runs.append(CameraRun(table.name, table.nearest_m, table.farthest_m, mount, pairs))
     for run in runs[1:]:

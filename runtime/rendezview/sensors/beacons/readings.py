@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.io.files import StrPath
 from rendezview.io.results import read_json_lines
+from rendezview.io.sequences.images import IMAGE_SUFFIXES, read_grey
 from rendezview.sensors.beacons.detect.detectors import UNKNOWN, Spots
 from rendezview.sensors.beacons.detect.led_spots import SpotOptions, find_spots
 from rendezview.sensors.beacons.rig import Rig, RigCamera
@@ -65,10 +65,8 @@ def _lines(path: StrPath, rig: Rig, names: tuple[str, ...]) -> Iterator[Reading]
         if isinstance(time_s, bool) or not isinstance(time_s, int | float) or not time_s > last_s:
             raise RendezviewError(f"{where}: time_s must be a number later than the one before")
         last_s = float(time_s)
-        try:
+        with explained(f"{where}: ", ": correct or remove the line", (ValueError, TypeError)):
             spots = _spots(record, rig, names)
-        except (ValueError, TypeError) as error:
-            raise RendezviewError(f"{where}: {error}: correct or remove the line") from error
         yield Reading(number - 1, last_s, lambda spots=spots: spots)  # type: ignore[misc]
 
 
@@ -130,9 +128,7 @@ def _pictures(
 
 
 def _picture(camera: RigCamera, path: Path, options: SpotOptions | None) -> Spots:
-    grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if grey is None:
-        raise RendezviewError(f"{path}: is no picture that can be read: replace or remove it")
+    grey = read_grey(path)
     if grey.shape[::-1] != camera.size:
         raise RendezviewError(
             f"{path}: is {grey.shape[1]} × {grey.shape[0]} pixels, camera {camera.name!r} is "
@@ -148,10 +144,9 @@ def picture_pairs(folder: StrPath) -> list[tuple[str, list[Path]]]:
         RendezviewError: no two kinds of pictures with the same numbers.
     """
     base = Path(folder)
-    suffixes = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
     by_camera: dict[str, dict[str, Path]] = {}
     for path in sorted([*base.glob("*"), *base.glob("*/*")]):
-        if path.suffix.lower() not in suffixes:
+        if path.suffix.lower() not in IMAGE_SUFFIXES:
             continue
         parted = re.fullmatch(r"(.*?)[_-]?(\d+)", path.stem)
         if parted is None:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
-from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import DISTORTION_LENGTHS, Camera
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.pose import Pose, nearest_rotation
 from rendezview.io.calibration_yaml import parse_yaml
+from rendezview.io.camera_files import camera_from_keys, counted, opencv_matrix
 from rendezview.io.files import StrPath, atomic_write_text, checked, parse_json, read_text
+from rendezview.io.plausible import CHECKED
 from rendezview.sensors.beacons.detect.brown_lens import Lens
 from rendezview.sensors.beacons.detect.detectors import Photodiode
 from rendezview.sensors.beacons.detect.photodiode import TERMS, Normalisation, Response
@@ -130,7 +130,7 @@ def load_rig(path: StrPath) -> Rig:
         RendezviewError: missing, neither of these, or impossible numbers (named).
     """
     text = read_text(path, "a rig file", limit_bytes=_LIMIT_BYTES)
-    try:
+    with explained(f"{path}: ", ": correct the rig file"):
         if not text.lstrip().startswith("{"):
             return _from_opencv(text, path)
         file = checked(_RIG_FILE, parse_json(text, str(path)), str(path))
@@ -141,8 +141,6 @@ def load_rig(path: StrPath) -> Rig:
                 raise ValueError("covariance does not fit covariance_names")
         cameras = tuple(_camera(table) for table in file.cameras)
         return Rig(cameras, covariance, tuple(file.covariance_names))
-    except ValueError as error:
-        raise RendezviewError(f"{path}: {error}: correct the rig file") from error
 
 
 def _camera(table: _CameraTable) -> RigCamera:
@@ -163,42 +161,24 @@ def _camera(table: _CameraTable) -> RigCamera:
 
 def _from_opencv(text: str, path: StrPath) -> Rig:
     data = parse_yaml(text)
-    keys = ("M1", "D1", "M2", "D2", "R", "T", "image_width", "image_height")
-    missing = [key for key in keys if not isinstance(data, dict) or key not in data]
+    needed = ("M1", "D1", "M2", "D2", "R", "T", "image_width", "image_height")
+    missing = [key for key in needed if not isinstance(data, dict) or key not in data]
     if missing:
         raise RendezviewError(
             f"{path}: no rig: {', '.join(missing)} missing: give a rig file of `rendezview stereo "
             "calibrate`, or OpenCV's M1 D1 M2 D2 R T with image_width and image_height in one file"
         )
-    size = int(data["image_width"]), int(data["image_height"])
+    size = {key: data[key] for key in ("image_width", "image_height")}
+    right = Pose(
+        nearest_rotation(np.reshape(counted(data, "R", 9), (3, 3))),
+        np.array(counted(data, "T", 3)),
+    )
     cameras = []
-    for number, name in ((1, "left"), (2, "right")):
-        matrix = _matrix(data, f"M{number}", 9).reshape(3, 3)
-        distortion = tuple(_matrix(data, f"D{number}", None).tolist())
-        while len(distortion) > 5 and distortion[-1] == 0.0:
-            distortion = distortion[:-1]
-        length = next((n for n in DISTORTION_LENGTHS if n >= len(distortion)), len(distortion))
-        camera = Camera(
-            *size, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2],
-            (*distortion, *[0.0] * (length - len(distortion))),
-        )  # fmt: skip
-        pose = Pose.identity()
-        if number == 2:
-            rotation = nearest_rotation(_matrix(data, "R", 9).reshape(3, 3))
-            pose = Pose(rotation, _matrix(data, "T", 3))
+    for number, name, pose in ((1, "left", Pose.identity()), (2, "right", right)):
+        keys = {"M1": data[f"M{number}"], "D1": data[f"D{number}"], CHECKED: True, **size}
+        camera = camera_from_keys(keys, f"{path}: M{number}, D{number}")
         cameras.append(RigCamera.from_camera(name, camera, pose))
     return Rig(tuple(cameras))
-
-
-def _matrix(data: dict[str, Any], key: str, count: int | None) -> npt.NDArray[np.float64]:
-    value = data[key]
-    try:
-        numbers = np.asarray(value["data"] if isinstance(value, dict) else value, np.float64)
-    except (KeyError, TypeError, ValueError):
-        raise ValueError(f"{key} is no matrix") from None
-    if not np.isfinite(numbers).all() or (count is not None and numbers.size != count):
-        raise ValueError(f"{key} needs {count or 'some'} finite numbers")
-    return numbers.ravel()
 
 
 def save_opencv(rig: Rig, path: StrPath) -> None:
@@ -223,10 +203,5 @@ def save_opencv(rig: Rig, path: StrPath) -> None:
         "T": relative.translation_m[:, None],
     }
     lines = [f"%YAML:1.0\n---\nimage_width: {both[0].width}\nimage_height: {both[0].height}\n"]
-    for key, matrix in matrices.items():
-        numbers = ", ".join(repr(float(value)) for value in matrix.ravel())
-        lines.append(
-            f"{key}: !!opencv-matrix\n   rows: {matrix.shape[0]}\n   cols: {matrix.shape[1]}\n"
-            f"   dt: d\n   data: [ {numbers} ]\n"
-        )
+    lines += [f"{key}: {opencv_matrix(matrix)}" for key, matrix in matrices.items()]
     atomic_write_text(path, "".join(lines))

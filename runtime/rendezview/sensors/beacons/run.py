@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.io.sequences import Frame, Sequence
@@ -240,10 +240,8 @@ def calibrate_run(
     Raises:
         RendezviewError: no truth, too few readings, or a pattern without a closed form.
     """
-    try:
+    with explained(""):
         base_and_post(pattern)
-    except ValueError as error:
-        raise RendezviewError(str(error)) from error
     if all(pair.lit.camera_from_target is None for pair in pairs):
         raise RendezviewError(
             "this run has no true poses (scene_gt.json): a calibration compares with the truth"

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.io.files import atomic_write
 
 MAGIC = b"RVM\n"
@@ -111,10 +111,9 @@ def read_container(path: Path) -> tuple[dict[str, Any], dict[str, npt.NDArray[An
         )
     if digest != data[total:]:
         raise RendezviewError(f"{path}: the model file is damaged (checksum); copy it again")
-    try:
+    faults = (ValueError, KeyError, TypeError, OverflowError)
+    with explained(f"{path}: the model file's table is wrong: ", faults=faults):
         arrays = {str(entry["name"]): _array(data, body, total, entry) for entry in table}
-    except (ValueError, KeyError, TypeError, OverflowError) as error:
-        raise RendezviewError(f"{path}: the model file's table is wrong: {error}") from None
     return header, arrays
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import explained
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.joint import Joint, apart
 from rendezview.geometry.pose import Array
@@ -195,12 +195,10 @@ class ViewModel:
         """
         path = Path(path)
         header, arrays = read_container(path)
-        try:
+        faults = (KeyError, TypeError, ValueError, IndexError)
+        apart = f"{path}: the model does not hold together ("
+        with explained(apart, "); train it again", faults):
             return cls._of(header, arrays)
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise RendezviewError(
-                f"{path}: the model does not hold together ({error}); train it again"
-            ) from None
 
     def _stored(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
         """Header and arrays of the file, without the other configurations."""
