@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from rendezview.io.results import json_value
 from rendezview_ground.evaluate.evaluation import Evaluation, number_text
 from rendezview_ground.evaluate.scores import Scores, scores
 
@@ -137,8 +138,5 @@ def comparison_dict(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
             for name, part in evaluations.items()
         ],
         "common_frames": common.frames,
-        "common_medians": {
-            name: {key: value if math.isfinite(value) else None for key, value in medians.items()}
-            for name, medians in common.medians.items()
-        },
+        "common_medians": json_value(common.medians),
     }
