@@ -204,7 +204,8 @@ def test_a_strangers_estimator_without_a_state_never_moves_the_chaser_in(setup):
 
     plan = short_plan(longest_s=40.0)
     short = replace(setup, plan=plan)
-    sensors = ModelledSensors(plan, setup.beam, None, setup.port.centre_m, [], 0)
+    blind = replace(short, port=replace(setup.port, ring=None), patterns=())
+    sensors = ModelledSensors(blind, 0)
     dynamics = OrbitDynamics(plan, setup.port, 0)
     flight = Loop(sensors, Blind(), Guidance(plan, short.port), dynamics).run()
     assert flight.end == "held"
