@@ -56,8 +56,7 @@ def test_a_camera_that_comes_back_leads_to_contact_after_a_hold(setup):
 def flown(setup, controller, sensors=ModelledSensors):
     """A flight by a controller, with modelled sensors."""
     plan, port = setup.plan, setup.port
-    seen = sensors(plan, setup.beam, port.ring, port.centre_m, list(setup.patterns), 0)
-    return Loop(seen, FusedEstimator(), controller, OrbitDynamics(plan, port, 0)).run()
+    return Loop(sensors(setup, 0), FusedEstimator(), controller, OrbitDynamics(plan, port, 0)).run()
 
 
 def test_a_sensor_is_given_the_forecast_of_its_own_time(setup):
