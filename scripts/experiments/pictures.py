@@ -21,9 +21,10 @@ from experiments.fusion.trials import fly, load_run
 from experiments.pose.sketch_confidence import frame
 from rendezview.sensors.appearance.overlay import draw_observation
 from rendezview_ground.evaluate.pictures.palette import png
-from rendezview_ground.fly.campaign import Setup, fly_once
+from rendezview_ground.fly.campaign import fly_once
 from rendezview_ground.fly.options import FlyPlan
 from rendezview_ground.fly.pictures import corridor_picture
+from rendezview_ground.fly.setup import Setup
 from rendezview_ground.simulate import SceneOptions, SensorOptions, render_frame, sun_at_phase
 from rendezview_ground.simulate.mesh_error import deformed
 

@@ -38,7 +38,7 @@ IMPOSSIBLE: dict[type, dict[str, list[Any]]] = {
         "bloom": [1.0, -0.1, nan],
         "blur_sigma_px": [-1.0],
         "noise_sigma_grey": [nan],
-        "black_level_grey": [255.0],
+        "black_level_grey": [255.0, 210.0, -1.0],  # the target is exposed for 200
         "electrons_per_grey": [-3.0],
     },
     ShadingOptions: {

@@ -20,11 +20,11 @@ from websockets.sync.client import connect
 
 from rendezview.errors import RendezviewError
 from rendezview.io.target import Target
-from rendezview_ground.fly.campaign import Setup
 from rendezview_ground.fly.dynamics import OrbitDynamics
 from rendezview_ground.fly.guidance import Guidance
 from rendezview_ground.fly.live import LiveSensors, ServiceEstimator, fly_live
 from rendezview_ground.fly.options import GuidanceOptions
+from rendezview_ground.fly.setup import Setup
 from rendezview_service.client import ServiceError
 from rendezview_service.hub.session_events import AttachedFlight, SessionEvents
 from rendezview_service.messages.approach_messages import Flight, Order

@@ -9,10 +9,10 @@ from typing import Annotated
 import numpy as np
 
 from experiments.frame import nees, show, table_of
+from experiments.fusion.drawn_readings import FAULTS, RING, STEP_S, Draw, faulty, grid
 from rendezview.fusion import Fusion, Measurement, PoseMeasurement
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Status
-from rendezview_ground.simulate.drawn_readings import FAULTS, RING, STEP_S, Draw, faulty, grid
 
 BINS_M = ((99.0, 26.0), (26.0, 8.0), (8.0, 0.0))
 _PEER_DENSITY = 1e-2  # m/s² √s squared, of the peer: set by hand

@@ -18,7 +18,6 @@ from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
-from rendezview_ground.fly.campaign import Setup
 from rendezview_ground.fly.dynamics import OrbitDynamics, Truth
 from rendezview_ground.fly.faults import Fault
 from rendezview_ground.fly.guidance import Guidance, Known
@@ -26,6 +25,7 @@ from rendezview_ground.fly.loop import FusedEstimator, Loop
 from rendezview_ground.fly.options import FlyPlan
 from rendezview_ground.fly.rendered import RenderedSensors
 from rendezview_ground.fly.sensors import SHARES, ModelledSensors, tilt_moves
+from rendezview_ground.fly.setup import Setup
 from rendezview_ground.mesh.mesh import load_mesh
 
 EDGES_M = (61.0, 45.0, 32.0, 22.0, 16.0, 11.0, 7.5, 5.0, 3.0, 2.0, 1.5, 1.2, 1.0)
@@ -59,13 +59,8 @@ class _Beside:
     """Flies by the modelled sensors, and has the real ones look at the same frames."""
 
     def __init__(self, setup: Setup, seed: int, fault: Fault | None, seen: list[Seen]) -> None:
-        plan, port, patterns = setup.plan, setup.port, list(setup.patterns)
-        self.centre_m, self.axis = port.centre_m, port.axis
-        self.flown = ModelledSensors(plan, setup.beam, port.ring, port.centre_m, patterns, seed)
-        assert setup.model is not None
-        self.real = RenderedSensors(
-            plan, setup.model, setup.mesh, setup.beam, port.ring, patterns, seed, fault
-        )
+        self.centre_m, self.axis = setup.port.centre_m, setup.port.axis
+        self.flown, self.real = ModelledSensors(setup, seed), RenderedSensors(setup, seed, fault)
         self.seed, self.fault, self.seen = seed, fault, seen
 
     def read(self, truth: Truth, known: Known | None) -> Sequence[Measurement]:

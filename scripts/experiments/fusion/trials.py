@@ -30,12 +30,13 @@ from rendezview.sensors.ring import RingPrior
 from rendezview.sensors.ring.prior_log import prior_of_pose
 from rendezview.sensors.ring.run import follow as follow_ring
 from rendezview.sensors.ring.run import record as ring_record
+from rendezview_ground.fly.dynamics import wander
 from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.simulate import SceneOptions, render_frame, sun_at_phase
-from rendezview_ground.simulate.approach import ApproachOptions, approach
 from rendezview_ground.simulate.bop_writer import BopSceneWriter
 from rendezview_ground.simulate.ranger import Ranger, write_echoes
 from rendezview_ground.simulate.shading import ShadingOptions
+from rendezview_ground.simulate.trajectories import looking_at
 
 CAMERA = Camera(1024, 1024, 800.0, 800.0, 511.5, 511.5)
 FRAME_EVERY = 4  # of the true poses: 2 s
@@ -44,6 +45,42 @@ SUN_PHASE_DEG = (10.0, 40.0)
 PRIOR_ERROR_DEG = 8.0  # of the attitude that the recognizer is given at the start
 SILENT_FRAMES = 5  # without a pose, where the body overflows: then the recognizer is switched off
 
+DURATION_S, STEP_S = 240.0, 0.5
+START_M, END_M = 60.0, 1.0  # camera to ring plane
+POWER = 1.5  # distance − end ∝ (1 − t/T)^power
+# σ of the camera off the axis, of the target's attitude and of the camera's, each axis
+LATERAL_M, TARGET_RAD, POINTING_RAD = 0.06, math.radians(1.0), math.radians(0.3)
+PERIOD_S = 200.0  # of all three
+
+
+def approach(ring: DockingRing, rng: np.random.Generator) -> list[tuple[float, Pose]]:
+    """Times with the true camera_from_target, along the ring's axis at a random roll.
+
+    Without disturbances, the camera looks at the ring's centre along its axis.
+    """
+    times_s = STEP_S * np.arange(round(DURATION_S / STEP_S) + 1)
+    left = np.maximum(1.0 - times_s / DURATION_S, 0.0)
+    along_m = END_M + (START_M - END_M) * left**POWER
+    lateral, turned, pointing = (
+        wander(STEP_S, PERIOD_S, len(times_s), sigma, rng)
+        for sigma in (np.full(2, LATERAL_M), np.full(3, TARGET_RAD), np.full(3, POINTING_RAD))
+    )
+    axis = ring.axis / np.linalg.norm(ring.axis)
+    up = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    straight = looking_at(ring.centre_m + START_M * axis, ring.centre_m, up).rotation
+    roll = Rotation.from_rotvec([0.0, 0.0, rng.uniform(0.0, 2.0 * math.pi)]).as_matrix()
+    poses = []
+    for k, time_s in enumerate(times_s):
+        # Near contact the corridor narrows with the range.
+        narrowed = min(1.0, along_m[k] / 10.0)
+        place = np.array([*(narrowed * lateral[k]), along_m[k]])
+        # The target rotates about its origin, together with the ring.
+        origin = place - roll @ straight @ ring.centre_m
+        facing = Pose(Rotation.from_rotvec(turned[k]).as_matrix() @ roll @ straight, origin)
+        swung = Rotation.from_rotvec(narrowed * pointing[k]).as_matrix()
+        poses.append((float(time_s), Pose(swung, np.zeros(3)) @ facing))
+    return poses
+
 
 def render_run(folder: Path, seed: int) -> None:
     """The frames, the ranger's echoes and the truth of one seed."""
@@ -51,7 +88,7 @@ def render_run(folder: Path, seed: int) -> None:
     assert target.docking_ring is not None
     mesh = load_mesh(target.mesh_path, target.unit)
     rng = np.random.default_rng([5, seed])
-    poses = approach(target.docking_ring, ApproachOptions(), rng)
+    poses = approach(target.docking_ring, rng)
     phase = math.radians(rng.uniform(*SUN_PHASE_DEG))
     first = poses[0][1]
     sun = sun_at_phase(first.apply(mesh.bounding_sphere[0]), phase, rng.uniform(0.0, 2 * math.pi))

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import rendezview as rv
 from experiments.benchmark.estimation import MEAN_MOTION_RAD_S, cloud_of
 from experiments.frame import CLIENT, MODELS_CAD, tests_module
+from experiments.fusion.drawn_readings import Draw, faulty
 from experiments.fusion.faults import fly as fly_drawn
 from experiments.fusion.trials import fly, load_run, make_run
 from experiments.golden.answers import Answers
@@ -31,7 +32,6 @@ from rendezview.trajectory import (
     fit_spin,
     fit_spin_of_directions,
 )
-from rendezview_ground.simulate.drawn_readings import Draw, faulty
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview_ground.simulate.led_pictures import PictureOptions, draw, picture_rig
 from rendezview_ground.simulate.reflector_frames import foil, glints, render_pair

@@ -24,7 +24,7 @@ from rendezview.sensors.ring.rectangle import Beam
 from rendezview.sensors.ring.ring_pass import PassSize
 from rendezview.sensors.ring.size_run import Echo, SizeResult, SizeSensor, size_of_frames
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.simulate.approach import echo
+from rendezview_ground.simulate.ranger import echo
 from rendezview_ground.simulate.scene import SceneOptions, render_frame
 from rendezview_ground.simulate.trajectories import looking_at
 

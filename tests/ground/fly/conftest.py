@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rendezview.io.bundled import find_target
-from rendezview_ground.fly.campaign import Setup
 from rendezview_ground.fly.options import ChaserOptions, FlyPlan, GuidanceOptions
+from rendezview_ground.fly.setup import Setup
 from rendezview_ground.mesh.mesh import load_mesh
 
 

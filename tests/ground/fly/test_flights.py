@@ -56,8 +56,7 @@ def test_a_camera_that_comes_back_leads_to_contact_after_a_hold(setup):
 def flown(setup, controller, sensors=ModelledSensors):
     """A flight by a controller, with modelled sensors."""
     plan, port = setup.plan, setup.port
-    seen = sensors(plan, setup.beam, port.ring, port.centre_m, list(setup.patterns), 0)
-    return Loop(seen, FusedEstimator(), controller, OrbitDynamics(plan, port, 0)).run()
+    return Loop(sensors(setup, 0), FusedEstimator(), controller, OrbitDynamics(plan, port, 0)).run()
 
 
 def test_a_sensor_is_given_the_forecast_of_its_own_time(setup):
@@ -204,7 +203,8 @@ def test_a_strangers_estimator_without_a_state_never_moves_the_chaser_in(setup):
 
     plan = short_plan(longest_s=40.0)
     short = replace(setup, plan=plan)
-    sensors = ModelledSensors(plan, setup.beam, None, setup.port.centre_m, [], 0)
+    blind = replace(short, port=replace(setup.port, ring=None), patterns=())
+    sensors = ModelledSensors(blind, 0)
     dynamics = OrbitDynamics(plan, setup.port, 0)
     flight = Loop(sensors, Blind(), Guidance(plan, short.port), dynamics).run()
     assert flight.end == "held"

@@ -13,13 +13,14 @@ from rendezview.geometry import so3
 from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
 from rendezview.sensors.beacons import Rig
-from rendezview_ground.fly.campaign import Setup, fly_once
+from rendezview_ground.fly.campaign import fly_once
 from rendezview_ground.fly.dynamics import OrbitDynamics
 from rendezview_ground.fly.faults import Fault
 from rendezview_ground.fly.lights import StereoPair
 from rendezview_ground.fly.live import LiveSensors
 from rendezview_ground.fly.options import PortOptions
 from rendezview_ground.fly.sensors import ModelledSensors
+from rendezview_ground.fly.setup import Setup
 from rendezview_ground.mesh.mesh import load_mesh
 
 
@@ -91,9 +92,7 @@ def test_a_flight_to_a_craft_with_lights_uses_them_and_docks(scole):
 
 def test_too_far_away_or_with_a_dead_camera_there_is_no_reading(scole):
     def readings(plan, fault=None):
-        sensors = ModelledSensors(
-            plan, scole.beam, None, scole.port.centre_m, [], 0, fault, scole.stereo_pair()
-        )
+        sensors = ModelledSensors(replace(scole, plan=plan, patterns=()), 0, fault)
         truth = OrbitDynamics(plan, scole.port, 0).start()
         found = [m for m in sensors.read(truth, None) if m.sensor == "stereo"]
         assert all(isinstance(m, PoseMeasurement) for m in found)

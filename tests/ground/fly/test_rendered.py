@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from rendezview.io.target import Target
-from rendezview_ground.fly.campaign import Setup
 from rendezview_ground.fly.dynamics import OrbitDynamics
 from rendezview_ground.fly.faults import Fault
 from rendezview_ground.fly.options import ChaserOptions, FlyPlan, GuidanceOptions, PortOptions
 from rendezview_ground.fly.rendered import RenderedSensors, stray_light
+from rendezview_ground.fly.setup import Setup
 
 PLAN = FlyPlan(
     port=PortOptions(centre_m=(1.5, 0.0, 0.0), axis=(1.0, 0.6, 0.4)),  # three sides are seen
@@ -27,7 +27,7 @@ def test_the_recognizer_reads_frames_and_a_dead_camera_gives_none(refining_model
     truth = OrbitDynamics(PLAN, setup.port, 0).start()
 
     def read(plan: FlyPlan, fault: Fault | None = None):
-        sensors = RenderedSensors(plan, refining_model, bumpy_mesh, setup.beam, None, [], 0, fault)
+        sensors = RenderedSensors(replace(setup, plan=plan), 0, fault)
         return [m for m in sensors.read(truth, None) if m.sensor == "camera"]
 
     plan = replace(PLAN, target=replace(PLAN.target, sun_phase_deg=(10.0, 20.0)))

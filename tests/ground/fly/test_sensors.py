@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.ground.fly.conftest import short_plan
@@ -19,10 +21,7 @@ def readings(setup, start_m: float, count: int, fault: Fault | None = None):
     truth = OrbitDynamics(plan, setup.port, 0).start()
     found = []
     for seed in range(count):
-        sensors = ModelledSensors(
-            plan, setup.beam, setup.port.ring, setup.port.centre_m, list(setup.patterns), seed,
-            fault,
-        )  # fmt: skip
+        sensors = ModelledSensors(replace(setup, plan=plan), seed, fault)
         found += sensors.read(truth, None)
     return truth, found
 

@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import json
 import math
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from rendezview.errors import RendezviewError
 from rendezview.estimation.motion import extrapolate
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
@@ -26,6 +24,7 @@ from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tra
 from rendezview.sensors.observation import Status
 from rendezview_ground.learn.jobs.shard_executor import ShardExecutor
 from rendezview_ground.learn.jobs.stages import Arrays, Progress, Shards, shares
+from rendezview_ground.limits import check, check_rising
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 from rendezview_ground.simulate.background import Earth
@@ -60,19 +59,13 @@ class AssessmentOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        checks = {
-            "frames": 1 <= self.frames <= 10_000_000,
-            "sun_phase_rad": 0.0 <= self.sun_phase_rad[0] <= self.sun_phase_rad[1] <= math.pi,
-            "range_radii": 1.0 <= self.range_radii[0] <= self.range_radii[1] < math.inf,
-            "earth": 0.0 <= self.earth <= 1.0,
-            "samples": 1 <= self.samples <= 16,
-            "seed": self.seed >= 0,
-        }
-        for name, right in checks.items():
-            if not right:
-                raise RendezviewError(
-                    f"assessment option {name} = {getattr(self, name)} is out of range"
-                )
+        check(self, 1, 10_000_000, "frames")
+        check(self, 0.0, math.pi, "sun_phase_rad")
+        check(self, 1.0, math.inf, "range_radii")
+        check(self, 0.0, 1.0, "earth")
+        check(self, 1, 16, "samples")
+        check(self, 0, math.inf, "seed")
+        check_rising(self, "sun_phase_rad", "range_radii")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,7 +185,7 @@ def assess(
 def _look_at(
     model: ViewModel, mesh: Mesh, camera: Camera, options: AssessmentOptions, frames: range
 ) -> Arrays:
-    recognizer = _recognizer(model, camera)
+    recognizer = Recognizer(model, camera)
     records, seen = [], []
     for k in frames:
         rng = np.random.default_rng([options.seed, k])
@@ -213,22 +206,6 @@ def _look_at(
     names = ("status", "confidence", "rotation_rad", "translation", "nees", "sigma_rad")
     arrays: Arrays = dict(zip(names, table, strict=True))
     return arrays | {"status": table[0].astype(np.uint8), "seen": np.transpose(seen)}
-
-
-class _Kept(threading.local):
-    """The last recognizer of a thread: creating one takes as long as a frame."""
-
-    recognizer: Recognizer | None = None
-
-
-_kept = _Kept()
-
-
-def _recognizer(model: ViewModel, camera: Camera) -> Recognizer:
-    last = _kept.recognizer
-    if last is None or last.model is not model or last.camera != camera:
-        last = _kept.recognizer = Recognizer(model, camera)
-    return last
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -23,7 +23,6 @@ from rendezview_ground.evaluate.comparison import (
     comparison_dict,
     comparison_table,
     score_table,
-    scores_dict,
 )
 from rendezview_ground.evaluate.evaluate import evaluate as evaluate_rows
 from rendezview_ground.evaluate.evaluation import Evaluation
@@ -113,7 +112,7 @@ def evaluate(
         if single is None:
             content = comparison_dict(evaluations)
         else:
-            content = {**single.as_dict(), "scores": scores_dict(scores(single))}
+            content = {**single.as_dict(), "scores": asdict(scores(single))}
         if nees is not None:
             content["nees"] = nees.tolist()
         if levels is not None:

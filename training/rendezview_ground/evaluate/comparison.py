@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from rendezview.io.results import json_value
 from rendezview_ground.evaluate.evaluation import Evaluation, number_text
-from rendezview_ground.evaluate.scores import Scores, scores
+from rendezview_ground.evaluate.scores import scores
 
 # Name in `Scores`, label, factor, unit, decimals.
 _SCORES: tuple[tuple[str, str, float, str, int], ...] = (
@@ -119,11 +120,6 @@ def comparison_table(evaluations: Mapping[str, Evaluation]) -> Table:
     return table
 
 
-def scores_dict(found: Scores) -> dict[str, float | None]:
-    """The scores by name, ready for JSON."""
-    return dict(asdict(found))
-
-
 def comparison_dict(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
     """All results, ready for JSON; names contain the units.
 
@@ -133,12 +129,9 @@ def comparison_dict(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
     common = common_frames(evaluations)
     return {
         "results": [
-            {"file": name, **part.as_dict(), "scores": scores_dict(scores(part))}
+            {"file": name, **part.as_dict(), "scores": asdict(scores(part))}
             for name, part in evaluations.items()
         ],
         "common_frames": common.frames,
-        "common_medians": {
-            name: {key: value if math.isfinite(value) else None for key, value in medians.items()}
-            for name, medians in common.medians.items()
-        },
+        "common_medians": json_value(common.medians),
     }

@@ -40,7 +40,12 @@ from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.simulate.command import default_camera
 from rendezview_ground.simulate.ranger import Ranger, write_echoes
 from rendezview_ground.simulate.scene import SceneOptions, simulate
-from rendezview_ground.simulate.trajectories import TimedPose, TrajectoryOptions, Triple, trajectory
+from rendezview_ground.simulate.trajectories import (
+    TimedPose,
+    TrajectoryOptions,
+    trajectory,
+    triple,
+)
 
 _TARGET = "client"  # it has a docking ring
 _ORDER = 2  # 162 nodes instead of 642: as many poses, as accurate, in half the time
@@ -183,7 +188,7 @@ def _approach(
             dt_s=_STEP_S,
             start_range_m=first,
             end_range_m=last,
-            centre_m=_triple(model.centre_m),
+            centre_m=triple(model.centre_m),
             pointing_jitter_rad=jitter,
             roll_jitter_rad=jitter,
             seed=seed,
@@ -197,8 +202,8 @@ def _approach(
             dt_s=_STEP_S,
             start_range_m=float(np.linalg.norm(place - ring.centre_m)),
             end_range_m=_LAST_M,
-            centre_m=_triple(ring.centre_m),
-            approach_axis=_triple(ring.axis),
+            centre_m=triple(ring.centre_m),
+            approach_axis=triple(ring.axis),
             hops=0,
             pointing_jitter_rad=last_jitter,
             roll_jitter_rad=last_jitter,
@@ -216,11 +221,6 @@ def _roll(pose: Pose, other: Pose) -> float:
     """The roll of the camera, rad, that brings the first attitude nearest to the second."""
     between = other.rotation @ pose.rotation.T
     return math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
-
-
-def _triple(vector: np.ndarray) -> Triple:
-    x, y, z = (float(value) for value in vector)
-    return x, y, z
 
 
 def _track(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -25,6 +25,7 @@ from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.mesh.notes import counted
 from rendezview_ground.mesh.simplify import MANY_FACES
 from rendezview_ground.mesh.symmetries import described, find_symmetries
+from rendezview_ground.mesh.triangles import Edges, crosses, twice_areas
 
 # Times larger by one body: a question, and a warning. Source: one panel of a craft makes 1.5
 _FAR, _TOO_FAR = 1.5, 2.0
@@ -81,54 +82,19 @@ def diagnose(mesh: Mesh, progress: Callable[[int, int], None] | None = None) -> 
         mesh: cleaned, metres.
         progress: called with the number of views drawn and their total.
     """
-    edges, symmetries = _Edges.of(mesh.faces), tuple(find_symmetries(mesh))
+    edges, symmetries = Edges.of(mesh.faces), tuple(find_symmetries(mesh))
     far, far_finding = _far_body(mesh)
     findings = [
         Finding(Mark.FINE, " ".join(mesh.notes[:2]), "read as it is", "none"),
         *_asked(mesh.doubts, "all ranges, if it is wrong"),
         *[_reading(note) for note in _cleaning_notes(mesh)],
         *far_finding,
-        *_open(edges),
-        *_mixed(edges),
-        *_doubled(mesh),
+        *_topology(mesh, edges),
         *_facets(mesh, edges),
         *_hidden(mesh, progress),
-        *_symmetric(symmetries),
-        *_colourless(mesh),
-        *_many(mesh),
+        *_kind(mesh, symmetries),
     ]
     return Diagnosis(mesh, tuple(findings), symmetries, edges.open_edges, edges.mixed_edges, far)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Edges:
-    """The edges of a mesh and their faces."""
-
-    ends: NDArray[np.int64]  # (E, 2)
-    count: NDArray[np.int64]  # (E,) faces
-    balanced: NDArray[np.bool_]  # (E,) passed once in each direction
-    faces: NDArray[np.int64]  # (E, 2) first and last face
-
-    @classmethod
-    def of(cls, faces: NDArray[np.int32]) -> _Edges:
-        each = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
-        forward = each[:, 0] < each[:, 1]
-        key = each.min(axis=1) * (int(faces.max()) + 1) + each.max(axis=1)
-        order = np.argsort(key, kind="stable")
-        _, first, count = np.unique(key[order], return_index=True, return_counts=True)
-        passed = np.add.reduceat(forward[order].astype(np.int64), first)
-        owner = order // 3
-        ends = np.sort(each[order[first]], axis=1)
-        pair = np.column_stack([owner[first], owner[first + count - 1]])
-        return cls(ends, count, passed == 1, pair)
-
-    @property
-    def open_edges(self) -> NDArray[np.int64]:
-        return np.asarray(self.ends[self.count == 1])
-
-    @property
-    def mixed_edges(self) -> NDArray[np.int64]:
-        return np.asarray(self.ends[(self.count == 2) & ~self.balanced])
 
 
 def of_frames(sequence: Sequence) -> tuple[Finding, ...]:
@@ -167,46 +133,31 @@ def _reading(note: str) -> Finding:
     return Finding(Mark.NOTE, note, "accepted", "none")
 
 
-def _open(edges: _Edges) -> list[Finding]:
-    count = len(edges.open_edges)
-    if not count:
-        return [Finding(Mark.FINE, "The surface is closed.", "–", "none")]
-    share = 100.0 * count / len(edges.count)
-    return [
-        Finding(
+def _topology(mesh: Mesh, edges: Edges) -> Iterator[Finding]:
+    still_open, mixed = len(edges.open_edges), len(edges.mixed_edges)
+    if still_open:
+        share = 100.0 * still_open / len(edges.count)
+        yield Finding(
             Mark.NOTE,
-            f"The surface has {counted(count, 'open edge')} ({share:.1f} % of its edges).",
+            f"The surface has {counted(still_open, 'open edge')} ({share:.1f} % of its edges).",
             "both sides of every face are drawn; nothing is closed",
             "none for sheets and joints; a real hole in the hull shows the inside or the sky",
         )
-    ]
-
-
-def _mixed(edges: _Edges) -> list[Finding]:
-    count = len(edges.mixed_edges)
-    if not count:
-        return []
-    return [
-        Finding(
+    else:
+        yield Finding(Mark.FINE, "The surface is closed.", "–", "none")
+    if mixed:
+        yield Finding(
             Mark.NOTE,
-            f"Neighbouring faces are wound in opposite directions at {counted(count, 'edge')}.",
+            f"Neighbouring faces are wound in opposite directions at {counted(mixed, 'edge')}.",
             "winding is not used anywhere",
             "none",
         )
-    ]
-
-
-def _doubled(mesh: Mesh) -> list[Finding]:
-    ordered = np.sort(mesh.faces, axis=1)
-    count = len(ordered) - len(np.unique(ordered, axis=0))
-    if not count:
-        return []
-    return [
-        Finding(
-            Mark.NOTE, f"{counted(count, 'face')} of the same three corners as another.",
+    doubled = len(mesh.faces) - len(np.unique(np.sort(mesh.faces, axis=1), axis=0))
+    if doubled:
+        yield Finding(
+            Mark.NOTE, f"{counted(doubled, 'face')} of the same three corners as another.",
             "the first is seen", "none; of two colours the wrong one may show",
-        )
-    ]  # fmt: skip
+        )  # fmt: skip
 
 
 def _far_body(mesh: Mesh) -> tuple[NDArray[np.bool_], list[Finding]]:
@@ -245,11 +196,10 @@ def _far_body(mesh: Mesh) -> tuple[NDArray[np.bool_], list[Finding]]:
     return none, []
 
 
-def _facets(mesh: Mesh, edges: _Edges) -> list[Finding]:
+def _facets(mesh: Mesh, edges: Edges) -> list[Finding]:
     """How far the facets of curved surfaces are inside them: w tan(α/4) / 2 for a bend α."""
     inner = edges.count == 2
-    corner = mesh.vertices_m[mesh.faces]
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    cross = crosses(mesh.vertices_m[mesh.faces])
     twice = np.linalg.norm(cross, axis=1)
     normal = cross / twice[:, None]
     a, b = edges.faces[inner].T
@@ -293,10 +243,7 @@ def _hidden(mesh: Mesh, progress: Callable[[int, int], None] | None) -> list[Fin
         seen[view.owner[view.owner >= 0]] = True
         if progress is not None:
             progress(k + 1, len(directions))
-    corner = mesh.vertices_m[mesh.faces]
-    area = np.linalg.norm(
-        np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
-    )
+    area = twice_areas(mesh.vertices_m[mesh.faces])
     share = float(area[~seen].sum() / area.sum())
     words = f"{100.0 * share:.0f} % of the surface is never seen from outside"
     if share < _HIDDEN_SHARE:
@@ -312,17 +259,25 @@ def _hidden(mesh: Mesh, progress: Callable[[int, int], None] | None) -> list[Fin
     ]
 
 
-def _symmetric(symmetries: tuple[Symmetry, ...]) -> list[Finding]:
-    if not symmetries:
-        return []
-    return [
-        Finding(
+def _kind(mesh: Mesh, symmetries: tuple[Symmetry, ...]) -> Iterator[Finding]:
+    """What is known of the target beside its surface."""
+    if symmetries:
+        yield Finding(
             Mark.NOTE,
             f"It {described(symmetries)}.",
             "written into the model; poses are one of the equivalent ones",
             "the attitude is known only up to that turn; a coloured marking decides it",
         )
-    ]
+    if np.allclose(mesh.face_rgb, GREY):
+        yield Finding(
+            Mark.NOTE, "The file has no colours.", "all surfaces are equally bright",
+            "brightness tells less of the Sun and of nearly symmetric sides",
+        )  # fmt: skip
+    if len(mesh.faces) > MANY_FACES:
+        yield Finding(
+            Mark.NOTE, f"{counted(len(mesh.faces), 'triangle')} are more than accuracy needs.",
+            "views are drawn with fewer, of the same shape", "none; a little time in training",
+        )  # fmt: skip
 
 
 def of_look_alikes(mesh: Mesh, symmetries: tuple[Symmetry, ...]) -> list[Finding]:
@@ -342,25 +297,3 @@ def of_look_alikes(mesh: Mesh, symmetries: tuple[Symmetry, ...]) -> list[Finding
             "Sun's direction or another view does",
         )
     ]
-
-
-def _colourless(mesh: Mesh) -> list[Finding]:
-    if not np.allclose(mesh.face_rgb, GREY):
-        return []
-    return [
-        Finding(
-            Mark.NOTE, "The file has no colours.", "all surfaces are equally bright",
-            "brightness tells less of the Sun and of nearly symmetric sides",
-        )
-    ]  # fmt: skip
-
-
-def _many(mesh: Mesh) -> list[Finding]:
-    if len(mesh.faces) <= MANY_FACES:
-        return []
-    return [
-        Finding(
-            Mark.NOTE, f"{counted(len(mesh.faces), 'triangle')} are more than accuracy needs.",
-            "views are drawn with fewer, of the same shape", "none; a little time in training",
-        )
-    ]  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from rich.table import Table
 
+from rendezview.io.results import json_value
 from rendezview_ground.evaluate.pose_errors import PoseErrors
 from rendezview_ground.evaluate.surface import SurfaceErrors
 
@@ -149,9 +150,7 @@ class Evaluation:
                 for frame in self.frames
             ],
         }
-        plain = _json_ready(whole)
-        assert isinstance(plain, dict)
-        return plain
+        return dict(json_value(whole))
 
 
 def summary_rows(evaluation: Evaluation) -> list[tuple[str, str, str, str, str]]:
@@ -186,11 +185,3 @@ def number_text(value: float | None, factor: float, decimals: int) -> str:
     if value is None or not math.isfinite(value):
         return "–"
     return f"{factor * value:.{decimals}f}"
-
-
-def _json_ready(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _json_ready(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_json_ready(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

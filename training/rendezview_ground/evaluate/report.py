@@ -18,6 +18,7 @@ from rendezview_ground.evaluate.pictures.palette import png
 from rendezview_ground.evaluate.pictures.sphere_pictures import model_picture
 from rendezview_ground.evaluate.pictures.track_pictures import (
     error_curves,
+    frame_axis,
     observation_curves,
     point_cloud,
     stage_picture,
@@ -123,14 +124,8 @@ def _curves(
         np.nan if s.pose is None else float(np.linalg.norm(s.pose.apply(model.centre_m)))
         for s in observations
     ]
-    times = [frame.time_s for frame in sequence if frame.time_s is not None]
-    timed = len(times) == len(sequence)
-    return observation_curves(
-        times if timed else [frame.im_id for frame in sequence],
-        ranges,
-        list(counts.values()),
-        x_label="time, s" if timed else "frame",
-    )
+    x, x_label = frame_axis(sequence)
+    return observation_curves(x, ranges, list(counts.values()), x_label=x_label)
 
 
 def _positions(poses: list[Pose | None]) -> Array:

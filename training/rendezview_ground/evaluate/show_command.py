@@ -15,7 +15,7 @@ from rich.console import Console
 
 from rendezview.cli.inputs import given_sequence
 from rendezview.errors import RendezviewError
-from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.pose import Array
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write, atomic_write_text, make_folder
 from rendezview.io.results import read_json_lines, read_results
@@ -144,7 +144,7 @@ def _show_log(path: Path, folder: Path) -> list[Path]:
     track = track_of_records(records, str(path))
     written = [_save(track_picture(track, path.name), folder / "track.png")]
     if "on_nodes" in first and "points_m" in first:
-        return written + _show_nodes(path, records, folder)
+        return written + _show_nodes(path, records, track, folder)
     measured = measurement_picture(records)
     return written + ([] if measured is None else [_save(measured, folder / "measurements.png")])
 
@@ -157,10 +157,9 @@ def _show_results(path: Path, folder: Path) -> list[Path]:
     track = Track.of(
         [r.im_id for r in rows], "frame", poses, [None] * len(rows), ["ok"] * len(rows)
     )
-    places = np.array([pose.inverse().translation_m for pose in poses])
     cloud = point_cloud(
         np.zeros((0, 3)), target_radius_m=0.1 * float(np.median(track.distance_m)),
-        estimates_m=places,
+        estimates_m=track.places_m,
     )  # fmt: skip
     return [
         _save(track_picture(track, path.name), folder / "track.png"),
@@ -177,35 +176,29 @@ def _show_calibration(path: Path, folder: Path) -> list[Path]:
     return [_save(figure, folder / name)]
 
 
-def _show_nodes(path: Path, records: list[dict[str, Any]], folder: Path) -> list[Path]:
+def _show_nodes(
+    path: Path, records: list[dict[str, Any]], track: Track, folder: Path
+) -> list[Path]:
     """Active nodes, point cloud and path of a log of `rendezview track`."""
     try:
-        poses = [_pose(r["pose"]) for r in records]
         points = [p for r in records for p in r["points_m"]]
         active_nodes = [len(r["on_nodes"]) for r in records]
-        timed = all(r["time_s"] is not None for r in records)
-        x = [r["time_s"] if timed else r["im_id"] for r in records]
+        figures = {
+            "curves.png": observation_curves(
+                track.x, track.distance_m, active_nodes, x_label=track.x_label
+            ),
+            "cloud.png": point_cloud(
+                np.reshape(points, (-1, 3)),
+                target_radius_m=0.1 * float(np.nanmedian(track.distance_m)) if points else 1.0,
+                estimates_m=track.places_m,
+            ),
+        }
+        if all("trajectory" in r for r in records):
+            figures["path.png"] = path_picture(records, _cloud_of_path(records))
+            figures["rates.png"] = rate_picture(records, track.x, track.x_label)
     except (KeyError, TypeError, ValueError) as error:
         raise RendezviewError(f"{path}: not a log of `rendezview track` ({error})") from None
-    places = np.array(
-        [np.full(3, np.nan) if p is None else p.inverse().translation_m for p in poses]
-    )
-    ranges = np.linalg.norm(places, axis=1)
-    curves = observation_curves(x, ranges, active_nodes, x_label="time, s" if timed else "frame")
-    cloud = point_cloud(
-        np.reshape(points, (-1, 3)),
-        target_radius_m=0.1 * float(np.nanmedian(ranges)) if points else 1.0,
-        estimates_m=places,
-    )
-    written = [_save(curves, folder / "curves.png"), _save(cloud, folder / "cloud.png")]
-    if all("trajectory" in r for r in records):
-        try:
-            path_drawn = path_picture(records, _cloud_of_path(records))
-            rates = rate_picture(records, x, "time, s" if timed else "frame")
-        except (KeyError, TypeError, ValueError) as error:
-            raise RendezviewError(f"{path}: not a log of `rendezview track` ({error})") from None
-        written += [_save(path_drawn, folder / "path.png"), _save(rates, folder / "rates.png")]
-    return written
+    return [_save(figure, folder / name) for name, figure in figures.items()]
 
 
 def _cloud_of_path(records: list[dict[str, Any]]) -> Array:
@@ -213,12 +206,6 @@ def _cloud_of_path(records: list[dict[str, Any]]) -> Array:
     clouds = [np.array(r["points_m"]).reshape(-1, 3) - r["trajectory"]["centre_m"] for r in records]
     turns = [np.array(r["trajectory"]["path_from_target"]) for r in records]
     return np.concatenate([c @ t.T for c, t in zip(clouds, turns, strict=True)])
-
-
-def _pose(value: dict[str, list[float]] | None) -> Pose | None:
-    if value is None:
-        return None
-    return Pose.from_quat_wxyz(value["quat_wxyz"], value["translation_m"])
 
 
 def _picture(frame: Frame) -> GreyImage:

@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import json
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,53 +13,19 @@ from typing import Any
 import numpy as np
 from scipy.stats import ks_2samp
 
-from rendezview.fusion import BeamMesh
 from rendezview.io.files import atomic_write_text, check_place
-from rendezview.io.target import Target
 from rendezview.io.video_file import VideoWriter
-from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.beacons import ReflectorPattern, patterns_of
 from rendezview_ground.fly.dynamics import OrbitDynamics
 from rendezview_ground.fly.faults import Fault, fault_of_run
 from rendezview_ground.fly.guidance import Guidance
-from rendezview_ground.fly.lights import StereoPair
 from rendezview_ground.fly.loop import Flight, FusedEstimator, Loop
-from rendezview_ground.fly.options import FlyPlan
-from rendezview_ground.fly.port import Port
 from rendezview_ground.fly.rendered import RenderedSensors
-from rendezview_ground.fly.sensors import CAMERA, ModelledSensors
+from rendezview_ground.fly.sensors import ModelledSensors
+from rendezview_ground.fly.setup import Setup
 from rendezview_ground.learn.jobs.shard_executor import ShardExecutor
 from rendezview_ground.learn.jobs.stages import Arrays, Progress, Shards, shares
-from rendezview_ground.mesh.mesh import Mesh
 
 RUNS_PER_SHARD = 4  # some seconds of work
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Setup:
-    """All that the flights to one target share."""
-
-    plan: FlyPlan
-    port: Port
-    mesh: Mesh
-    beam: BeamMesh
-    patterns: tuple[ReflectorPattern, ...]
-    target: Target
-    model: ViewModel | None = None  # None: modelled sensors, no frames
-
-    @classmethod
-    def of(cls, target: Target, mesh: Mesh, plan: FlyPlan, model: ViewModel | None = None) -> Setup:
-        """Of a target with a port, see `Port.of`."""
-        beam = BeamMesh(mesh.vertices_m.astype(np.float64), mesh.faces)
-        patterns = tuple(patterns_of(target)) if target.reflectors else ()
-        port = Port.of(target, plan)
-        port.must_be_on(mesh)
-        return cls(plan, port, mesh, beam, patterns, target, model)
-
-    def stereo_pair(self) -> StereoPair | None:
-        """A fresh one, for one flight; None: the target has no lights."""
-        baseline_m = self.plan.sensors.stereo_baseline_m
-        return StereoPair(CAMERA, baseline_m, self.target, self.beam) if self.target.leds else None
 
 
 def fly_once(
@@ -68,20 +33,13 @@ def fly_once(
     film: VideoWriter | None = None,
 ) -> Flight:  # fmt: skip
     """The flight of a seed with the project's own parts; ``film`` receives rendered frames."""
-    plan, port = setup.plan, setup.port
-    patterns = list(setup.patterns)
     sensors: ModelledSensors | RenderedSensors
     if setup.model is None:
-        sensors = ModelledSensors(
-            plan, setup.beam, port.ring, port.centre_m, patterns, seed, fault, setup.stereo_pair()
-        )
+        sensors = ModelledSensors(setup, seed, fault)
     else:
-        sensors = RenderedSensors(
-            plan, setup.model, setup.mesh, setup.beam, port.ring, patterns, seed, fault, film,
-            setup.stereo_pair(),
-        )  # fmt: skip
-    dynamics = OrbitDynamics(plan, port, seed, fault)
-    return Loop(sensors, FusedEstimator(), Guidance(plan, port), dynamics).run()
+        sensors = RenderedSensors(setup, seed, fault, film)
+    dynamics = OrbitDynamics(setup.plan, setup.port, seed, fault)
+    return Loop(sensors, FusedEstimator(), Guidance(setup.plan, setup.port), dynamics).run()
 
 
 def record(flight: Flight, seed: int, fault: Fault | None) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from rendezview.io.files import make_folder
 from rendezview.io.results import read_json_lines
 from rendezview.io.video_file import VideoWriter
 from rendezview.sensors.appearance import ViewModel
-from rendezview_ground.fly.campaign import Setup, agreement, campaign, fly_once, record
+from rendezview_ground.fly.campaign import agreement, campaign, fly_once, record
 from rendezview_ground.fly.faults import FAULTS, Fault
 from rendezview_ground.fly.live import fly_live
 from rendezview_ground.fly.loop import Flight
@@ -31,6 +31,7 @@ from rendezview_ground.fly.report import (
     write_campaign_page,
     write_flight_page,
 )
+from rendezview_ground.fly.setup import Setup
 from rendezview_ground.learn.command_options import Dask, Jobs
 from rendezview_ground.learn.jobs.open_executor import open_executor
 from rendezview_ground.learn.target_job import train_target

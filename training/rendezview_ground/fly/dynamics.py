@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry import so3
@@ -19,10 +20,10 @@ from rendezview.trajectory.relative_orbit import response, transition
 from rendezview_ground.fly.faults import Fault
 from rendezview_ground.fly.options import FlyPlan
 from rendezview_ground.fly.port import Port, Relative
-from rendezview_ground.simulate.approach import ApproachOptions, wander
 from rendezview_ground.simulate.trajectories import torque_free
 
 _STREAM = 1  # of the seed, beside those of the sensors
+_DAMPING = 0.7  # of a wandering attitude. Source: chosen, of a usual controller
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,9 +72,8 @@ class OrbitDynamics:
         askew = math.radians(chaser.thrust_askew_deg) * rng.standard_normal(3)
         self._askew = so3.exp(askew)
         self._gyro_bias = math.radians(chaser.gyro_bias_deg_s) * rng.standard_normal(3)
-        shaken = ApproachOptions(dt_s=self._dt, period_s=chaser.jitter_s)
-        jitter = math.radians(chaser.jitter_deg)
-        self._jitter = wander(shaken, plan.steps + 2, jitter, 3, rng)
+        jitter = math.radians(chaser.jitter_deg) * np.ones(3)
+        self._jitter = wander(self._dt, chaser.jitter_s, plan.steps + 2, jitter, rng)
         self._turn_target(fault)
 
     def _turn_target(self, fault: Fault | None) -> None:
@@ -168,3 +168,22 @@ def _pushes(n: float, dt_s: float) -> tuple[Array, Array]:
     rr, rv, pushed = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     response(n, dt_s, rr, rv, pushed)
     return pushed, rv  # a push gives the velocity what an impulse gives the place
+
+
+def wander(
+    dt_s: float, period_s: float, count: int, sigma: Array, rng: np.random.Generator
+) -> Array:
+    """(count, K) of damped oscillators driven by white noise, stationary, of these σ (K,)."""
+    omega = 2.0 * math.pi / period_s
+    rate = np.array([[0.0, 1.0], [-(omega**2), -2.0 * _DAMPING * omega]])
+    # Van Loan: transition and noise of one step, of σ 1, from one matrix exponential.
+    noise = np.diag([0.0, 4.0 * _DAMPING * omega**3])
+    whole = expm(np.block([[-rate, noise], [np.zeros((2, 2)), rate.T]]) * dt_s)
+    step = whole[2:, 2:].T
+    root = np.linalg.cholesky(step @ whole[:2, 2:])
+    state = rng.standard_normal((2, len(sigma))) * np.array([[1.0], [omega]])
+    out = np.empty((count, len(sigma)))
+    for k in range(count):
+        out[k] = sigma * state[0]
+        state = step @ state + root @ rng.standard_normal(state.shape)
+    return out

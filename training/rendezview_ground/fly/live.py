@@ -18,13 +18,12 @@ from rendezview.fusion import Estimate
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Status
 from rendezview.sensors.protection import Protection
-from rendezview_ground.fly.campaign import Setup
 from rendezview_ground.fly.dynamics import OrbitDynamics, Truth
 from rendezview_ground.fly.faults import Fault
 from rendezview_ground.fly.guidance import Guidance, Known
 from rendezview_ground.fly.loop import Flight, Loop
 from rendezview_ground.fly.rendered import Pictures
-from rendezview_ground.fly.sensors import CAMERA
+from rendezview_ground.fly.setup import CAMERA, Setup
 from rendezview_service.client import Client, ServiceError, SessionClient
 
 # Of a log's line, and of the measurement that it is made of
@@ -40,8 +39,7 @@ class LiveSensors(Pictures):
     """What a flight sends: frames, and lines of the sensors that read none of the service's."""
 
     def __init__(self, setup: Setup, seed: int, fault: Fault | None = None) -> None:
-        patterns, pair = list(setup.patterns), setup.stereo_pair()
-        super().__init__(setup.plan, setup.mesh, setup.beam, patterns, seed, fault, pair)
+        super().__init__(setup, seed, fault)
         self.prior: Pose | None = None  # of the first frame; None: none yet
         # That the operator may switch; `hand` covers the camera.
         names = ("camera", "laser", "reflectors", *(("stereo",) if self.pair else ()))

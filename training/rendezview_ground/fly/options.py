@@ -34,7 +34,7 @@ class TargetOptions:
 
     mean_motion_rad_s: _Least0 = 1.1e-3  # Source: a circular orbit at 540 km, as Hubble's
     drag_m_s2: _Least0 = 2e-5  # chaser's over target's. Source: tests of the trajectory's loop
-    attitude_sigma_deg: _Least0 = 1.0  # each axis, at the start. Source: `simulate`'s approach
+    attitude_sigma_deg: _Least0 = 1.0  # each axis, at the start. Source: `fusion-approach`
     rate_sigma_deg_s: _Least0 = 0.01  # each axis, against the orbit's frame. Source: chosen
     # Principal moments on the target's axes, any unit. Source: a bus with wings along Y
     inertia: tuple[_Positive, _Positive, _Positive] = (1.5, 1.0, 1.5)

@@ -24,8 +24,8 @@ from rendezview_ground.evaluate.pictures.palette import (
     legend_below,
     new_figure,
 )
-from rendezview_ground.fly.campaign import Setup
 from rendezview_ground.fly.loop import Flight
+from rendezview_ground.fly.setup import Setup
 
 _SENSORS = ("camera", "ring", "reflectors", "stereo", "laser")
 _MODES = {"hold": ACTIVE, "retreat": PROBLEM, "abort": PROBLEM}

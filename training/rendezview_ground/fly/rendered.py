@@ -8,17 +8,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.fusion import BeamMesh, Measurement
+from rendezview.fusion import Measurement
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
-from rendezview.io.target import DockingRing
 from rendezview.io.video_file import VideoWriter
-from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
+from rendezview.sensors.appearance import Recognizer, Tracker
 from rendezview.sensors.appearance.overlay import draw_observation
 from rendezview.sensors.beacons import (
     LitDark,
     ReflectorObservation,
-    ReflectorPattern,
     ReflectorSensor,
     StereoObservation,
 )
@@ -28,10 +26,8 @@ from rendezview.sensors.ring.prior_log import prior_of_pose
 from rendezview_ground.fly.dynamics import Truth
 from rendezview_ground.fly.faults import Fault
 from rendezview_ground.fly.guidance import Known
-from rendezview_ground.fly.lights import StereoPair
-from rendezview_ground.fly.options import FlyPlan
-from rendezview_ground.fly.sensors import CAMERA, OwnSensors
-from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.fly.sensors import OwnSensors
+from rendezview_ground.fly.setup import CAMERA, Setup
 from rendezview_ground.simulate import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 from rendezview_ground.simulate.reflector_frames import Clutter, ReflectorFrameOptions, render_pair
 
@@ -57,12 +53,10 @@ def stray_light(peak_grey: float, seed: int) -> npt.NDArray[np.float32]:
 class Pictures:
     """Frames of the target by its own renderer, and the readings that need no recognizer."""
 
-    def __init__(
-        self, plan: FlyPlan, mesh: Mesh, beam: BeamMesh, patterns: list[ReflectorPattern],
-        seed: int, fault: Fault | None = None, pair: StereoPair | None = None,
-    ) -> None:  # fmt: skip
-        self.plan, self.mesh, self.fault, self.pair = plan, mesh, fault, pair
-        self.own = OwnSensors(plan, beam, seed, fault)
+    def __init__(self, setup: Setup, seed: int, fault: Fault | None = None) -> None:
+        self.plan, self.mesh, self.fault = setup.plan, setup.mesh, fault
+        self.pair, patterns = setup.stereo_pair(), list(setup.patterns)
+        self.own = OwnSensors(setup, seed, fault)
         self._rng = np.random.default_rng([_STREAM, seed])
         self._reflectors = ReflectorSensor(CAMERA, patterns) if patterns else None
         self._pattern = merged(patterns) if patterns else None
@@ -125,15 +119,13 @@ class RenderedSensors(Pictures):
     """The project's sensors on pictures of its own renderer."""
 
     def __init__(
-        self, plan: FlyPlan, model: ViewModel, mesh: Mesh, beam: BeamMesh,
-        ring: DockingRing | None, patterns: list[ReflectorPattern], seed: int,
-        fault: Fault | None = None, film: VideoWriter | None = None,
-        pair: StereoPair | None = None,
-    ) -> None:  # fmt: skip
-        super().__init__(plan, mesh, beam, patterns, seed, fault, pair)
+        self, setup: Setup, seed: int, fault: Fault | None = None, film: VideoWriter | None = None
+    ) -> None:
+        super().__init__(setup, seed, fault)
+        assert setup.model is not None
         self.film = film  # receives every frame with the recognizer's pose
-        self.ring = ring
-        self._recognizer = Recognizer(model, CAMERA)
+        self.ring = ring = setup.port.ring
+        self._recognizer = Recognizer(setup.model, CAMERA)
         self._tracker: Tracker | None = None
         self._rings = None
         if ring is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from rendezview.io.files import atomic_write_text
 from rendezview_ground.evaluate.page import WEBM, Card, document, figure, table_of, tiles_of
 from rendezview_ground.evaluate.pictures.palette import png
-from rendezview_ground.fly.campaign import Setup, agreement, worst
+from rendezview_ground.fly.campaign import agreement, worst
 from rendezview_ground.fly.faults import Fault
 from rendezview_ground.fly.loop import Flight
 from rendezview_ground.fly.options import EnvelopeOptions
@@ -22,6 +22,7 @@ from rendezview_ground.fly.pictures import (
     error_picture,
     footprint_picture,
 )
+from rendezview_ground.fly.setup import Setup
 
 FILM = "approach.webm"  # of rendered frames, in the folder of the page
 _TALL = 1.115  # height over width of a drawn frame, with its bar of text

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import approx_fprime
 
+from rendezview.estimation.motion import extrapolate
 from rendezview.fusion import (
-    BeamMesh,
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
@@ -23,19 +23,16 @@ from rendezview.fusion import (
     ThrustMeasurement,
 )
 from rendezview.geometry import so3
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.pose import Array
 from rendezview.io.target import DockingRing
-from rendezview.sensors.beacons import ReflectorPattern, predict_spots
+from rendezview.sensors.beacons import predict_spots
 from rendezview.sensors.beam import Met
 from rendezview_ground.fly.dynamics import Truth
 from rendezview_ground.fly.faults import Fault
 from rendezview_ground.fly.guidance import Known
-from rendezview_ground.fly.lights import StereoPair
-from rendezview_ground.fly.options import FlyPlan
+from rendezview_ground.fly.setup import CAMERA, Setup
+from rendezview_ground.render.directions import axes_towards
 
-# Source: `fusion-approach`, of which the error tables are
-CAMERA = Camera(1024, 1024, 800.0, 800.0, 511.5, 511.5)
 _STREAM = 3  # of the seed
 # Of the frames whose claims are lower than the table's. Source: by construction, to 2 %
 SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
@@ -126,12 +123,10 @@ def in_glare(sensor: str, quality: Quality, peak_grey: float) -> Quality:
 class OwnSensors:
     """Gyroscope, thrusters' telemetry and laser ranger: the same with frames and without."""
 
-    def __init__(
-        self, plan: FlyPlan, mesh: BeamMesh, seed: int, fault: Fault | None = None
-    ) -> None:
-        self.plan, self.mesh, self.fault = plan, mesh, fault
+    def __init__(self, setup: Setup, seed: int, fault: Fault | None = None) -> None:
+        self.plan, self.mesh, self.fault = setup.plan, setup.beam, fault
         self._rng = np.random.default_rng([_STREAM, seed])
-        bias = math.radians(plan.chaser.gyro_bias_deg_s)
+        bias = math.radians(self.plan.chaser.gyro_bias_deg_s)
         self._gyro_bias = bias * self._rng.standard_normal(3)
 
     def due(self, time_s: float, every_s: float) -> bool:
@@ -182,20 +177,11 @@ class OwnSensors:
 class ModelledSensors:
     """All sensors of a flight without pictures, by the measured error tables."""
 
-    def __init__(
-        self, plan: FlyPlan, mesh: BeamMesh, ring: DockingRing | None, centre_m: Array,
-        patterns: list[ReflectorPattern], seed: int, fault: Fault | None = None,
-        pair: StereoPair | None = None,
-    ) -> None:  # fmt: skip
-        """For one flight.
-
-        Args:
-            centre_m: (3,) of the port, target frame: what the tables are about.
-            pair: reads the target's lights, if it has any.
-        """
-        self.plan, self.ring, self.centre_m = plan, ring, centre_m
-        self.patterns, self.fault, self.pair = patterns, fault, pair
-        self._own = OwnSensors(plan, mesh, seed, fault)
+    def __init__(self, setup: Setup, seed: int, fault: Fault | None = None) -> None:
+        """For one flight."""
+        self.plan, self.ring, self.centre_m = setup.plan, setup.port.ring, setup.port.centre_m
+        self.patterns, self.fault, self.pair = setup.patterns, fault, setup.stereo_pair()
+        self._own = OwnSensors(setup, seed, fault)
         self._rng = np.random.default_rng([_STREAM + 1, seed])
         self._lasting: dict[str, tuple[float, Array]] = {}
 
@@ -244,7 +230,7 @@ class ModelledSensors:
         if rng.random() >= quality.answered:
             return []
         arm = truth.pose.rotation @ self.centre_m
-        pose, into = _about(truth.pose, self.centre_m, error), np.eye(6)
+        pose, into = extrapolate(truth.pose, error, 1.0, self.centre_m), np.eye(6)
         into[3:, :3] = so3.hat(arm)  # t = centre − R arm: turning the arm moves the origin
         covariance = into @ np.diag(_six(quality.claimed, away) ** 2) @ into.T
         return [PoseMeasurement(truth.time_s, "camera", pose, covariance)]
@@ -313,12 +299,6 @@ def _six(sigma: Array, away_m: float) -> Array:
     return np.array([tilt, tilt, roll, away_m * across, away_m * across, away_m * along])
 
 
-def _about(pose: Pose, centre_m: Array, error: Array) -> Pose:
-    """The pose turned about a point of the target, which moves."""
-    rotation = so3.exp(error[:3]) @ pose.rotation
-    return Pose(rotation, pose.apply(centre_m) + error[3:] - rotation @ centre_m)
-
-
 def tilt_moves(centre: Array, radius_m: float) -> Array:
     """(3, 3) how far a tilt of a ring's axis moves its centre, m: across the line of sight.
 
@@ -333,7 +313,4 @@ def tilt_moves(centre: Array, radius_m: float) -> Array:
 
 def _across_and_along(direction: Array, sigma: Array) -> Array:
     """(3, 3) root of a covariance: two axes across a direction, and one along it."""
-    first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
-    first /= np.linalg.norm(first)
-    axes = np.column_stack([first, np.cross(direction, first), direction])
-    return np.asarray(axes * sigma[[0, 0, 1]])
+    return np.asarray(axes_towards(direction).T * sigma[[0, 0, 1]])

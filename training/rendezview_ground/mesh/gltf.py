@@ -11,12 +11,11 @@ from urllib.parse import unquote
 
 from rendezview.errors import RendezviewError
 from rendezview_ground.mesh.gltf_buffers import Buffers
-from rendezview_ground.mesh.gltf_plain import is_plain, not_honoured, plain_glb
+from rendezview_ground.mesh.gltf_plain import JSON_CHUNK, is_plain, not_honoured, plain_glb
 
 GLTF_SUFFIXES = (".glb", ".gltf")
 # Source: glTF 2.0, 4.4 "GLB file format": magic, version, length; then length and type of a chunk
 _GLB_HEADER = struct.Struct("<4sIIII")
-_JSON_CHUNK = 0x4E4F534A  # Source: glTF 2.0, 4.4.3.2, "JSON"
 _CHUNK_BYTES = 8  # before a chunk's content. Source: glTF 2.0, 4.4.3
 
 
@@ -73,7 +72,7 @@ def _header(path: Path) -> tuple[dict[str, Any], int]:
             magic, version, _, length, kind = _GLB_HEADER.unpack(start)
             if magic == b"glTF" and version == 1:
                 return {"asset": {"version": "1.0"}}, 0
-            if magic != b"glTF" or kind != _JSON_CHUNK:
+            if magic != b"glTF" or kind != JSON_CHUNK:
                 return {}, 0
             text = stream.read(length)
         place = stream.tell() + _CHUNK_BYTES

@@ -29,7 +29,7 @@ _READ = ("POSITION", "TEXCOORD_0", "COLOR_0")
 _GLB = 0x46546C67, 2  # Source: glTF 2.0, 4.4, magic and version
 _CODES = {np.dtype(kind): code for code, kind in KINDS.items()}
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
-_JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942  # Source: glTF 2.0, 4.4.3
+JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942  # Source: glTF 2.0, 4.4.3
 
 
 def not_honoured(header: dict[str, Any]) -> list[str]:
@@ -108,7 +108,7 @@ class _Glb:
         text = json.dumps(plain).encode()
         text += b" " * (-len(text) % 4)
         total = 28 + len(text) + len(self.content)
-        head = struct.pack("<5I", *_GLB, total, len(text), _JSON_CHUNK)
+        head = struct.pack("<5I", *_GLB, total, len(text), JSON_CHUNK)
         return head + text + struct.pack("<2I", len(self.content), _BINARY_CHUNK) + self.content
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.mesh.triangles import crosses
 
 MOST_INSULATION = 0.1  # of the radius; thicker layers are another craft
 _EDGE_RADII = 0.08  # longest edge under the blanket: half of a bump
@@ -23,8 +24,8 @@ _SAME_PLACE = 1e-6  # radii; vertices nearer to each other are one
 def insulated(mesh: Mesh, share: float, rng: np.random.Generator, covered: float = 0.5) -> Mesh:
     """The mesh with a blanket over a part of it, on a side that the random numbers choose.
 
-    Surfaces move outwards along their normals by a Gaussian random field (random Fourier features,
-    Rahimi & Recht 2007), never inwards. Faces under the blanket are subdivided.
+    Surfaces move outwards along their normals by a Gaussian random field, never inwards. Faces
+    under the blanket are subdivided.
 
     Args:
         mesh: the CAD model.
@@ -44,7 +45,7 @@ def insulated(mesh: Mesh, share: float, rng: np.random.Generator, covered: float
     centre_m, radius_m = mesh.bounding_sphere
     fine, _ = _subdivided(mesh, radius_m)
     places = (fine.vertices_m - centre_m) / radius_m
-    normals, areas = _outwards(fine)
+    normals, areas = outwards(fine)
     thickness = np.maximum(1.0 + _BUMPINESS * _bumps(places, rng), 0.0)
     moved = share * radius_m * thickness * _cover(places, areas, covered, rng)
     vertices_m = fine.vertices_m + moved[:, None] * normals
@@ -80,7 +81,7 @@ def blanketed(
     if rng is not None:
         places = (fine.vertices_m - centre_m) / radius_m
         moved *= np.maximum(1.0 + _BUMPINESS * _bumps(places, rng), 0.0)
-    vertices_m = fine.vertices_m + moved[:, None] * _outwards(fine)[0]
+    vertices_m = fine.vertices_m + moved[:, None] * outwards(fine)[0]
     return replace(fine, vertices_m=vertices_m)
 
 
@@ -115,14 +116,13 @@ def _subdivided(mesh: Mesh, radius_m: float) -> tuple[Mesh, NDArray[np.intp]]:
     return fine, source
 
 
-def _outwards(mesh: Mesh) -> tuple[Array, Array]:
+def outwards(mesh: Mesh) -> tuple[Array, Array]:
     """(V, 3) unit normals of the vertices, means of their faces', and (V,) shares of the area."""
-    corners = mesh.vertices_m[mesh.faces]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    crossed = crosses(mesh.vertices_m[mesh.faces])
     normals = np.zeros_like(mesh.vertices_m)
     for k in range(3):
-        np.add.at(normals, mesh.faces[:, k], crosses)
-    each = np.repeat(np.linalg.norm(crosses, axis=1), 3)
+        np.add.at(normals, mesh.faces[:, k], crossed)
+    each = np.repeat(np.linalg.norm(crossed, axis=1), 3)
     areas = np.bincount(mesh.faces.ravel(), each, len(normals))
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return normals / np.where(lengths > 0.0, lengths, 1.0), areas / areas.sum()
@@ -130,10 +130,18 @@ def _outwards(mesh: Mesh) -> tuple[Array, Array]:
 
 def _bumps(places: Array, rng: np.random.Generator) -> Array:
     """(V,) a Gaussian field of variance 1."""
-    waves = rng.standard_normal((_WAVES, 3)) / _BUMP_RADII
-    phases = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
-    weights = rng.standard_normal(_WAVES) * np.sqrt(2.0 / _WAVES)
-    return np.asarray(np.cos(places @ waves.T + phases) @ weights)
+    waves = random_waves(places, _BUMP_RADII, _WAVES, rng)
+    return np.asarray(waves @ (rng.standard_normal(_WAVES) * np.sqrt(2.0 / _WAVES)))
+
+
+def random_waves(places: Array, length: float, count: int, rng: np.random.Generator) -> Array:
+    """(V, count) random Fourier features at places (V, 3), by Rahimi & Recht 2007.
+
+    Their sum with Gaussian weights is a Gaussian field with a Gaussian correlation of this length.
+    """
+    waves = rng.standard_normal((count, 3)) / length
+    phases = rng.uniform(0.0, 2.0 * np.pi, count)
+    return np.asarray(np.cos(places @ waves.T + phases))
 
 
 def _cover(places: Array, areas: Array, covered: float, rng: np.random.Generator) -> Array:

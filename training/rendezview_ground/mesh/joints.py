@@ -23,6 +23,7 @@ from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview_ground.mesh.bounding_sphere import smallest_enclosing_sphere
 from rendezview_ground.mesh.mesh import Mesh, load_mesh
 from rendezview_ground.mesh.parts import faces_of
+from rendezview_ground.mesh.triangles import random_points, twice_areas
 
 STEP_RAD = math.radians(15.0)  # between configurations at most. Source: pose-joints (0.1)
 _MOST_CONFIGURATIONS = 64  # of a model; each is as large as a model without joints
@@ -155,14 +156,6 @@ def _check(mesh: Mesh, joint: Joint, hinge: Hinge, turning: npt.NDArray[np.bool_
 def _points_on(mesh: Mesh, chosen: npt.NDArray[np.bool_], seed: int = 0) -> Array:
     """(N, 3) points on the chosen faces (F,), evenly by area, and their corners."""
     corners = mesh.vertices_m[mesh.faces[chosen]]
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
     rng = np.random.default_rng(seed)
-    face = rng.choice(len(corners), size=_SAMPLES, p=area / area.sum())
-    a, b = rng.random(_SAMPLES), rng.random(_SAMPLES)
-    beyond = a + b > 1.0
-    a[beyond], b[beyond] = 1.0 - a[beyond], 1.0 - b[beyond]
-    origin, first, second = corners[face, 0], corners[face, 1], corners[face, 2]
-    spread = origin + a[:, None] * (first - origin) + b[:, None] * (second - origin)
+    spread, _ = random_points(corners, twice_areas(corners), _SAMPLES, rng)
     return np.vstack([spread, corners.reshape(-1, 3)])

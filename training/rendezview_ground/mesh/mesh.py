@@ -18,6 +18,7 @@ from rendezview_ground.mesh.files import READERS, read_mesh_file
 from rendezview_ground.mesh.mesh_file import MeshFile
 from rendezview_ground.mesh.notes import counted, topology_notes
 from rendezview_ground.mesh.plausible import metres_per_unit
+from rendezview_ground.mesh.triangles import twice_areas
 
 MAX_FACES = 20_000_000  # of a mesh
 MAX_FILE_BYTES = 2 * 2**30  # bytes of a mesh file
@@ -179,11 +180,7 @@ def _cleaned(
         )
     faces, rgb = faces[finite], rgb[finite]
     unique, faces = _merged(content.vertices, faces)
-    corner = unique[faces]
-    twice_area = np.linalg.norm(
-        np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
-    )
-    solid = twice_area > 1e-14 * float(np.linalg.norm(np.ptp(unique, axis=0))) ** 2
+    solid = twice_areas(unique[faces]) > 1e-14 * float(np.linalg.norm(np.ptp(unique, axis=0))) ** 2
     if not solid.any():
         raise RendezviewError(
             f"{path}: none of its {len(faces)} faces has an area; export the mesh again"

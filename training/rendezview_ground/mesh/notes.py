@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezview_ground.mesh.triangles import Edges
+
 
 def counted(count: int, noun: str) -> str:
     """``1 face``, ``2 faces``, ``3 bodies``."""
@@ -23,18 +25,11 @@ def topology_notes(faces: NDArray[np.int64]) -> tuple[str, ...]:
     Args:
         faces: (F, 3) vertices, equal positions merged.
     """
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    ordered = edges[:, 0] < edges[:, 1]
-    low, high = edges.min(axis=1), edges.max(axis=1)
-    key, edge, count = np.unique(
-        low * (int(faces.max()) + 1) + high, return_inverse=True, return_counts=True
-    )
-    forward = np.bincount(edge.reshape(-1), weights=ordered, minlength=len(key))
-    open_edges = int((count == 1).sum())
-    mixed = int(((count == 2) & (forward != 1)).sum())
+    edges = Edges.of(faces)
+    still_open, mixed = len(edges.open_edges), len(edges.mixed_edges)
     notes = []
-    if open_edges:
-        notes.append(f"Not watertight: {counted(open_edges, 'open edge')}; fine for rendering.")
+    if still_open:
+        notes.append(f"Not watertight: {counted(still_open, 'open edge')}; fine for rendering.")
     if mixed:
         notes.append(
             f"Mixed winding: the faces on both sides of {counted(mixed, 'edge')} "

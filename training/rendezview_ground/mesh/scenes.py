@@ -37,14 +37,19 @@ def nodes_below(graph: Any, name: str | None, path: Path) -> set[str] | None:
     matching = [name] if name in known else fnmatch.filter(sorted(known), name)
     if not matching:
         names = sorted(known - {str(graph.base_frame)})
-        listed = ", ".join(names[:_MOST_NAMED]) + (" …" if len(names) > _MOST_NAMED else "")
-        raise RendezviewError(f"{path}#{name}: the scene has no node {name!r}; it has {listed}")
+        raise no_such_node(path, name, "the scene has no node", names)
     found, waiting = set(), matching
     while waiting:
         node = waiting.pop()
         found.add(node)
         waiting += [child for child in children.get(node, []) if child not in found]
     return found
+
+
+def no_such_node(path: Path, name: str, words: str, names: list[str]) -> RendezviewError:
+    """The error that lists the nodes that there are."""
+    listed = ", ".join(names[:_MOST_NAMED]) + (" …" if len(names) > _MOST_NAMED else "")
+    return RendezviewError(f"{path}#{name}: {words} {name!r}; it has {listed}")
 
 
 def triangulate_step(path: Path, output: Path) -> int:

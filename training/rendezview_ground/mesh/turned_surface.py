@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.mesh.triangles import crosses, random_points
 
 # Of the radius; a turned point this close to the surface lies on it. Source: a pixel of a view
 _SAME = 0.015
@@ -55,7 +56,7 @@ class TurnedSurface:
         _, first = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_index=True)
         first.sort()
         corners = mesh.vertices_m[mesh.faces[first]]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = crosses(corners)
         twice = np.linalg.norm(normals, axis=1)
         share = twice / twice.sum()
         centroid = share @ corners.mean(axis=1)
@@ -69,12 +70,7 @@ class TurnedSurface:
         area_m2 = 0.5 * float(twice.sum())
         count = int(np.clip(_DENSITY * area_m2 / same_m**2, 2 * _TESTED, _MOST_POINTS))
         rng = np.random.default_rng(seed)
-        chosen = rng.choice(len(share), size=count, p=share)
-        a, b = rng.random((2, count, 1))
-        flip = a + b > 1.0
-        a, b = np.where(flip, 1.0 - a, a), np.where(flip, 1.0 - b, b)
-        p, q, r = np.moveaxis(corners[chosen], 1, 0)
-        points = p + a * (q - p) + b * (r - p)
+        points, chosen = random_points(corners, twice, count, rng)
         free = np.ones((_CELLS,) * 3, dtype=bool)
         cell_m = _cell_m(radius_m)
         free[tuple(np.floor(points / cell_m + _CELLS / 2).astype(np.int64).T)] = False

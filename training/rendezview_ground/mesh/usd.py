@@ -18,10 +18,10 @@ from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.colours import Rgb, grey
 from rendezview_ground.mesh.notes import counted
 from rendezview_ground.mesh.polygon import triangulate
+from rendezview_ground.mesh.scenes import no_such_node
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 Part = tuple[Array, NDArray[np.int64], Rgb]
-_MOST_NAMED = 12  # prims in a message. Source: fits a line
 
 
 def read_usd(path: Path, node: str | None) -> tuple[list[Part], tuple[float, str], list[str]]:
@@ -83,8 +83,7 @@ def _shown(stage: Any, node: str | None, path: Path) -> Iterator[Any]:
     roots = [prim for prim in every if prim.GetName() == node]
     if node is not None and not roots:
         names = [prim.GetName() for prim in every if prim.IsA(UsdGeom.Xformable)]
-        listed = ", ".join(names[:_MOST_NAMED]) + (" …" if len(names) > _MOST_NAMED else "")
-        raise RendezviewError(f"{path}#{node}: the stage has no prim {node!r}; it has {listed}")
+        raise no_such_node(path, node, "the stage has no prim", names)
     for prim in every:
         place = prim.GetPath()
         if node is not None and not any(place.HasPrefix(root.GetPath()) for root in roots):

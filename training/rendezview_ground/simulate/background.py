@@ -13,11 +13,14 @@ import numpy.typing as npt
 from numba import njit
 from scipy.spatial.transform import Rotation
 
-from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.geometry.zbuffer import Float32s
+from rendezview_ground.limits import POSITIVE, check
 from rendezview_ground.simulate.distortion import pixel_rays
+
+# Of the ground below: one turn per orbit of 92.6 min. Source: a circular orbit of 400 km
+GROUND_RATE_RAD_S = 1.13e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,17 +28,10 @@ class Earth:
     """A sphere with procedural clouds, sea and land. Eclipse is not modelled."""
 
     angular_radius_rad: float = 1.22  # rad; from 400 km altitude: arcsin(6378 / 6778) = 70.2°
-    turn_rad_s: float = 1.13e-3  # rad/s of the ground below: one turn per orbit of 92.6 min
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.angular_radius_rad < math.pi / 2:
-            raise RendezviewError(
-                f"angular_radius_rad of the Earth must lie between 0 and π/2, "
-                f"not {self.angular_radius_rad}"
-            )
-        if not math.isfinite(self.turn_rad_s):
-            raise RendezviewError(f"turn_rad_s must be finite, not {self.turn_rad_s}")
+        check(self, POSITIVE, math.radians(89.0), "angular_radius_rad")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,10 +43,7 @@ class Stars:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.count < 0:
-            raise RendezviewError(f"count of stars must not be negative, not {self.count}")
-        if not (math.isfinite(self.brightest) and self.brightest >= 0.0):
-            raise RendezviewError(f"brightest must not be negative, not {self.brightest}")
+        check(self, 0.0, math.inf, "count", "brightest")
 
 
 def star_radiance(camera: Camera, camera_from_sky: npt.ArrayLike, stars: Stars) -> Float32s:

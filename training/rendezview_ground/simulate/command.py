@@ -21,7 +21,7 @@ from rendezview.io.target import Target
 from rendezview.sensors.beacons.rig_files import load_rig
 from rendezview_ground.learn.command_options import Jobs
 from rendezview_ground.mesh.joints import with_parts
-from rendezview_ground.mesh.mesh import Mesh, load_mesh
+from rendezview_ground.mesh.mesh import load_mesh
 from rendezview_ground.mesh.parts import with_blankets
 from rendezview_ground.simulate.background import Earth, Stars
 from rendezview_ground.simulate.joint_motion import joint_motion
@@ -38,7 +38,7 @@ from rendezview_ground.simulate.scene import PARTS_STREAM, SceneOptions
 from rendezview_ground.simulate.scene import simulate as simulate_scene
 from rendezview_ground.simulate.sensor import SensorOptions
 from rendezview_ground.simulate.shading import ShadingOptions
-from rendezview_ground.simulate.trajectories import TrajectoryOptions, trajectory
+from rendezview_ground.simulate.trajectories import TrajectoryOptions, Triple, trajectory, triple
 
 _LED_GREY = 200.0  # peak of a light
 
@@ -188,7 +188,9 @@ def simulate(
         sky_frame="camera" if kind is Kind.TUMBLE else "target",
         sun_phase_rad=float(np.deg2rad(sun_phase)),
         sun_azimuth_each_frame=kind is Kind.RANDOM,
-        sun_direction_sky=_direction(sun_direction),
+        sun_direction_sky=None
+        if sun_direction is None
+        else _vector("--sun-direction", sun_direction),
         earth=Earth() if earth else None,
         stars=Stars() if stars else None,
         shading=ShadingOptions(),
@@ -206,8 +208,20 @@ def simulate(
         insulation=insulation,
         masks=masks,
     )
-    motion = _trajectory_options(
-        kind, mesh, frames, dt, start_range, end_range, turn, bearing, off_axis, jitter, seed
+    centre, radius_m = mesh.bounding_sphere
+    if end_range is None and kind in (Kind.SPIRAL, Kind.VBAR, Kind.RANDOM, Kind.STATIONS):
+        end_range = 3.0 * radius_m
+    motion = TrajectoryOptions(
+        frames=frames,
+        dt_s=dt,
+        start_range_m=6.0 * radius_m if start_range is None else start_range,
+        end_range_m=end_range,
+        centre_m=triple(centre),
+        turn_rad=float(np.deg2rad(turn)),
+        bearing_max_rad=float(np.deg2rad(bearing)),
+        off_axis_max_rad=float(np.deg2rad(off_axis)),
+        pointing_jitter_rad=float(np.deg2rad(jitter)),
+        seed=seed,
     )
     if axis is not None:
         motion = _along(axis, kind, motion, found)
@@ -251,37 +265,6 @@ def default_camera() -> Camera:
     return Camera.from_fov(640, 480, float(np.deg2rad(53.0)))
 
 
-def _trajectory_options(
-    kind: Kind,
-    mesh: Mesh,
-    frames: int,
-    dt_s: float,
-    start_range_m: float | None,
-    end_range_m: float | None,
-    turn_deg: float,
-    bearing_deg: float,
-    off_axis_deg: float,
-    jitter_deg: float,
-    seed: int,
-) -> TrajectoryOptions:
-    centre, radius_m = mesh.bounding_sphere
-    start_m = start_range_m if start_range_m is not None else 6.0 * radius_m
-    if end_range_m is None and kind in (Kind.SPIRAL, Kind.VBAR, Kind.RANDOM, Kind.STATIONS):
-        end_range_m = 3.0 * radius_m
-    return TrajectoryOptions(
-        frames=frames,
-        dt_s=dt_s,
-        start_range_m=start_m,
-        end_range_m=end_range_m,
-        centre_m=(float(centre[0]), float(centre[1]), float(centre[2])),
-        turn_rad=float(np.deg2rad(turn_deg)),
-        bearing_max_rad=float(np.deg2rad(bearing_deg)),
-        off_axis_max_rad=float(np.deg2rad(off_axis_deg)),
-        pointing_jitter_rad=float(np.deg2rad(jitter_deg)),
-        seed=seed,
-    )
-
-
 def _along(axis: str, kind: Kind, motion: TrajectoryOptions, target: Target) -> TrajectoryOptions:
     """The options of an approach or of places along an axis, or before the docking ring."""
     if kind not in (Kind.VBAR, Kind.STATIONS):
@@ -291,18 +274,11 @@ def _along(axis: str, kind: Kind, motion: TrajectoryOptions, target: Target) -> 
     ring = target.docking_ring
     if ring is None:
         raise RendezviewError(f"--axis ring: {target.name} has no docking_ring: give 'x,y,z'")
-    x, y, z = (float(value) for value in ring.axis)
-    a, b, c = (float(value) for value in ring.centre_m)
-    return replace(motion, approach_axis=(x, y, z), centre_m=(a, b, c), hops=0)
+    return replace(motion, approach_axis=triple(ring.axis), centre_m=triple(ring.centre_m), hops=0)
 
 
-def _direction(text: str | None) -> tuple[float, float, float] | None:
-    return None if text is None else _vector("--sun-direction", text)
-
-
-def _vector(option: str, text: str) -> tuple[float, float, float]:
+def _vector(option: str, text: str) -> Triple:
     try:
-        x, y, z = (float(part) for part in text.split(","))
+        return triple(float(part) for part in text.split(","))
     except ValueError:
         raise RendezviewError(f"{option} must be 'x,y,z', not {text!r}") from None
-    return x, y, z

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
 from rendezview.geometry.zbuffer import Float32s
+from rendezview_ground.limits import check, check_rising
 from rendezview_ground.simulate.dust import add_dust
 
 Range = tuple[float, float]  # uniform
@@ -100,13 +100,10 @@ class HardLightOptions:
     jpeg_quality: tuple[int, int] = (60, 99)  # at least, less than
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name.endswith("_share") and not 0.0 <= value <= 1.0:
-                raise RendezviewError(f"{field.name} must be 0 to 1, not {value}")
-            pair = isinstance(value, tuple) and field.name not in ("percentiles", "glare_widths")
-            if pair and not (len(value) == 2 and value[0] <= value[1]):
-                raise RendezviewError(f"{field.name} must be a range (low, high), not {value}")
+        names = [field.name for field in fields(self)]
+        check(self, 0.0, 1.0, *(name for name in names if name.endswith("_share")))
+        pairs = [name for name in names if isinstance(getattr(self, name), tuple)]
+        check_rising(self, *(n for n in pairs if n not in ("percentiles", "glare_widths")))
 
 
 def photograph(
@@ -169,7 +166,7 @@ def lit(
     if _happens(options.falloff_share, rng):
         across = _ramp(len(sunlit), rng) * rng.uniform(*options.falloff)
         sunlit = sunlit * np.exp(np.clip(across, -options.falloff_most, options.falloff_most))
-    share = _log_uniform(options.ambient, rng)
+    share = log_uniform(options.ambient, rng)
     if _happens(options.shade_share, rng):
         sunlit = np.zeros_like(sunlit)
     return np.asarray(sunlit + np.float32(share) * ambient, dtype=np.float32)
@@ -183,9 +180,9 @@ def exposed(
     metered = 0.1  # radiance, where nothing can be metered
     if len(craft) > _METERED_PX:
         metered = float(np.percentile(craft, rng.choice(options.percentiles)))
-    level = _log_uniform(options.level_grey, rng)
+    level = log_uniform(options.level_grey, rng)
     if _happens(options.dark_share, rng):
-        level = _log_uniform(options.dark_level_grey, rng)
+        level = log_uniform(options.dark_level_grey, rng)
     gain = level / (max(metered, 1e-3) if metered > 0.0 else 0.05)
     grey = np.minimum(radiance * np.float32(gain), options.most_grey)
     return np.asarray(grey, dtype=np.float32)
@@ -212,7 +209,7 @@ def background(
     if _happens(options.terminator_share, rng):
         beyond = _ramp(side, rng) - rng.uniform(*options.terminator_place)
         part = part / (1.0 + np.exp(-beyond * rng.uniform(*options.terminator_sharpness)))
-    return np.asarray(part * _log_uniform(options.sky_level_grey, rng), dtype=np.float32)
+    return np.asarray(part * log_uniform(options.sky_level_grey, rng), dtype=np.float32)
 
 
 def through_optics(grey: Float32s, rng: np.random.Generator, options: HardLightOptions) -> Float32s:
@@ -222,7 +219,7 @@ def through_optics(grey: Float32s, rng: np.random.Generator, options: HardLightO
         grey = _defocused(grey, rng.uniform(*options.defocus_px))
     if _happens(options.bloom_share, rng):
         bright = np.minimum(grey, np.float32(options.bloom_most_grey))
-        sigma_px = _log_uniform(options.bloom_sigma_px, rng)
+        sigma_px = log_uniform(options.bloom_sigma_px, rng)
         grey = grey + np.float32(rng.uniform(*options.bloom)) * _blurred(bright, sigma_px)
         if _happens(options.glare_share, rng):
             for width in options.glare_widths:
@@ -241,7 +238,7 @@ def detected(grey: Float32s, rng: np.random.Generator, options: HardLightOptions
     grey = np.clip(grey, 0.0, 255.0).astype(np.float32)
     if _happens(options.response_share, rng):
         grey = (255.0 * (grey / 255.0) ** rng.uniform(*options.response)).astype(np.float32)
-    sigma_grey = _log_uniform(options.noise_sigma_grey, rng)
+    sigma_grey = log_uniform(options.noise_sigma_grey, rng)
     noise = rng.standard_normal(grey.shape, np.float32)
     if _happens(options.smooth_noise_share, rng):
         noise = _blurred(noise, options.smooth_noise_sigma_px)
@@ -260,7 +257,8 @@ def _happens(share: float, rng: np.random.Generator) -> bool:
     return bool(rng.random() < share)
 
 
-def _log_uniform(bounds: Range, rng: np.random.Generator) -> float:
+def log_uniform(bounds: Range, rng: np.random.Generator) -> float:
+    """A number that is uniform in the logarithm."""
     return float(np.exp(rng.uniform(*np.log(bounds))))
 
 

@@ -37,6 +37,12 @@ class LaboratoryOptions:
     distorted: bool = True  # a lens with all of eq. 6, misaligned; False: a perfect one
 
 
+def electrode_currents(readings: Array) -> Array:
+    """(..., 2) readings of eq. 1, 2 → (..., 4) currents x1 x2 y1 y2 of a light of 2."""
+    x, y = readings[..., 0], readings[..., 1]
+    return 0.5 * np.stack([1.0 + x, 1.0 - x, 1.0 + y, 1.0 - y], -1)
+
+
 class Laboratory:
     """The truth: cameras, detectors and stage.
 
@@ -111,9 +117,7 @@ class Laboratory:
 
     def light(self, camera: int, positions_m: Array) -> Array:
         """(..., 2) metres on a detector → (..., 4) currents x1 x2 y1 y2 without noise."""
-        reading = self.response(camera, positions_m)
-        x, y = reading[..., 0], reading[..., 1]
-        return np.stack([0.5 * (1.0 + x), 0.5 * (1.0 - x), 0.5 * (1.0 + y), 0.5 * (1.0 - y)], -1)
+        return electrode_currents(self.response(camera, positions_m))
 
     def noiseless(self, camera: int, points_rig_m: Array) -> Array:
         """(N, 3) lights → (N, 4) currents; NaN where off the detector."""

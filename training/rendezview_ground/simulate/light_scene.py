@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.estimation.motion import extrapolate
+from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.so3 import between
 from rendezview.io.files import make_folder
 from rendezview.io.results import JsonLinesWriter
 from rendezview.io.sequences.images import write_png
 from rendezview.io.target import Target
 from rendezview.sensors.beacons import Photodiode, Rig, RigCamera
+from rendezview_ground.simulate.led_laboratory import electrode_currents
 from rendezview_ground.simulate.led_pictures import PictureOptions, draw
 from rendezview_ground.simulate.scene import Progress
 from rendezview_ground.simulate.trajectories import TimedPose
@@ -107,11 +107,7 @@ def _later(poses: Sequence[TimedPose], k: int, after_s: float) -> Pose:
     (begin_s, begin), (end_s, end) = (
         poses[k : k + 2] if k + 1 < len(poses) else poses[k - 1 : k + 1]
     )
-    span = end_s - begin_s
-    turn = between(end.rotation, begin.rotation) / span
-    return extrapolate(
-        pose, np.append(turn, (end.translation_m - begin.translation_m) / span), after_s
-    )
+    return extrapolate(pose, rates_between(begin, end, end_s - begin_s), after_s)
 
 
 def _facing(camera: RigCamera, rig_from_first: Pose, places: Array, beams: Array) -> Array:
@@ -153,9 +149,7 @@ def _currents(camera: RigCamera, places: Array, rng: np.random.Generator) -> Arr
     currents = np.full((len(places), 4), np.nan)
     with np.errstate(invalid="ignore"):
         inside = (np.abs(metres) <= diode.half_width_m).all(axis=1)
-    ratio = _ratios(diode, metres[inside])
-    x, y = ratio[:, 0], ratio[:, 1]
-    exact = 0.5 * np.column_stack([1.0 + x, 1.0 - x, 1.0 + y, 1.0 - y])
+    exact = electrode_currents(_ratios(diode, metres[inside]))
     currents[inside] = exact + rng.normal(0.0, diode.noise, exact.shape)
     return currents
 
@@ -164,8 +158,7 @@ def _ratios(diode: Photodiode, metres: Array) -> npt.NDArray[np.float64]:
     """(N, 2) readings of eq. 1, 2 that the response turns into these places, by iteration."""
     ratio = metres / diode.half_width_m
     for _ in range(_ROUNDS):
-        x, y = ratio[:, 0], ratio[:, 1]
-        light = 0.5 * np.column_stack([1.0 + x, 1.0 - x, 1.0 + y, 1.0 - y])
+        light = electrode_currents(ratio)
         step = (metres - diode.response.positions(light)) / diode.half_width_m
         ratio = ratio + step
         if not len(step) or np.abs(step).max() < 1e-12:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from rendezview.geometry.pose import Array
+from rendezview_ground.mesh.insulation import outwards, random_waves
 from rendezview_ground.mesh.mesh import Mesh
 
 _LENGTH_RADII = 0.5  # correlation length in target radii: parts move, small shapes stay
@@ -17,9 +18,8 @@ MOST_MESH_ERROR = 0.2  # of the radius; beyond, the shape is another one
 def deformed(mesh: Mesh, share: float, rng: np.random.Generator) -> Mesh:
     """The mesh with its vertices moved by a smooth random field.
 
-    The field is Gaussian with a Gaussian correlation, drawn with random Fourier features (Rahimi &
-    Recht 2007). The rigid motion that fits it best is taken out, so that a true pose of the CAD
-    model stays the best pose of the deformed mesh.
+    The field is Gaussian with a Gaussian correlation. The rigid motion that fits it best is taken
+    out, so that a true pose of the CAD model stays the best pose of the deformed mesh.
 
     Args:
         mesh: the CAD model.
@@ -33,22 +33,12 @@ def deformed(mesh: Mesh, share: float, rng: np.random.Generator) -> Mesh:
         raise ValueError(f"share must be 0 to {MOST_MESH_ERROR} of the radius, not {share}")
     centre_m, radius_m = mesh.bounding_sphere
     places = (mesh.vertices_m - centre_m) / radius_m
-    waves = rng.standard_normal((_WAVES, 3)) / _LENGTH_RADII
-    phases = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
-    moves = np.cos(places @ waves.T + phases) @ rng.standard_normal((_WAVES, 3))
-    weights = _areas(mesh)
+    waves = random_waves(places, _LENGTH_RADII, _WAVES, rng)
+    moves = waves @ rng.standard_normal((_WAVES, 3))
+    _, weights = outwards(mesh)
     moves -= _rigid_part(places, moves, weights)
     rms = np.sqrt(weights @ (moves**2).sum(axis=1))
     return replace(mesh, vertices_m=mesh.vertices_m + share * radius_m / rms * moves)
-
-
-def _areas(mesh: Mesh) -> Array:
-    """(V,) share of the surface around each vertex."""
-    corners = mesh.vertices_m[mesh.faces]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    third = np.repeat(np.linalg.norm(crosses, axis=1), 3)
-    areas = np.bincount(mesh.faces.ravel(), third, len(mesh.vertices_m))
-    return areas / areas.sum()  # type: ignore[no-any-return]
 
 
 def _rigid_part(places: Array, moves: Array, weights: Array) -> Array:

@@ -19,6 +19,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.zbuffer import Float32s
+from rendezview_ground.limits import check
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate.distortion import widened
 
@@ -36,12 +37,8 @@ class MitsubaOptions:
     earthshine: float = 0.3  # radiance of the day side of the Earth (its mean albedo)
 
     def __post_init__(self) -> None:
-        if not 1 <= self.samples <= 4096:
-            raise RendezviewError(f"samples must be 1 to 4096 a pixel, not {self.samples}")
-        for name in ("foil", "foil_roughness", "ambient", "earthshine"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and 0.0 <= value <= 1.0):
-                raise RendezviewError(f"{name} must be 0 to 1, not {value}")
+        check(self, 1, 4096, "samples")
+        check(self, 0.0, 1.0, "foil", "foil_roughness", "ambient", "earthshine")
 
 
 def render_mitsuba(

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import trimesh
-from scipy.spatial.transform import Rotation
 from trimesh.creation import box, cone, cylinder
 
+from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.colours import GREY
 from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate.random_craft import mesh_of, rotation
 
 
 def twelve_sides() -> Mesh:
@@ -29,7 +31,7 @@ def four_panels() -> Mesh:
     """A box with a cross of panels, 5.4 m across; an antenna, a boom and a box tell its sides."""
     panels = [box((2.0, 0.9, 0.05), transform=_at(1.7, 0.0, 0.2)) for _ in range(4)]
     for k, panel in enumerate(panels):
-        panel.apply_transform(_turned("z", 90.0 * k))
+        panel.apply_transform(rotation([0.0, 0.0, 1.0], 0.5 * np.pi * k))
     return _joined([
         box((1.2, 1.2, 1.5)),
         *panels,
@@ -49,12 +51,12 @@ def any_near_symmetric(rng: np.random.Generator) -> Mesh:
     parts = [body]
     if sides <= 4 or rng.random() < 0.4:
         length, chord, up = rng.uniform(0.8, 2.2), rng.uniform(0.4, 1.0), rng.uniform(-0.4, 0.4)
-        tilt_deg = 90.0 * rng.integers(2)
+        tilt = 0.5 * np.pi * rng.integers(2)
         for k in range(min(sides, 6)):
             panel = box((length, chord, 0.05))
-            panel.apply_transform(_turned("x", tilt_deg))
+            panel.apply_transform(rotation([1.0, 0.0, 0.0], tilt))
             panel.apply_translation((1.0 + 0.5 * length, 0.0, up * height))
-            panel.apply_transform(_turned("z", 360.0 * k / min(sides, 6)))
+            panel.apply_transform(rotation([0.0, 0.0, 1.0], 2.0 * np.pi * k / min(sides, 6)))
             parts.append(panel)
     for _ in range(int(rng.integers(1, 4))):
         size, angle = rng.uniform(0.12, 0.45, 3), rng.uniform(0.0, 2.0 * np.pi)
@@ -73,20 +75,10 @@ def any_near_symmetric(rng: np.random.Generator) -> Mesh:
 CRAFT: dict[str, Callable[[], Mesh]] = {"twelve-sides": twelve_sides, "four-panels": four_panels}
 
 
-def _at(x: float, y: float, z: float) -> np.ndarray:
-    transform = np.eye(4)
-    transform[:3, 3] = x, y, z
-    return transform
-
-
-def _turned(axis: str, angle_deg: float) -> np.ndarray:
-    transform = np.eye(4)
-    transform[:3, :3] = Rotation.from_euler(axis, angle_deg, degrees=True).as_matrix()
-    return transform
+def _at(x: float, y: float, z: float) -> Array:
+    matrix: Any = trimesh.transformations.translation_matrix  # not typed
+    return np.asarray(matrix([x, y, z]))
 
 
 def _joined(bodies: list[trimesh.Trimesh]) -> Mesh:
-    whole = trimesh.util.concatenate(bodies)
-    assert isinstance(whole, trimesh.Trimesh)
-    rgb = np.full((len(whole.faces), 3), GREY, np.float32)
-    return Mesh(np.array(whole.vertices), np.array(whole.faces, np.int32), rgb, ())
+    return mesh_of([(body, np.full(len(body.faces), GREY)) for body in bodies])

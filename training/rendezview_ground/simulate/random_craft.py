@@ -40,8 +40,8 @@ def random_craft(rng: np.random.Generator) -> Mesh:
         azimuth = rng.uniform(0.0, np.pi) if k else 0.0
         for side in (0.0, np.pi)[: 2 if both else 1]:
             mesh = panel[0].copy()
-            mesh.apply_transform(_turn([1.0, 0.0, 0.0], turn))
-            mesh.apply_transform(_turn([0.0, 0.0, 1.0], azimuth + side))
+            mesh.apply_transform(rotation([1.0, 0.0, 0.0], turn))
+            mesh.apply_transform(rotation([0.0, 0.0, 1.0], azimuth + side))
             mesh.apply_translation([0.0, 0.0, place])
             solids.append((mesh, panel[1]))
     for _ in range(int(rng.integers(0, 4))):
@@ -97,9 +97,10 @@ def joined(solids: list[Solid]) -> Solid:
     return mesh, np.concatenate([albedo for _, albedo in solids])
 
 
-def _turn(axis: list[float], angle_rad: float) -> Array:
-    turn: Any = trimesh.transformations.rotation_matrix  # not typed
-    return np.asarray(turn(angle_rad, axis))
+def rotation(axis: list[float], angle_rad: float) -> Array:
+    """(4, 4) of a turn about an axis through the origin."""
+    matrix: Any = trimesh.transformations.rotation_matrix  # not typed
+    return np.asarray(matrix(angle_rad, axis))
 
 
 def _albedo(rng: np.random.Generator) -> float:
@@ -208,8 +209,8 @@ def _fixed(rng: np.random.Generator, solid: Solid, width: float, length: float) 
     mesh, albedo = solid
     if rng.random() < 0.6:
         upright = rng.choice([0.0, 0.5, 1.0]) * np.pi
-        turn = _turn([0.0, 0.0, 1.0], rng.uniform(0.0, 2.0 * np.pi))
-        turn = turn @ _turn([0.0, 1.0, 0.0], upright)
+        turn = rotation([0.0, 0.0, 1.0], rng.uniform(0.0, 2.0 * np.pi))
+        turn = turn @ rotation([0.0, 1.0, 0.0], upright)
     else:
         turn = np.asarray(trimesh.transformations.random_rotation_matrix(rng.random(3)))
     mesh.apply_transform(turn)
@@ -262,12 +263,12 @@ def _wings(rng: np.random.Generator, size: Array) -> list[Solid]:
     solids: list[Solid] = []
     for side in (0.0, np.pi)[: 2 if both else 1]:
         mesh = plate.copy()
-        mesh.apply_transform(_turn([1.0, 0.0, 0.0], turn))
+        mesh.apply_transform(rotation([1.0, 0.0, 0.0], turn))
         mesh.apply_translation([0.5 * size[0] + gap + 0.5 * length, 0.0, 0.0])
         yoke = trimesh.creation.box([gap + 0.05, 0.05, 0.05])
         yoke.apply_translation([0.5 * (size[0] + gap), 0.0, 0.0])
         for part in (mesh, yoke):
-            part.apply_transform(_turn([0.0, 0.0, 1.0], side))
+            part.apply_transform(rotation([0.0, 0.0, 1.0], side))
         solids += [(mesh, albedo), one_paint(rng, yoke)]
     return solids
 

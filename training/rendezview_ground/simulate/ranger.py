@@ -6,11 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
+from rendezview.geometry.pose import Pose
+from rendezview.geometry.ray_cast import first_hits
 from rendezview.io.files import StrPath
 from rendezview.io.results import JsonLinesWriter
+from rendezview.sensors.beam import BeamMesh
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.simulate.approach import echo
 from rendezview_ground.simulate.trajectories import TimedPose, Triple
 
 _STREAM = 2  # random numbers of the ranger, beside those of frames and mesh
@@ -44,3 +47,17 @@ def write_echoes(
                     "direction": ranger.direction,
                 }
             )
+
+
+def echo(
+    mesh: Mesh, camera_from_target: Pose, origin_m: npt.ArrayLike, direction: npt.ArrayLike
+) -> float | None:
+    """Distance along a beam of the camera frame to the mesh, metres; ``None`` if it misses."""
+    target_from_camera = camera_from_target.inverse()
+    start = target_from_camera.apply(np.asarray(origin_m, dtype=np.float64))
+    way = target_from_camera.rotation @ np.asarray(direction, dtype=np.float64)
+    body = BeamMesh(mesh.vertices_m, mesh.faces)
+    far, face = first_hits(
+        body.corners, body.centres, body.radii, start[None], way / np.linalg.norm(way)
+    )
+    return float(far[0]) if face[0] >= 0 else None

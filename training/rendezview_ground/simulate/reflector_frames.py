@@ -13,17 +13,20 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
+from rendezview_ground.limits import POSITIVE, check
 from rendezview_ground.render.directions import perpendicular
-from rendezview_ground.simulate.sensor import with_shot_noise
 
 Grey = npt.NDArray[np.uint8]
 Float32s = npt.NDArray[np.float32]
 
 _REACH = 5.0  # σ of the blur; extent of a spot beyond its disc
+# Farthest range of the automatic integration time; beyond, the return falls with range⁴
+_CONTROL_RANGE_M = 40.0
+_BEAM_HALF_POWER_RAD = math.radians(20.0)  # of the laser diodes, off the boresight
+_RETURN_HALF_POWER_RAD = math.radians(45.0)  # of the reflectors, off their normal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,30 +34,15 @@ class ReflectorFrameOptions:
     """Light, optics and detector of the sensor. Grey levels are those of the 8-bit picture."""
 
     peak_grey: float = 180.0  # of the reflectors, by automatic integration time
-    control_range_m: float = (
-        40.0  # largest range of this control; beyond, the return falls with range⁴
-    )
-    beam_half_power_rad: float = math.radians(20.0)  # of the laser diodes, off the boresight
-    return_half_power_rad: float = math.radians(45.0)  # of the reflectors, off their normal
     leak: float = 0.02  # share of a reflector's return that passes its filter at 780 nm
-    starring_rad: float | None = None  # incidence at which the filter's glass reflects both colours
-    starring_width_rad: float = math.radians(1.0)
     blur_sigma_px: float = 0.7  # Gaussian optics
     noise_sigma_grey: float = 2.0  # read noise
-    electrons_per_grey: float | None = None  # shot noise; None is none
     black_level_grey: float = 10.0
     even_light: bool = False  # of a room, on white discs; else the lasers' on retro-reflectors
 
     def __post_init__(self) -> None:
-        for name in ("peak_grey", "control_range_m", "beam_half_power_rad",
-                     "return_half_power_rad", "blur_sigma_px"):  # fmt: skip
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise RendezviewError(f"{name} must be positive, not {value}")
-        for name in ("noise_sigma_grey", "leak", "black_level_grey"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise RendezviewError(f"{name} must not be negative, not {value}")
+        check(self, POSITIVE, math.inf, "peak_grey", "blur_sigma_px")
+        check(self, 0.0, math.inf, "noise_sigma_grey", "leak", "black_level_grey")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,17 +111,13 @@ def render_pair(
     if gain is None:
         gain = exposure(camera, pattern, camera_from_target, options)
     pictures = []
-    pose = camera_from_target
     for number in range(2):
         grey = np.full((camera.height, camera.width), options.black_level_grey, np.float32)
         for item in clutter:
             if item.background is not None:
                 grey += item.background
             _paint_clutter(grey, item.spots, number)
-        for k in range(len(pattern)):
-            if k not in hidden:
-                share = 1.0 if number == 0 else _dark_share(pattern, k, pose, options)
-                paint_reflector(grey, camera, pattern, k, pose, gain * share, options)
+        _paint_all(grey, camera, pattern, camera_from_target, options, gain, hidden, number == 1)
         pictures.append(_detect(grey, options, rng))
     return pictures[0], pictures[1]
 
@@ -144,11 +128,18 @@ def reflector_light(
 ) -> Float32s:  # fmt: skip
     """(H, W) grey levels of all reflectors, blurred by the optics; ``gain`` as of `exposure`."""
     grey = np.zeros((camera.height, camera.width), np.float32)
+    _paint_all(grey, camera, pattern, pose, options, gain, hidden, dark)
+    return grey
+
+
+def _paint_all(
+    grey: Float32s, camera: Camera, pattern: ReflectorPattern, pose: Pose,
+    options: ReflectorFrameOptions, gain: float, hidden: tuple[int, ...], dark: bool,
+) -> None:  # fmt: skip
+    share = options.leak if dark else 1.0
     for k in range(len(pattern)):
         if k not in hidden:
-            share = _dark_share(pattern, k, pose, options) if dark else 1.0
             paint_reflector(grey, camera, pattern, k, pose, gain * share, options)
-    return grey
 
 
 def exposure(
@@ -168,11 +159,8 @@ def exposure(
         gains.append(
             options.peak_grey / (radiance * _concentration(camera, pattern, k, far, options))
         )
-        at_limit = options.control_range_m
-        limits.append(
-            options.peak_grey * at_limit**2
-            / _concentration(camera, pattern, k, at_limit, options)
-        )  # fmt: skip
+        share = _concentration(camera, pattern, k, _CONTROL_RANGE_M, options)
+        limits.append(options.peak_grey * _CONTROL_RANGE_M**2 / share)
     return min(min(gains), min(limits)) if gains else 0.0
 
 
@@ -202,22 +190,9 @@ def _radiance(
         return 0.0
     if options.even_light:
         return 1.0
-    off_beam = math.acos(min(place[2] / far, 1.0)) / options.beam_half_power_rad
-    off_normal = math.acos(min(incidence, 1.0)) / options.return_half_power_rad
+    off_beam = math.acos(min(place[2] / far, 1.0)) / _BEAM_HALF_POWER_RAD
+    off_normal = math.acos(min(incidence, 1.0)) / _RETURN_HALF_POWER_RAD
     return float(0.5 ** (off_beam**2) * 0.5 ** (off_normal**2) / far**2)
-
-
-def _dark_share(
-    pattern: ReflectorPattern, k: int, pose: Pose, options: ReflectorFrameOptions
-) -> float:
-    """Share of a reflector's light at 780 nm; its glass may reflect both colours at one angle."""
-    if options.starring_rad is None:
-        return options.leak
-    place = pose.apply(pattern.positions_m[k])
-    normal = pose.rotation @ pattern.normals[k]
-    incidence = math.acos(min(max(-float(normal @ place / np.linalg.norm(place)), -1.0), 1.0))
-    off = (incidence - options.starring_rad) / options.starring_width_rad
-    return options.leak + (1.0 - options.leak) * math.exp(-0.5 * off * off)
 
 
 def paint_reflector(
@@ -299,9 +274,7 @@ def _paint_clutter(grey: Float32s, spots: Array, number: int) -> None:
 
 
 def _detect(grey: Float32s, options: ReflectorFrameOptions, rng: np.random.Generator) -> Grey:
-    """Shot noise, read noise, saturation, 8 bits."""
-    if options.electrons_per_grey is not None:
-        grey = with_shot_noise(grey, options.electrons_per_grey, rng)
+    """Read noise, saturation, 8 bits."""
     if options.noise_sigma_grey > 0.0:
         grey = grey + np.float32(options.noise_sigma_grey) * rng.standard_normal(
             grey.shape, dtype=np.float32

@@ -17,7 +17,7 @@ from rendezview.sensors.beacons import LitDark, ReflectorPattern, ReflectorSenso
 from rendezview.sensors.beacons.exposure import suggest_exposure
 from rendezview.sensors.beacons.match.acquisition import merged
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.simulate.approach import echo
+from rendezview_ground.simulate.ranger import echo
 from rendezview_ground.simulate.reflector_frames import (
     Float32s,
     ReflectorFrameOptions,

@@ -18,6 +18,7 @@ from numba import njit
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview_ground.render.directions import perpendicular
+from rendezview_ground.simulate.distortion import pixel_rays
 from rendezview_ground.simulate.sensor import SensorOptions, expose
 
 GreyImage = npt.NDArray[np.uint8]
@@ -173,14 +174,7 @@ def radiance(scene: RingScene) -> Float32s:
     """The picture before optics and detector, (H, W) grey levels."""
     camera = scene.camera
     table = np.array([_row(plate) for plate in scene.plates]).reshape(-1, 18)
-    if camera.is_distorted:
-        grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
-        rays = camera.rays(grid.reshape(-1, 2).astype(float))[:, :2]
-        rays = np.nan_to_num(rays.reshape(camera.height, camera.width, 2), nan=1e6)
-    else:
-        rays = np.empty((camera.height, camera.width, 2))
-        rays[..., 0] = (np.arange(camera.width) - camera.cx) / camera.fx
-        rays[..., 1] = ((np.arange(camera.height) - camera.cy) / camera.fy)[:, None]
+    rays = np.nan_to_num(np.ascontiguousarray(pixel_rays(camera)[..., :2]), nan=1e6)
     out = np.empty((camera.height, camera.width), np.float32)
     _paint(rays, table, scene.sky_grey, out)
     return out

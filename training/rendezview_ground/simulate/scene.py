@@ -18,9 +18,11 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.zbuffer import Float32s
+from rendezview_ground.limits import check
 from rendezview_ground.mesh.insulation import MOST_INSULATION, insulated
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate.background import (
+    GROUND_RATE_RAD_S,
     Earth,
     Stars,
     earth_radiance,
@@ -79,22 +81,12 @@ class SceneOptions:
     def __post_init__(self) -> None:
         if self.sky_frame not in ("target", "camera"):
             raise RendezviewError(f"sky_frame must be target or camera, not {self.sky_frame!r}")
-        if not 0.0 <= self.sun_phase_rad <= math.pi:
-            raise RendezviewError(f"sun_phase_rad must be 0 to π, not {self.sun_phase_rad}")
-        if self.sun_azimuth_rad is not None and not math.isfinite(self.sun_azimuth_rad):
-            raise RendezviewError(f"sun_azimuth_rad must be finite, not {self.sun_azimuth_rad}")
-        if not 0.0 <= self.sky_level_grey < 255.0:
-            raise RendezviewError(f"sky_level_grey must be 0 to 255, not {self.sky_level_grey}")
-        if not 0 <= self.dust <= _MOST_DUST:
-            raise RendezviewError(f"dust must be 0 to {_MOST_DUST} specks, not {self.dust}")
-        if not 0.0 <= self.mesh_error <= MOST_MESH_ERROR:
-            raise RendezviewError(
-                f"mesh_error must be 0 to {MOST_MESH_ERROR}, not {self.mesh_error}"
-            )
-        if not 0.0 <= self.insulation <= MOST_INSULATION:
-            raise RendezviewError(
-                f"insulation must be 0 to {MOST_INSULATION}, not {self.insulation}"
-            )
+        check(self, 0.0, math.pi, "sun_phase_rad")
+        check(self, -math.inf, math.inf, "sun_azimuth_rad")
+        check(self, 0.0, 254.0, "sky_level_grey")
+        check(self, 0, _MOST_DUST, "dust")
+        check(self, 0.0, MOST_MESH_ERROR, "mesh_error")
+        check(self, 0.0, MOST_INSULATION, "insulation")
         for name in ("sun_direction_sky", "earth_direction_sky"):
             value = getattr(self, name)
             if value is not None:
@@ -284,7 +276,7 @@ def _frame(
         if options.stars is not None:
             behind += star_radiance(camera, camera_from_sky, options.stars)
         if options.earth is not None and earth_camera is not None:
-            below = ground_rotation(options.earth_direction(), options.earth.turn_rad_s * time_s)
+            below = ground_rotation(options.earth_direction(), GROUND_RATE_RAD_S * time_s)
             ground, clear = earth_radiance(
                 camera, earth_camera, sun, options.earth, below @ camera_from_sky.T
             )

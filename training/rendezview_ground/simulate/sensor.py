@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
 from rendezview.geometry.zbuffer import Float32s
+from rendezview_ground.limits import POSITIVE, check
 
 UInt8s = npt.NDArray[np.uint8]
 
 _TARGET_GREY = 200.0  # grey level of the brightest tenth of the sunlit target
+_MOST_BLACK_GREY = 150.0  # leaves room below the target's. Source: by construction
 _SUNLIT_SHARE = 0.1  # of the brightest pixels; sunlit pixels are brighter
 _SUNLIT_RADIANCE = 0.03  # sunlit pixels are brighter; dark sides in ambient light are not
 _MOST_OVEREXPOSURE = 1000.0  # a dark side in ambient light saturates there too
@@ -36,23 +37,11 @@ class SensorOptions:
     electrons_per_grey: float | None = None  # photon (shot) noise; None: no shot noise
 
     def __post_init__(self) -> None:
-        for name in ("exposure", "electrons_per_grey"):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise RendezviewError(f"{name} must be positive, not {value}")
-        for name in ("blur_sigma_px", "noise_sigma_grey"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise RendezviewError(f"{name} must not be negative, not {value}")
-        if not 0.0 < self.overexposure <= _MOST_OVEREXPOSURE:
-            raise RendezviewError(
-                f"overexposure must be positive, at most {_MOST_OVEREXPOSURE:g}, "
-                f"not {self.overexposure}"
-            )
-        if not 0.0 <= self.bloom < 1.0:
-            raise RendezviewError(f"bloom must be at least 0 and less than 1, not {self.bloom}")
-        if not 0.0 <= self.black_level_grey < 255.0:
-            raise RendezviewError(f"black_level_grey must be 0 to 255, not {self.black_level_grey}")
+        check(self, POSITIVE, math.inf, "exposure", "electrons_per_grey")
+        check(self, 0.0, math.inf, "blur_sigma_px", "noise_sigma_grey")
+        check(self, POSITIVE, _MOST_OVEREXPOSURE, "overexposure")
+        check(self, 0.0, 0.99, "bloom")
+        check(self, 0.0, _MOST_BLACK_GREY, "black_level_grey")
 
 
 def automatic_exposure(
@@ -74,14 +63,6 @@ def automatic_exposure(
         return None
     bright = values[values > _SUNLIT_SHARE * np.percentile(values, 99.0)]
     return (_TARGET_GREY - black_level_grey) / float(np.percentile(bright, 95.0))
-
-
-def with_shot_noise(
-    grey: Float32s, electrons_per_grey: float, rng: np.random.Generator
-) -> Float32s:
-    """The picture with Poisson noise of its photo-electrons."""
-    electrons = np.maximum(grey, 0.0) * electrons_per_grey
-    return (rng.poisson(electrons) / electrons_per_grey).astype(np.float32)
 
 
 def with_aureole(signal: Float32s, share: float) -> Float32s:
@@ -129,7 +110,8 @@ def expose(
     if light is not None:
         grey = grey + light
     if options.electrons_per_grey is not None:
-        grey = with_shot_noise(grey, options.electrons_per_grey, rng)
+        electrons = rng.poisson(np.maximum(grey, 0.0) * options.electrons_per_grey)
+        grey = (electrons / options.electrons_per_grey).astype(np.float32)
     grey = grey + np.float32(options.black_level_grey)
     if options.noise_sigma_grey > 0.0:
         noise = rng.standard_normal(grey.shape, dtype=np.float32)

@@ -15,11 +15,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.zbuffer import Float32s, draw_perspective, empty_buffers
+from rendezview_ground.limits import POSITIVE, check
 from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.mesh.triangles import crosses
 from rendezview_ground.simulate.distortion import widened
 from rendezview_ground.simulate.lighting import shade_samples
 from rendezview_ground.simulate.shadows import ShadowMap, shadow_map
@@ -39,18 +40,10 @@ class ShadingOptions:
     shadow_texels_max: int = 2048  # per side of the shadow map; fewer for coarser samples
 
     def __post_init__(self) -> None:
-        if not 1 <= self.samples <= 8:
-            raise RendezviewError(f"samples must be 1 to 8 a pixel side, not {self.samples}")
-        if not 16 <= self.shadow_texels_max <= 8192:
-            raise RendezviewError(
-                f"shadow_texels_max must be 16 to 8192, not {self.shadow_texels_max}"
-            )
-        if not (math.isfinite(self.near_m) and self.near_m > 0.0):
-            raise RendezviewError(f"near_m must be positive, not {self.near_m}")
-        for name in ("specular", "shininess", "ambient", "earthshine"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise RendezviewError(f"{name} must not be negative, not {value}")
+        check(self, 1, 8, "samples")
+        check(self, 16, 8192, "shadow_texels_max")
+        check(self, POSITIVE, math.inf, "near_m")
+        check(self, 0.0, math.inf, "specular", "shininess", "ambient", "earthshine")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +126,7 @@ def _render_pinhole(
     draw_perspective(vertices, faces, fx, fy, cx, cy, options.near_m, nearness, owner)
 
     corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = crosses(corners)
     lengths = np.linalg.norm(normals, axis=1)
     normals /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
     away = np.einsum("fi,fi->f", normals, corners[:, 0]) > 0.0

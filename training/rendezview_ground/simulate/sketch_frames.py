@@ -22,7 +22,7 @@ from rendezview.sensors.appearance.model.sketches import COVER, MAPS
 from rendezview_ground.learn.views.sketch_maps import SAMPLES, facing_normals, sketch_maps
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.simulate.cloudy_skies import cloudy_sky
-from rendezview_ground.simulate.hard_light import HardLightOptions, photograph
+from rendezview_ground.simulate.hard_light import HardLightOptions, log_uniform, photograph
 from rendezview_ground.simulate.random_skies import random_sky
 from rendezview_ground.simulate.scene import sun_at_phase
 from rendezview_ground.simulate.shading import ShadingOptions, render
@@ -129,7 +129,7 @@ def _draw_anywhere(
     maps, normals = _maps_and_normals(samples, sphere[1])
     sun = sun_at_phase(centre_m, np.deg2rad(rng.uniform(0.0, 150.0)), rng.uniform(0.0, 2.0 * np.pi))
     gloss = float(rng.choice([0.0, 0.15, 0.6, 2.0]))
-    shininess = float(_log_uniform((4.0, 120.0), rng))
+    shininess = float(log_uniform((4.0, 120.0), rng))
     shading = ShadingOptions(
         samples=2, specular=gloss, shininess=shininess, ambient=0.0, earthshine=0.0,
         shadow_texels_max=1024,
@@ -148,11 +148,11 @@ def _view(
 ) -> tuple[Camera, Pose]:
     """Any attitude, anywhere in the picture, sometimes across its border."""
     centre_m, radius_m = sphere
-    focal = side_px * _log_uniform(_FOCAL_SIDES, rng)
+    focal = side_px * log_uniform(_FOCAL_SIDES, rng)
     middle = 0.5 * (side_px - 1)
     camera = Camera(width=side_px, height=side_px, fx=focal, fy=focal, cx=middle, cy=middle)
     sizes = _NEAR_RADIUS_PX if rng.random() < _NEAR_SHARE else _RADIUS_PX
-    radius_px = side_px / SIDE_PX * _log_uniform(sizes, rng)
+    radius_px = side_px / SIDE_PX * log_uniform(sizes, rng)
     room = max(0.5 * side_px - radius_px * rng.uniform(0.55, 1.0), 8.0)
     shift = rng.uniform(-1.0, 1.0, 2) * room / focal
     range_m = max(focal * radius_m / radius_px, _LEAST_RADII * radius_m)
@@ -261,7 +261,3 @@ def _turned(planes: np.ndarray, turns: int, mirrored: bool) -> np.ndarray:
     """(…, S, S) by quarter turns, then left for right."""
     turned = np.rot90(planes, turns, axes=(-2, -1))
     return np.ascontiguousarray(turned[..., ::-1] if mirrored else turned)
-
-
-def _log_uniform(bounds: tuple[float, float], rng: np.random.Generator) -> float:
-    return float(np.exp(rng.uniform(*np.log(bounds))))

@@ -7,6 +7,7 @@ points up in the picture unless a docstring states otherwise.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
+from rendezview_ground.limits import POSITIVE, check
 
 TrajectoryKind = Literal["circular", "spiral", "vbar", "flyaround", "tumble", "random", "stations"]
 TimedPose = tuple[float, Pose]
@@ -45,24 +47,15 @@ class TrajectoryOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.frames < 1:
-            raise RendezviewError(f"frames must be at least 1, not {self.frames}")
-        for name in ("dt_s", "start_range_m", "end_range_m"):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise RendezviewError(f"{name} must be positive, not {value}")
-        jitters = ("pointing_jitter_rad", "roll_jitter_rad")
-        for name in ("hops", "hop_ratio", "bearing_max_rad", "off_axis_max_rad", *jitters):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise RendezviewError(f"{name} must not be negative, not {value}")
-        for name in ("turn_rad", "inclination_rad"):
-            if not math.isfinite(getattr(self, name)):
-                raise RendezviewError(f"{name} must be finite, not {getattr(self, name)}")
-        for name in ("centre_m", "approach_axis", "body_rate_rad_s", "inertia"):
-            value = getattr(self, name)
-            if len(value) != 3 or not all(math.isfinite(v) for v in value):
-                raise RendezviewError(f"{name} must be three finite numbers, not {value}")
+        check(self, 1, math.inf, "frames")
+        check(self, POSITIVE, math.inf, "dt_s", "start_range_m", "end_range_m")
+        check(self, 0.0, math.inf, "hops", "hop_ratio", "pointing_jitter_rad", "roll_jitter_rad")
+        check(self, 0.0, math.radians(89.0), "bearing_max_rad", "off_axis_max_rad")
+        triples = ("centre_m", "approach_axis", "body_rate_rad_s", "inertia")
+        check(self, -math.inf, math.inf, "turn_rad", "inclination_rad", *triples)
+        for name in triples:
+            if len(getattr(self, name)) != 3:
+                raise RendezviewError(f"{name} must be three numbers, not {getattr(self, name)}")
         if not any(self.approach_axis):
             raise RendezviewError("approach_axis must not be zero")
         a, b, c = sorted(self.inertia)
@@ -71,14 +64,21 @@ class TrajectoryOptions:
                 f"inertia {self.inertia} belongs to no body: moments must be positive, and none "
                 "may exceed the sum of the other two"
             )
-        for name in ("bearing_max_rad", "off_axis_max_rad"):
-            if getattr(self, name) >= math.pi / 2:
-                raise RendezviewError(f"{name} must be below π/2, not {getattr(self, name)}")
 
     @property
     def last_range_m(self) -> float:
         """Range at the end, in metres."""
         return self.start_range_m if self.end_range_m is None else self.end_range_m
+
+
+def triple(values: Iterable[float]) -> Triple:
+    """Three numbers, such as those of an array (3,).
+
+    Raises:
+        ValueError: there are not three.
+    """
+    x, y, z = (float(value) for value in values)
+    return x, y, z
 
 
 def trajectory(kind: TrajectoryKind, options: TrajectoryOptions | None = None) -> list[TimedPose]:

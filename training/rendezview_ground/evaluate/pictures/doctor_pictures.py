@@ -23,6 +23,7 @@ from rendezview_ground.evaluate.pictures.palette import (
 from rendezview_ground.learn.options import TrainingOptions, ViewGeometry, view_geometry
 from rendezview_ground.learn.views.drawn_view import DrawnView, draw_view
 from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.mesh.triangles import crosses
 
 _SIDE_PX, _BORDER_PX = 560, 24.0  # of a view. Source: readable at half size
 _DIRECTIONS = np.array([[1.0, 0.6, 0.5], [-1.0, 0.7, 0.4], [-0.6, -1.0, 0.5], [0.7, -0.4, -1.0]])
@@ -73,8 +74,7 @@ def _draw(axes: Axes, diagnosis: Diagnosis, geometry: ViewGeometry, direction: A
 
 def _shaded(view: DrawnView, mesh: Mesh, far: npt.NDArray[np.bool_]) -> Array:
     """(size, size, 3): faces lit from the camera, with their own brightness."""
-    corner = view.vertices[view.faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal = crosses(view.vertices[view.faces])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     towards = np.abs(normal @ np.array([0.3, -0.35, -0.89]))
     albedo = np.sqrt(np.clip(mesh.face_albedo, 0.0, 1.0))

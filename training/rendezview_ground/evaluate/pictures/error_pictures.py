@@ -19,7 +19,7 @@ from rendezview_ground.evaluate.pictures.palette import (
     PURPLE,
     TRUTH,
     dress,
-    dress_legend,
+    legend_below,
     new_figure,
 )
 
@@ -48,8 +48,7 @@ def share_picture(evaluations: Mapping[str, Evaluation]) -> Figure:
             _share(axes, factor * evaluation.values(name), shown, words, colour, line)
         axes.set(xscale="log", xlim=shown, ylim=(0.0, 101.0))
         axes.axhline(50.0, color=MUTED, linewidth=0.8, linestyle=":")
-    handles, labels = grid[0].get_legend_handles_labels()
-    dress_legend(figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9.5))
+    legend_below(figure, grid[0])
     figure.suptitle(
         "Share of the frames with an error below …", color=INK, fontsize=12, x=0.01, ha="left"
     )

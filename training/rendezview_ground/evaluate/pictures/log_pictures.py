@@ -44,6 +44,7 @@ class Track:
 
     x: Array  # (N,) times or frame numbers
     x_label: str
+    places_m: Array  # (N, 3) of the camera, target frame
     distance_m: Array  # (N,) of the target's origin
     distance_sigma_m: Array  # (N,)
     turned_rad: Array  # (N,) attitude against the first pose
@@ -62,20 +63,21 @@ class Track:
         """From ``camera_from_target`` and covariances, at least 6 × 6, of every frame."""
         count = len(poses)
         distance, sigma, turned, turn_sigma = (np.full(count, np.nan) for _ in range(4))
+        places = np.full((count, 3), np.nan)
         first = next((pose for pose in poses if pose is not None), None)
         for k, (pose, given) in enumerate(zip(poses, covariances, strict=True)):
             if pose is None or first is None:
                 continue
+            places[k] = pose.inverse().translation_m
             distance[k] = np.linalg.norm(pose.translation_m)
-            cosine = 0.5 * (np.trace(first.rotation.T @ pose.rotation) - 1.0)
-            turned[k] = math.acos(min(1.0, max(-1.0, cosine)))
+            turned[k] = first.angle_to(pose)
             if given is not None and distance[k] > 0.0:
                 covariance = np.asarray(given, dtype=np.float64)
                 sight = pose.translation_m / distance[k]
                 sigma[k] = math.sqrt(max(0.0, sight @ covariance[3:6, 3:6] @ sight))
                 turn_sigma[k] = math.sqrt(max(0.0, np.trace(covariance[:3, :3]) / 3.0))
         return cls(
-            np.asarray(x, dtype=np.float64), x_label, distance, sigma, turned, turn_sigma,
+            np.asarray(x, dtype=np.float64), x_label, places, distance, sigma, turned, turn_sigma,
             tuple(statuses),
         )  # fmt: skip
 

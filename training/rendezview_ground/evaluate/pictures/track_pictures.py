@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
 from rendezview.geometry.pose import Array
+from rendezview.io.sequences import Frame
 from rendezview.sensors.appearance import AppearanceObservation
-from rendezview_ground.evaluate.evaluation import Evaluation
+from rendezview_ground.evaluate.evaluation import Evaluation, FrameResult
 from rendezview_ground.evaluate.pictures.palette import (
     ACTIVE,
     ESTIMATE,
@@ -46,6 +47,14 @@ _CURVES: tuple[tuple[str, tuple[tuple[str, str, float, str], ...]], ...] = (
 )
 
 
+def frame_axis(frames: Iterable[Frame | FrameResult]) -> tuple[Array, str]:
+    """(F,) times of frames if all have one, else their numbers; and the label of the axis."""
+    times = [(frame.time_s, frame.im_id) for frame in frames]
+    if all(time_s is not None for time_s, _ in times):
+        return np.array([time_s for time_s, _ in times]), "time, s"
+    return np.array([im_id for _, im_id in times]), "frame"
+
+
 def error_curves(evaluation: Evaluation, active_nodes: Sequence[int] | None = None) -> Figure:
     """Errors over the frames. Frames without a pose are gaps, marked by a band.
 
@@ -53,12 +62,7 @@ def error_curves(evaluation: Evaluation, active_nodes: Sequence[int] | None = No
         evaluation: of a sequence.
         active_nodes: number of active nodes in each frame of the evaluation.
     """
-    frames = evaluation.frames
-    times = [frame.time_s for frame in frames]
-    timed = all(time is not None for time in times)
-    x = np.array([time for time in times if time is not None] if timed else range(len(frames)))
-    if not timed:
-        x = np.array([frame.im_id for frame in frames])
+    x, x_label = frame_axis(evaluation.frames)
     missing = np.isnan(evaluation.values("rotation_rad"))
     panels = len(_CURVES) + (active_nodes is not None)
     figure = new_figure(9.6, 1.75 * panels + 0.6)
@@ -77,7 +81,7 @@ def error_curves(evaluation: Evaluation, active_nodes: Sequence[int] | None = No
     if active_nodes is not None:
         _node_bars(grid[-1], x, active_nodes)
         grid[-1].yaxis.get_major_locator().set_params(integer=True)
-    grid[-1].set_xlabel("time, s" if timed else "frame", color=MUTED, fontsize=10)
+    grid[-1].set_xlabel(x_label, color=MUTED, fontsize=10)
     _bands(list(grid), x, missing)
     return figure
 

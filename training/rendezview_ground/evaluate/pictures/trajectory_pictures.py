@@ -74,7 +74,7 @@ def path_picture(records: Sequence[dict[str, Any]], points_m: Array) -> Figure:
     return figure
 
 
-def rate_picture(records: Sequence[dict[str, Any]], x: Sequence[float], x_label: str) -> Figure:
+def rate_picture(records: Sequence[dict[str, Any]], x: Array, x_label: str) -> Figure:
     """Speed, spin and distance to the plan over time, with one σ where it is known."""
     figure = new_figure(9.6, 6.0)
     top, middle, below = figure.subplots(3, 1, sharex=True)

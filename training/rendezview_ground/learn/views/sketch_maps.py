@@ -25,6 +25,7 @@ from rendezview.sensors.appearance.model.sketches import (
 from rendezview_ground.learn.options import ViewGeometry
 from rendezview_ground.learn.views.drawn_view import draw_view
 from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.mesh.triangles import crosses
 from rendezview_ground.render.projection import SurfaceRenderer
 
 SAMPLES = 2  # a pixel side. Source: by construction
@@ -40,7 +41,7 @@ _BORDER_PX = 2.0  # px around the target in the picture. Source: by construction
 def facing_normals(vertices: Array, faces: Int32s) -> Float32s:
     """(F, 3) unit normals, turned towards the camera at the origin; winding is not reliable."""
     corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = crosses(corners)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
     normals[np.einsum("fi,fi->f", normals, corners[:, 0]) > 0.0] *= -1.0
     return normals.astype(np.float32)

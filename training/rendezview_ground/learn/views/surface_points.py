@@ -13,6 +13,7 @@ from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT, Surface
 from rendezview_ground.learn.options import TrainingOptions, ViewGeometry
 from rendezview_ground.learn.views.drawn_view import draw_view
 from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.mesh.triangles import random_points, twice_areas
 from rendezview_ground.render.crossings import face_normals
 from rendezview_ground.render.projection import SurfaceRenderer
 from rendezview_ground.render.shown_faces import bits_of
@@ -34,15 +35,11 @@ def candidate_points(
     """
     rng = np.random.default_rng([options.seed, _STREAM])
     corners = (mesh.vertices_m - geometry.centre_m)[mesh.faces]
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = twice_areas(corners)
     if mesh.face_trust is not None:
         area *= mesh.face_trust
-    count = _CANDIDATES * options.surface_points
-    face = rng.choice(len(area), count, p=area / area.sum()).astype(np.int32)
-    s, t = rng.random((2, count, 1))
-    s, t = np.where(s + t > 1.0, 1.0 - s, s), np.where(s + t > 1.0, 1.0 - t, t)
-    return a[face] + s * (b - a)[face] + t * (c - a)[face], face
+    points, face = random_points(corners, area, _CANDIDATES * options.surface_points, rng)
+    return points, face.astype(np.int32)
 
 
 def visible_points(
