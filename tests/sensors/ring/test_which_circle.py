@@ -72,6 +72,17 @@ def test_a_circle_that_a_range_hardly_fits_is_no_better_than_a_chance_one():
     assert "does not tell whether" in hardly.reason
 
 
+def test_a_range_that_is_wrong_does_not_outweigh_the_pattern_of_the_circles():
+    """A filter that is sure and 2 % off left a chance ellipse alone, which was given."""
+    axis = np.array([-0.2, 0.1, -1.0]) / math.sqrt(1.05)
+    shape = shape_of_circle(CAMERA, 0.98 * CENTRE_M, axis, RADIUS_M)
+    chance = RingEdge(Ellipse.from_shape(shape, 1e-3 * np.eye(5)), 1.6, 0.5, 50.0, 1, 0.05)
+    range_m = 0.98 * float(np.linalg.norm(CENTRE_M))
+    which = by_range([*edges(0.3), chance], range_m, 0.02, CIRCLES)
+    assert (which.rivals, which.doubtful) == ((), False)
+    assert np.linalg.norm(which.centre_m - CENTRE_M) < 0.002
+
+
 def test_the_pattern_of_known_circles_needs_no_range():
     for tilt in (0.02, 0.3, 0.6):
         which = which_circle(CAMERA, edges(tilt), Knowledge(RADIUS_M, CIRCLES))

@@ -37,8 +37,8 @@ Bools = npt.NDArray[np.bool_]
 RING = -1
 
 _RANGE_FLOOR = 0.003  # of the range; least σ of the point it is measured to. Source: a rim's depth
-# From the given range; beyond it an ellipse is none of the ring's. Source: ring-vehicle (0.1),
-# seed 22
+# From the given range; with nothing nearer, and no circles listed, there is no ring. Source:
+# ring-vehicle (0.1), seed 22
 _FARTHEST_SIGMAS = 3.0
 # Of −ln score: a long arc with companions is likelier the ring than a shadow. Source: the same
 _WORTH = 2.0
@@ -130,9 +130,9 @@ def which_circle(
         given = math.hypot(known.range_sigma_m / known.range_m, _RANGE_FLOOR)
         spread = np.hypot(given, own)
         off = (found.range_m / known.range_m - 1.0) / spread
-        if not (np.abs(off) < _FARTHEST_SIGMAS).any():
+        if not known.circles and not (np.abs(off) < _FARTHEST_SIGMAS).any():
             return Which(None, (), "no ellipse as large as the ring should be at that range")
-        cost += np.where(np.abs(off) < _FARTHEST_SIGMAS, odds_cost(off**2, spread), np.inf)
+        cost += odds_cost(off**2, spread)
         words = [f"the range of {known.range_m:.3f} ± {known.range_sigma_m:.3f} m"]
     elif known.memory is not None:
         words = ["the memory of the last frame", *words]
