@@ -123,8 +123,9 @@ def which_circle(
         return _by_score(camera, edges, known.radius_m)
     score = np.array([max(edge.score, 1e-3) for edge in edges])
     cost = -_WORTH * np.log(score / score.max())[found.edge]
-    cost += _cost_of_known(camera, edges, found, known)
-    own = np.array([_size_sigma(edge) for edge in edges])[found.edge]
+    share = np.array([_size_sigma(edge) for edge in edges])
+    own = share[found.edge]
+    cost += _cost_of_known(camera, edges, found, known, share)
     words = ["the pattern of the target's circles"] if known.circles else []
     if known.range_m is not None:
         given = math.hypot(known.range_sigma_m / known.range_m, _RANGE_FLOOR)
@@ -161,18 +162,19 @@ def _propose(
 
 
 def _cost_of_known(
-    camera: Camera, edges: Sequence[RingEdge], found: _Proposed, known: Knowledge
+    camera: Camera, edges: Sequence[RingEdge], found: _Proposed, known: Knowledge, share: Array
 ) -> Array:
     """(N,) cost of the target's other circles at each hypothesis: found, missed, or out of sight.
 
     What lies before or beside an edge moves its ellipse by far more than its σ now and then: with
     plain pictures and Mitsuba's the misfits are those of a Cauchy distribution.
+
+    ``share``: (K,) σ of the ellipses' sizes, as a share of them.
     """
     cost = np.zeros(len(found.edge))
     if not known.circles:
         return cost
     shapes = np.array([edge.ellipse.shape for edge in edges])
-    share = np.array([_size_sigma(edge) for edge in edges])
     for j, (height_m, circle_m) in known.every_circle:
         expected = shapes_of_circles(
             camera, found.centre_m + height_m * found.axis, found.axis, circle_m

@@ -196,8 +196,8 @@ class ViewModel:
         path = Path(path)
         header, arrays = read_container(path)
         faults = (KeyError, TypeError, ValueError, IndexError)
-        apart = f"{path}: the model does not hold together ("
-        with explained(apart, "); train it again", faults):
+        broken = f"{path}: the model does not hold together ("
+        with explained(broken, "); train it again", faults):
             return cls._of(header, arrays)
 
     def _stored(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
