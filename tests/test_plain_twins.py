@@ -87,21 +87,21 @@ def sunlight_of_a_craft(rng):
         slope = np.sqrt(1.0 - cosine**2) / cosine
     w += np.minimum(drawn._SHADOW_DEPTH_PX + drawn._SHADOW_REACH_PX * slope, drawn._SHADOW_MOST_PX)
     for k in range(60):
-        i, j = int(v[k] + 0.5), int(u[k] + 0.5)
-        share[k] = (depth[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2] < w[k]).mean()
+        i, j = np.clip([int(v[k] + 0.5), int(u[k] + 0.5)], 1, 30)  # whole squares of the map
+        share[k] = (depth[i - 1 : i + 2, j - 1 : j + 2] < w[k]).mean()
     return out, np.where(cosine > 0.0, albedo * cosine * share, 0.0)
 
 
 @TWINS.append
 def unexplained_light(rng):
-    levels, made = rng.normal(size=(2, 7, 5)).astype(np.float32)
-    seen = np.flatnonzero(rng.random(35) < 0.5)
-    cells = np.zeros((3, 2))  # of three pixels a side
-    drawn._unexplained(levels, made, seen, 0.7, 3, cells)
+    levels, made = rng.normal(size=(2, 7, 7)).astype(np.float32)
+    seen = np.flatnonzero(rng.random(49) < 0.5)
+    cells = np.zeros(9)  # of three pixels a side
+    drawn._unexplained(levels, made, seen, drawn._cells_of(seen, 7, 9.0), 0.7, cells)
     square = ((levels.astype(float) - made) / 0.7) ** 2
-    left, plain = np.zeros((9, 6)), square / (1.0 + square)
-    left[np.divmod(seen, 5)] = plain.ravel()[seen]
-    return cells, left.reshape(3, 3, 2, 3).sum(axis=(1, 3))
+    left, plain = np.zeros((9, 9)), square / (1.0 + square)
+    left[np.divmod(seen, 7)] = plain.ravel()[seen]
+    return cells, left.reshape(3, 3, 3, 3).sum(axis=(1, 3)).ravel()
 
 
 @TWINS.append

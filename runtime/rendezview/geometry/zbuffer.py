@@ -31,18 +31,18 @@ def fill_triangle(
     w2: float, face: int, nearness: Float32s, owner: Int32s,
 ) -> None:  # fmt: skip
     """Draw one triangle where its ``w`` > 0, linear over the plane, exceeds ``nearness``."""
+    height, width = nearness.shape
+    first_row = math.ceil(max(0.0, min(y0, y1, y2)))
+    last_row = math.ceil(min(float(height), max(y0, y1, y2))) - 1
+    # Most triangles of a fine mesh lie between the rows or columns of samples.
+    if first_row > last_row or math.ceil(min(x0, x1, x2)) > max(x0, x1, x2):
+        return
     if y1 < y0:
         x0, y0, w0, x1, y1, w1 = x1, y1, w1, x0, y0, w0
     if y2 < y0:
         x0, y0, w0, x2, y2, w2 = x2, y2, w2, x0, y0, w0
     if y2 < y1:
         x1, y1, w1, x2, y2, w2 = x2, y2, w2, x1, y1, w1
-    height, width = nearness.shape
-    first_row = math.ceil(max(0.0, y0))
-    last_row = math.ceil(min(float(height), y2)) - 1
-    # Most triangles of a fine mesh lie between the rows or columns of samples.
-    if first_row > last_row or math.ceil(min(x0, x1, x2)) > max(x0, x1, x2):
-        return
     area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
     if abs(area) < 1e-12:
         return
@@ -79,38 +79,35 @@ def draw_perspective(
     1/z is linear in the picture, so depth is perspective-correct. ``fx`` to ``cy`` are intrinsics
     of the sample plane.
     """
-    corner = np.empty((3, 3))
+    placed = np.empty((vertices.shape[0], 3))
+    for v in range(vertices.shape[0]):
+        inverse = 1.0 / vertices[v, 2] if vertices[v, 2] >= near else 0.0
+        placed[v, 0] = fx * vertices[v, 0] * inverse + cx
+        placed[v, 1] = fy * vertices[v, 1] * inverse + cy
+        placed[v, 2] = inverse
     polygon = np.empty((4, 3))
     for face in range(faces.shape[0]):
-        in_front = 0
+        in_front, count = 0, 0
         for k in range(3):
-            for axis in range(3):
-                corner[k, axis] = vertices[faces[face, k], axis]
-            if corner[k, 2] >= near:
+            if placed[faces[face, k], 2] > 0.0:
                 in_front += 1
         if in_front == 0:
             continue
         # Sutherland–Hodgman clipping at one plane: three or four corners remain.
-        count = 0
         for k in range(3):
-            following = (k + 1) % 3
-            za, zb = corner[k, 2], corner[following, 2]
-            if za >= near:
+            a, b = faces[face, k], faces[face, (k + 1) % 3]
+            if placed[a, 2] > 0.0:
                 for axis in range(3):  # not the row at once: numba compiles that for two seconds
-                    polygon[count, axis] = corner[k, axis]
+                    polygon[count, axis] = placed[a, axis]
                 count += 1
-            if (za >= near) != (zb >= near):
-                share = (near - za) / (zb - za)
-                for axis in range(2):
-                    ahead = corner[following, axis] - corner[k, axis]
-                    polygon[count, axis] = corner[k, axis] + share * ahead
-                polygon[count, 2] = near
+            if in_front < 3 and (placed[a, 2] > 0.0) != (placed[b, 2] > 0.0):
+                share = (near - vertices[a, 2]) / (vertices[b, 2] - vertices[a, 2])
+                x = vertices[a, 0] + share * (vertices[b, 0] - vertices[a, 0])
+                y = vertices[a, 1] + share * (vertices[b, 1] - vertices[a, 1])
+                inverse = 1.0 / near
+                polygon[count, 0], polygon[count, 1] = fx * x * inverse + cx, fy * y * inverse + cy
+                polygon[count, 2] = inverse
                 count += 1
-        for k in range(count):
-            inverse = 1.0 / polygon[k, 2]
-            polygon[k, 0] = fx * polygon[k, 0] * inverse + cx
-            polygon[k, 1] = fy * polygon[k, 1] * inverse + cy
-            polygon[k, 2] = inverse
         for k in range(1, count - 1):
             fill_triangle(
                 polygon[0, 0], polygon[0, 1], polygon[0, 2],

@@ -30,10 +30,10 @@ def test_each_direction_gets_its_weighted_plane_of_brightness() -> None:
     seen = matt + rng.normal(0.0, 5.0, 700) + facets * (where % SIDE) / 10.0
     seen[::25] = 0.0  # a shadow that the matt model does not have
     levels = matt.copy()
-    add_gloss(where, SIDE, facets, sunlit, seen, 8.0, 6.0, levels)
+    at = np.stack([np.ones(700), 2 * (where % SIDE) / SIDE - 1, 2 * (where // SIDE) / SIDE - 1])
+    add_gloss(at[1:].T.copy(), facets, sunlit, seen, 8.0, 6.0, levels)
 
     expected = matt.copy()
-    at = np.stack([np.ones(700), 2 * (where % SIDE) / SIDE - 1, 2 * (where // SIDE) / SIDE - 1])
     prior = 6.0 * np.diag([1.0, 0.1, 0.1])
     for k in range(4):
         here = (facets == k) & (sunlit > 0.0)
@@ -50,7 +50,7 @@ def test_each_direction_gets_its_weighted_plane_of_brightness() -> None:
 def test_levels_stay_above_black() -> None:
     levels = np.full(50, 10.0)
     add_gloss(
-        np.arange(50), SIDE, np.zeros(50, np.intp), np.ones(50), np.full(50, -60.0), 200.0, 1.0,
+        np.zeros((50, 2)), np.zeros(50, np.intp), np.ones(50), np.full(50, -60.0), 200.0, 1.0,
         levels,
     )  # fmt: skip
     np.testing.assert_array_equal(levels, 0.0)

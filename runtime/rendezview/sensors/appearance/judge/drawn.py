@@ -32,6 +32,7 @@ from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.sky import Sky
 
 Float32s = npt.NDArray[np.float32]
+Indices = npt.NDArray[np.intp]
 
 # Of the target as it is drawn, at most. Source: of 192 Mitsuba frames of eight craft 60 px leave
 # 158 right, 9 wrong; 120 px 160, 7
@@ -81,7 +82,7 @@ _HEMISPHERE = _evenly(_SUNS)
 class Explained:
     """What a pose leaves unexplained of a frame."""
 
-    cells: Array  # (h, w) what it leaves of each independent cell of the window, 0 … 1
+    cells: Array  # (K,) what it leaves of each independent cell of the window, 0 … 1
     picture: Float32s  # (H, W) the levels that it predicts
     sun_camera: Array  # (3,) unit, towards the Sun that fits best
 
@@ -103,7 +104,9 @@ class Window:
     tolerance_grey: float
     cell_px: float  # pixels of an independent cell
     sky: Float32s  # (H, W) levels as they are expected beside the craft
-    seen: npt.NDArray[np.intp]  # (M,) pixels that are compared
+    seen: Indices  # (M,) pixels that are compared
+    cells: Indices  # (M,) the cell of each
+    blurred: tuple[slice, slice]  # rows and columns that blur may bring to them
 
     def beside(self, drawn: list[Drawn]) -> Window:
         """The same for poses that are compared: where one of them has the craft.
@@ -119,7 +122,11 @@ class Window:
         weight = cv2.GaussianBlur(free, *size)
         blurred = cv2.GaussianBlur(free * self.levels, *size) / np.maximum(weight, 1e-6)
         sky = np.where(weight > 1e-3, blurred, 0.0).astype(np.float32)
-        return replace(self, sky=sky, seen=np.flatnonzero(near.ravel()))
+        seen = np.flatnonzero(near.ravel())
+        cells = _cells_of(seen, len(near), self.cell_px)
+        left, top, width, height = cv2.boundingRect(near)
+        part = _reached(top, height), _reached(left, width)
+        return replace(self, sky=sky, seen=seen, cells=cells, blurred=part)
 
 
 class DrawnEvidence:
@@ -161,7 +168,9 @@ class DrawnEvidence:
         tolerance = TOLERANCE * max(bright, 0.0) + sky.noise_grey
         cell_px = (radius_px / times / _CELLS_ACROSS) ** 2
         nothing, all_of_it = np.zeros_like(levels), np.arange(levels.size)
-        return Window(levels, fx, fy, cx, cy, tolerance, cell_px, nothing, all_of_it)
+        cells = _cells_of(all_of_it, len(levels), cell_px)
+        whole = slice(None), slice(None)
+        return Window(levels, fx, fy, cx, cy, tolerance, cell_px, nothing, all_of_it, cells, whole)
 
     def _undistorted(
         self, image: Picture, side: int, intrinsics: tuple[float, ...], times: float, black: float
@@ -206,7 +215,8 @@ class DrawnEvidence:
                     points, normals)  # fmt: skip
         faces = owner.ravel()[where]
         albedo, facets = self._albedo[faces], self._facets[faces]
-        return Drawn(self, window, pose, where, points, normals, albedo, facets)
+        places = 2.0 * np.stack(np.divmod(where, len(owner))[::-1], axis=1) / len(owner) - 1.0
+        return Drawn(self, window, pose, where, places, points, normals, albedo, facets)
 
     def _geometry(
         self, pose: Pose, shape: tuple[int, ...], fx: float, fy: float, cx: float, cy: float
@@ -236,11 +246,12 @@ class Drawn:
     evidence: DrawnEvidence
     window: Window
     pose: Pose
-    where: npt.NDArray[np.intp]  # (N,) pixels of the window
+    where: Indices  # (N,) pixels of the window
+    places: Array  # (N, 2) columns and rows from its middle, in halves of a side
     points: Array  # (N, 3) m from the view centre, target axes
     normals: Array  # (N, 3) towards the camera
     albedo: Array  # (N,)
-    facets: npt.NDArray[np.intp]  # (N,) their directions, of the sphere of gloss
+    facets: Indices  # (N,) their directions, of the sphere of gloss
 
     def under(self, sun_camera: Array) -> Explained:
         """What stays unexplained under a Sun (3,)."""
@@ -252,14 +263,14 @@ class Drawn:
         )
         light_strengths(some, lit, albedo, window.tolerance_grey, strengths, _ROUNDS)
         levels = strengths[0] * sunlit + strengths[1] * self.albedo
-        width, tolerance = window.levels.shape[1], window.tolerance_grey
-        add_gloss(self.where, width, self.facets, sunlit, seen, tolerance, window.cell_px, levels)
+        tolerance = window.tolerance_grey
+        add_gloss(self.places, self.facets, sunlit, seen, tolerance, window.cell_px, levels)
         drawn = window.sky.copy()
         drawn.ravel()[self.where] = levels
-        drawn = np.asarray(cv2.GaussianBlur(drawn, (0, 0), _DRAWN_BLUR_PX))
-        side = max(1, round(math.sqrt(window.cell_px)))
-        cells = np.zeros([math.ceil(length / side) for length in drawn.shape])
-        _unexplained(window.levels, drawn, window.seen, window.tolerance_grey, side, cells)
+        part = drawn[window.blurred]
+        part[:] = cv2.GaussianBlur(part, (0, 0), _DRAWN_BLUR_PX)
+        cells = np.zeros(int(window.cells.max(initial=0)) + 1)
+        _unexplained(window.levels, drawn, window.seen, window.cells, tolerance, cells)
         return Explained(cells / window.cell_px, drawn, sun_camera)
 
     def under_best_sun(self, seen: Explained, *, near: bool = False) -> Explained:
@@ -302,17 +313,29 @@ def _beside(sun: Array, angle_rad: float) -> Array:
     return np.asarray(math.cos(angle_rad) * sun + math.sin(angle_rad) * (across @ ring).T)
 
 
+def _reached(start: int, length: int) -> slice:
+    """Pixels from which blur reaches some in a row."""
+    margin = math.ceil(5.0 * _DRAWN_BLUR_PX)
+    return slice(max(start - margin, 0), start + length + margin)
+
+
+def _cells_of(pixels: Indices, side: int, cell_px: float) -> Indices:
+    """(M,) the cell of each pixel of a square picture, counted by rows."""
+    across = max(1, round(math.sqrt(cell_px)))
+    row, column = np.divmod(pixels, side)
+    return np.asarray(row // across * math.ceil(side / across) + column // across)
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _unexplained(
-    levels: Float32s, drawn: Float32s, seen: npt.NDArray[np.intp], tolerance: float, side: int,
+    levels: Float32s, drawn: Float32s, seen: Indices, cells_of: Indices, tolerance: float,
     cells: Array,
 ) -> None:  # fmt: skip
-    """Add r² / (1 + r²) of some pixels (Geman and McClure 1987) to their cells (h, w)."""
-    width = levels.shape[1]
+    """Add r² / (1 + r²) of some pixels (Geman and McClure 1987) to their cells (K,)."""
+    levels, drawn = levels.ravel(), drawn.ravel()
     for k in range(len(seen)):
-        y, x = seen[k] // width, seen[k] % width
-        r = (levels[y, x] - drawn[y, x]) / tolerance
-        cells[y // side, x // side] += r * r / (1.0 + r * r)
+        r = (levels[seen[k]] - drawn[seen[k]]) / tolerance
+        cells[cells_of[k]] += r * r / (1.0 + r * r)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
@@ -346,22 +369,22 @@ def _sunlit(
     depth: Float32s, out: Array,
 ) -> None:  # fmt: skip
     """Fill ``out`` (N,): albedo times the cosine to the Sun, 0 in shadow; see ``shadow_map``."""
-    size = depth.shape[0]
+    size, axes = depth.shape[0], scale * tilt
     for k in range(len(out)):
         out[k] = 0.0
         cosine = normals[k, 0] * sun[0] + normals[k, 1] * sun[1] + normals[k, 2] * sun[2]
         if cosine <= 0.0:
             continue
-        p0, p1, p2 = points[k, 0] * scale, points[k, 1] * scale, points[k, 2] * scale
-        u = tilt[0, 0] * p0 + tilt[0, 1] * p1 + tilt[0, 2] * p2 + 0.5 * size
-        v = tilt[1, 0] * p0 + tilt[1, 1] * p1 + tilt[1, 2] * p2 + 0.5 * size
-        w = tilt[2, 0] * p0 + tilt[2, 1] * p1 + tilt[2, 2] * p2 + 1.5 * size
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        u = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z + 0.5 * size
+        v = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z + 0.5 * size
+        w = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z + 1.5 * size
         slope = np.sqrt(max(1.0 - cosine * cosine, 0.0)) / cosine
         w += min(_SHADOW_DEPTH_PX + _SHADOW_REACH_PX * slope, _SHADOW_MOST_PX)
-        i0, j0 = int(v + 0.5), int(u + 0.5)
-        near, bright = 0, 0
-        for i in range(max(i0 - 1, 0), min(i0 + 2, size)):
-            for j in range(max(j0 - 1, 0), min(j0 + 2, size)):
-                near += 1
+        # All of the target lies four pixels within the map.
+        i0, j0 = min(max(int(v + 0.5), 1), size - 2), min(max(int(u + 0.5), 1), size - 2)
+        bright = 0
+        for i in range(i0 - 1, i0 + 2):
+            for j in range(j0 - 1, j0 + 2):
                 bright += depth[i, j] < w
-        out[k] = albedo[k] * cosine * bright / max(near, 1)
+        out[k] = albedo[k] * cosine * bright / 9.0

@@ -27,14 +27,13 @@ Indices = npt.NDArray[np.intp]
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def add_gloss(
-    where: Indices, width: int, facets: Indices, sunlit: Array, seen: Array, tolerance: float,
-    cell_px: float, levels: Array,
+    places: Array, facets: Indices, sunlit: Array, seen: Array, tolerance: float, cell_px: float,
+    levels: Array,
 ) -> None:  # fmt: skip
     """Add to the sunlit pixels of ``levels`` (N,) what a field of each direction explains.
 
     Args:
-        where: (N,) pixels of a square picture.
-        width: of it.
+        places: (N, 2) columns and rows from the middle of the picture, in halves of a side.
         facets: (N,) numbers of the directions.
         sunlit: (N,) 0 in shadow.
         seen: (N,) grey levels.
@@ -44,46 +43,41 @@ def add_gloss(
     """
     count = facets.max() + 1
     fields, normal, right = np.zeros((count, 3)), np.empty((count, 3, 3)), np.empty((count, 3))
-    lower, at = np.empty((3, 3)), np.ones(3)
+    lower, lit = np.empty((3, 3)), np.flatnonzero(sunlit > 0.0)
     for step in range(_ROUNDS):
-        _sums(where, width, facets, sunlit, seen - levels, tolerance, fields, step, normal, right)
+        _sums(places, facets, lit, seen, levels, tolerance, fields, step, normal, right)
         for k in range(count):
-            for i in range(3):
-                normal[k, i, i] += _MATT_CELLS * cell_px * (1.0 if i == 0 else _LEVEL_SHARE)
-            solve(normal[k], right[k], lower, fields[k])
-    for n in range(len(levels)):
-        if sunlit[n] > 0.0:
-            _place(where[n], width, at)
-            field = fields[facets[n]]
-            more = field[0] + field[1] * at[1] + field[2] * at[2]
-            levels[n] = max(levels[n] + more, 0.0)
+            if normal[k, 0, 0] > 0.0:
+                for i in range(3):
+                    normal[k, i, i] += _MATT_CELLS * cell_px * (1.0 if i == 0 else _LEVEL_SHARE)
+                solve(normal[k], right[k], lower, fields[k])
+    for n in lit:
+        k = facets[n]
+        more = fields[k, 0] + fields[k, 1] * places[n, 0] + fields[k, 2] * places[n, 1]
+        levels[n] = max(levels[n] + more, 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _sums(
-    where: Indices, width: int, facets: Indices, sunlit: Array, rest: Array, tolerance: float,
+    places: Array, facets: Indices, lit: Indices, seen: Array, levels: Array, tolerance: float,
     fields: Array, step: int, normal: Array, right: Array,
 ) -> None:  # fmt: skip
     """Normal equations (K, 3, 3), (K, 3) of all fields; those before give the weights."""
     normal[:] = 0.0
     right[:] = 0.0
-    at = np.ones(3)
-    for n in range(len(where)):
-        if sunlit[n] <= 0.0:
-            continue
-        k, weight = facets[n], 1.0
-        _place(where[n], width, at)
+    for n in lit:
+        k, x, y, rest, weight = facets[n], places[n, 0], places[n, 1], seen[n] - levels[n], 1.0
         if step > 0:  # Geman and McClure 1987
-            r = rest[n] - fields[k, 0] - fields[k, 1] * at[1] - fields[k, 2] * at[2]
-            weight = 1.0 / (1.0 + (r / tolerance) ** 2) ** 2
-        for i in range(3):
-            right[k, i] += weight * at[i] * rest[n]
-            for j in range(i + 1):
-                normal[k, i, j] += weight * at[i] * at[j]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
-def _place(pixel: int, width: int, at: Array) -> None:
-    """Fill ``at[1:]`` with column and row from the middle, in halves of a side."""
-    at[1] = 2.0 * (pixel % width) / width - 1.0
-    at[2] = 2.0 * (pixel // width) / width - 1.0
+            r = (rest - fields[k, 0] - fields[k, 1] * x - fields[k, 2] * y) / tolerance
+            weight = 1.0 / (1.0 + r * r)
+            weight *= weight
+        wx, wy, wr = weight * x, weight * y, weight * rest
+        normal[k, 0, 0] += weight
+        normal[k, 1, 0] += wx
+        normal[k, 1, 1] += wx * x
+        normal[k, 2, 0] += wy
+        normal[k, 2, 1] += wy * x
+        normal[k, 2, 2] += wy * y
+        right[k, 0] += wr
+        right[k, 1] += wr * x
+        right[k, 2] += wr * y

@@ -154,8 +154,8 @@ class Rivals:
             if k != best and apart[k] <= RIVAL_RAD:
                 turned = self._evidence.drawn(drawn[best].window, there)
             if turned is not None:
-                suns = (explained[best].sun_camera, explained[k].sun_camera)
-                explained[k] = min([explained[k], *map(turned.under, suns)], key=cost_of)
+                suns = [explained[best].sun_camera, explained[k].sun_camera]
+                explained[k] = min([explained[k], *map(turned.under, _unlike(suns))], key=cost_of)
         return explained
 
     def weigh_coarse(self, image: Picture, sky: Sky, pose: Pose) -> list[Hypothesis]:
@@ -189,9 +189,17 @@ def _under_best_suns(
             explained[k] = drawn[k].under_best_sun(min(explained[k], there, key=cost_of), near=True)
     others = [explained[k].sun_camera for k in order]
     return [
-        min([seen, *map(one.under, others)], key=cost_of)
+        min([seen, *map(one.under, _unlike(others, seen.sun_camera))], key=cost_of)
         for one, seen in zip(drawn, explained, strict=True)
     ]
+
+
+def _unlike(suns: list[Array], known: Array | None = None) -> list[Array]:
+    """Each Sun once, without the one that is known."""
+    each = {sun.tobytes(): sun for sun in suns}
+    if known is not None:
+        each.pop(known.tobytes(), None)
+    return list(each.values())
 
 
 def line_scores(on_sketch: Array) -> Array:
