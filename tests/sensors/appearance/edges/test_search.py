@@ -90,6 +90,22 @@ def test_starts_whose_edges_are_not_found_are_not_refined(
     assert refined(truth.rotation[None], 0.6) == pytest.approx([0.0], abs=np.deg2rad(0.5))
 
 
+def test_a_start_that_may_be_given_up_is_aligned_as_well_as_any_other(
+    refining_model, bumpy_mesh, camera, draw, truth
+):
+    """The stage after which poses are given up has measured the edges on which light is fitted."""
+    refiner, frame = Refiner(refining_model, camera), draw(bumpy_mesh, truth, camera)
+    rng, sky = np.random.default_rng(0), Sky.of(frame)
+    for _ in range(8):
+        turn = Rotation.from_rotvec(np.deg2rad(0.5) * rng.normal(size=3)).as_matrix()
+        start = Pose(turn @ truth.rotation, truth.translation_m * (1.0 + 0.003 * rng.normal()))
+        ours, plain = (
+            refiner.refine(frame, sky, start, closely=True, least=least) for least in (0.05, 0.0)
+        )
+        assert ours.light == pytest.approx(plain.light, abs=0.02)
+        assert ours.pose.angle_to(plain.pose) < np.deg2rad(0.02)
+
+
 @pytest.mark.parametrize("how", [{}, {"give_up": 0.5}])
 def test_beside_a_sketch_right_poses_are_found_as_without_and_others_given_up(
     refining_model, bumpy_mesh, camera, draw, truth, how

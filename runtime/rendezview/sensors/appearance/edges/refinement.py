@@ -180,8 +180,7 @@ class Refiner:
             stages = np.repeat(stages, 2, axis=0)
         if least > 0.0 and self.articulation is None:
             edges = np.zeros((self._rows, COLUMNS))
-            first, stages = stages[:COARSE_STAGES], stages[COARSE_STAGES:]
-            frame = sky.vector
+            first, frame = stages[:COARSE_STAGES], sky.vector  # and again below: light is fitted
             light = align(image, self._lens, frame, first, self.views, rotation, centre, edges)
             if light == DIVERGED or self._ratio(image, sky, rotation, centre, LOOSE_PX) < least:
                 return None
