@@ -17,6 +17,6 @@ def test_the_light_is_that_of_what_is_lit_where_white_parts_lie_in_shadow(shadow
     dark = (albedo > 0.5) & (rng.random(count) < 2.0 * shadowed)
     levels = albedo * (250.0 * np.where(dark, 0.0, facing) + 10.0) + rng.normal(0.0, 3.0, count)
     strengths = np.empty(2)
-    cost = light_strengths(levels, albedo * facing, albedo, 15.0, strengths, ROUNDS)
+    cost = light_strengths(levels, albedo * facing, albedo, 15.0, np.inf, strengths, ROUNDS, False)
     assert strengths[0] == pytest.approx(250.0, rel=0.05)
     assert cost / count == pytest.approx(np.mean(dark), abs=0.08)

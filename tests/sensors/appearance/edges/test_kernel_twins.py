@@ -278,7 +278,7 @@ def test_the_light_is_that_of_reweighted_least_squares():
     levels = 180.0 * lit + 20.0 * albedo + rng.normal(0.0, 6.0, 200)
     levels[:30] = 0.0
     strengths = np.empty(2)
-    cost = light_strengths(levels, lit, albedo, 15.0, strengths, ROUNDS)
+    cost = light_strengths(levels, lit, albedo, 15.0, np.inf, strengths, ROUNDS, False)
     x = np.stack([lit, albedo], axis=1)
     weight, fitted = np.maximum(levels, 0.0), np.zeros(2)
     for _ in range(3):

@@ -174,7 +174,9 @@ def test_shading_is_the_correlation_under_the_best_sun_of_three_levels(dark, kno
             possible &= suns @ middle >= near
         for s in np.flatnonzero(possible[:count]):
             lit = body.brightness(of, normals, int(s), suns[s])
-            cost = light_strengths(some, lit, albedo, 0.4 * bright_level + 2.0, strengths, ROUNDS)
+            cost = light_strengths(
+                some, lit, albedo, 0.4 * bright_level + 2.0, np.inf, strengths, ROUNDS, False
+            )
             if cost < best:
                 best, node, light = cost, int(s), strengths.copy()
     bright = light[0] * body.brightness(which, facing, node, suns[node])

@@ -121,10 +121,10 @@ def test_a_small_part_of_a_craft_with_long_wings_tells_its_ends_apart(
     assert all(one is not None for one in drawn)
     window = window.beside(drawn)
     right, turned = (dataclasses.replace(one, window=window).under(SUN).cost for one in drawn)
-    assert turned > 2.0 * right  # 1.3 where the craft is drawn half as large
+    assert turned > 1.5 * right  # 1.06 where the craft is drawn half as large, probability 0.64
     weighed = Rivals(model, camera).weigh(frame, Sky.of(frame), under([other, pose]), np.ones(2))
     assert weighed[0].pose is pose
-    assert weighed[0].probability > 0.9
+    assert weighed[0].probability > 0.95
 
 
 def test_a_look_alike_that_edges_have_moved_is_drawn_in_its_place_too(

@@ -39,6 +39,8 @@ _COARSELY = 3
 TOLERANCE = 0.1
 # Of the levels: that of the bright samples. Source: by hand, seeds of docs/notes/refinement.md
 BRIGHT_PERCENTILE = 80
+# Grey levels: from there on, a level says that a surface is at least so bright. Source: of 8 bits
+WHITE_GREY = 254.0
 # Least cosine between the Sun and the direction to the camera. Source: by construction, phase
 # angles to 107°
 BEHIND = -0.3
@@ -93,7 +95,9 @@ def fit_light(
     if known:
         copy_into(frame[3:6], sun)
     strengths = np.empty(2)
-    cost = search_sun(levels, which, normals, palette, away, tolerance, known, strengths, sun)
+    cost = search_sun(
+        levels, which, normals, palette, away, tolerance, WHITE_GREY - black, known, strengths, sun
+    )
     for e in range(1, len(shade)):
         n = normals[e]
         facing = max(0.0, n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
@@ -160,7 +164,7 @@ def facing_normals(palette: npt.NDArray[np.float32], rotation: Array, away: Arra
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_sun(
     levels: Array, which: npt.NDArray[np.int64], normals: Array,
-    palette: npt.NDArray[np.float32], away: Array, tolerance: float, known: bool,
+    palette: npt.NDArray[np.float32], away: Array, tolerance: float, white: float, known: bool,
     strengths: Array, sun: Array,
 ) -> float:  # fmt: skip
     """The direction of the Sun that explains the levels best, into ``sun`` (3,); its misfit.
@@ -203,7 +207,7 @@ def search_sun(
                 tried[2] = ahead * z + c * axes[0, 2] + s * axes[1, 2]
             cost = _misfit(
                 some if step == -2 else levels, of if step == -2 else which, normals, palette,
-                tried, tolerance, found,
+                tried, tolerance, white, found,
             )  # fmt: skip
             if cost < best:
                 best = cost
@@ -226,7 +230,8 @@ def _across_into(sun: Array, axes: Array) -> None:
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _misfit(
     levels: Array, which: npt.NDArray[np.int64], normals: Array,
-    palette: npt.NDArray[np.float32], sun: Array, tolerance: float, strengths: Array,
+    palette: npt.NDArray[np.float32], sun: Array, tolerance: float, white: float,
+    strengths: Array,
 ) -> float:  # fmt: skip
     """Robust misfit of one Sun, by kinds; see ``light_strengths``."""
     kinds = normals.shape[0]
@@ -238,18 +243,14 @@ def _misfit(
     for i in range(len(levels)):
         sunlit[i], albedo[i] = facing[which[i]], palette[which[i], 3]
     rounds = int(np.int64(ROUNDS))  # as a literal, numba would compile a copy for it
-    return light_strengths(levels, sunlit, albedo, tolerance, strengths, rounds)
+    return light_strengths(levels, sunlit, albedo, tolerance, white, strengths, rounds, False)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def light_strengths(
-    levels: Array,
-    sunlit: Array,
-    albedo: Array,
-    tolerance: float,
-    strengths: Array,
-    rounds: int,
-) -> float:
+    levels: Array, sunlit: Array, albedo: Array, tolerance: float, white: float,
+    strengths: Array, rounds: int, sun_alone: bool,
+) -> float:  # fmt: skip
     """Robust misfit of the best strengths (2,) of one Sun and of the light all around.
 
     It starts from the bright samples: shadows only darken.
@@ -259,8 +260,12 @@ def light_strengths(
         lit: (N,) albedo times the cosine to the Sun, 0 where it does not reach.
         albedo: (N,).
         tolerance: grey levels beyond which a level is an outlier.
+        white: grey levels above black; from there on a level is a lower bound, as of an
+            overexposed surface (Tobin 1958).
         strengths: (2,) gets the grey levels of albedo 1 in full sun, and around.
         rounds: of weighted least squares.
+        sun_alone: start without the light all around; its fit has two optima where one face fills
+            the picture: that face lit by both, and its shadow an outlier, or the Sun alone.
     """
     a, b = 0.0, 0.0
     inverse = 1.0 / (tolerance * tolerance)
@@ -272,6 +277,8 @@ def light_strengths(
             weight = max(0.0, levels[i])  # at first
             if step > 0:
                 r = levels[i] - a * x - b * y
+                if r < 0.0 and levels[i] >= white:
+                    continue
                 weight = 1.0 / (1.0 + r * r * inverse)
                 cost += 1.0 - weight
                 weight *= weight
@@ -285,7 +292,7 @@ def light_strengths(
         bb *= 1.001
         determinant = aa * bb - ab * ab
         a, b = (ca * bb - cb * ab) / determinant, (cb * aa - ca * ab) / determinant
-        if b < 0.0:
+        if b < 0.0 or (sun_alone and step == 0):
             a, b = ca / aa, 0.0
         elif a < 0.0:
             a, b = 0.0, cb / bb

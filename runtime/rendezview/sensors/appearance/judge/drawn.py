@@ -23,7 +23,7 @@ from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.geometry.so3 import rotate_back_into
 from rendezview.geometry.zbuffer import draw_parallel, draw_perspective, empty_buffers
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.lighting import TOLERANCE, light_strengths
+from rendezview.sensors.appearance.edges.lighting import TOLERANCE, WHITE_GREY, light_strengths
 from rendezview.sensors.appearance.judge.gloss import GLOSS_ORDER, add_gloss
 from rendezview.sensors.appearance.judge.shading import LEAST_POINTS
 from rendezview.sensors.appearance.model.shape import Shape
@@ -102,6 +102,7 @@ class Window:
     cx: float
     cy: float
     tolerance_grey: float
+    white_grey: float  # above black, from which a level is a lower bound
     cell_px: float  # pixels of an independent cell
     sky: Float32s  # (H, W) levels as they are expected beside the craft
     seen: Indices  # (M,) pixels that are compared
@@ -166,11 +167,13 @@ class DrawnEvidence:
         seen = levels[drawn > 0.0]
         bright = float(np.quantile(seen, _BRIGHT_QUANTILE)) if len(seen) else 0.0
         tolerance = TOLERANCE * max(bright, 0.0) + sky.noise_grey
-        cell_px = (radius_px / times / _CELLS_ACROSS) ** 2
+        white, cell_px = WHITE_GREY - black, (radius_px / times / _CELLS_ACROSS) ** 2
         nothing, all_of_it = np.zeros_like(levels), np.arange(levels.size)
         cells = _cells_of(all_of_it, len(levels), cell_px)
         whole = slice(None), slice(None)
-        return Window(levels, fx, fy, cx, cy, tolerance, cell_px, nothing, all_of_it, cells, whole)
+        return Window(
+            levels, fx, fy, cx, cy, tolerance, white, cell_px, nothing, all_of_it, cells, whole
+        )
 
     def _undistorted(
         self, image: Picture, side: int, intrinsics: tuple[float, ...], times: float, black: float
@@ -257,13 +260,8 @@ class Drawn:
         """What stays unexplained under a Sun (3,)."""
         window, sunlit = self.window, self.sunlit(sun_camera)
         seen = window.levels.ravel()[self.where].astype(np.float64)
-        strengths, every = np.empty(2), len(seen) // _LIGHT_SAMPLES + 1
-        some, lit, albedo = (
-            np.ascontiguousarray(of[::every]) for of in (seen, sunlit, self.albedo)
-        )
-        light_strengths(some, lit, albedo, window.tolerance_grey, strengths, _ROUNDS)
-        levels = strengths[0] * sunlit + strengths[1] * self.albedo
-        tolerance = window.tolerance_grey
+        tolerance, (sun, around) = window.tolerance_grey, self._light(seen, sunlit)
+        levels = np.minimum(sun * sunlit + around * self.albedo, window.white_grey)
         add_gloss(self.places, self.facets, sunlit, seen, tolerance, window.cell_px, levels)
         drawn = window.sky.copy()
         drawn.ravel()[self.where] = levels
@@ -272,6 +270,17 @@ class Drawn:
         cells = np.zeros(int(window.cells.max(initial=0)) + 1)
         _unexplained(window.levels, drawn, window.seen, window.cells, tolerance, cells)
         return Explained(cells / window.cell_px, drawn, sun_camera)
+
+    def _light(self, seen: Array, sunlit: Array) -> Array:
+        """(2,) strengths of the Sun and around, of both optima that which explains (N,) levels."""
+        window, every = self.window, len(seen) // _LIGHT_SAMPLES + 1
+        some, lit, albedo = (np.ascontiguousarray(x[::every]) for x in (seen, sunlit, self.albedo))
+        tolerance, white, found = window.tolerance_grey, window.white_grey, np.empty((2, 2))
+        costs = [
+            light_strengths(some, lit, albedo, tolerance, white, found[k], _ROUNDS, k == 1)
+            for k in range(2)
+        ]
+        return np.asarray(found[int(np.argmin(costs))])
 
     def under_best_sun(self, seen: Explained, *, near: bool = False) -> Explained:
         """Under the Sun that explains the frame best, in front of the target or as ``seen``.

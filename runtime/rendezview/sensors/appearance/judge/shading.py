@@ -26,6 +26,7 @@ from rendezview.sensors.appearance.edges.lighting import (
     BEHIND,
     BRIGHT_PERCENTILE,
     ROUNDS,
+    WHITE_GREY,
     light_strengths,
 )
 from rendezview.sensors.appearance.model.contours import DIRECTION_UNIT, POINT_UNIT
@@ -157,8 +158,8 @@ def shading(
     albedo, sunlit = surface.albedo[which[:found:every]], np.empty(count)
     tolerance = _TOLERANCE * quantile(some, 0.01 * BRIGHT_PERCENTILE) + frame[0]
     away = centre / np.sqrt(_dot(centre, centre))
-    strengths, chosen = np.empty(2), np.zeros(2)
-    tried, best = np.empty(3), np.inf
+    strengths, chosen, tried = np.empty(2), np.zeros(2), np.empty(3)
+    best, white = np.inf, WHITE_GREY - black
     node, rounds = int(np.int64(-1)), int(np.int64(ROUNDS))  # literals: numba would compile copies
     known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
     for nodes, near in _SUN_LEVELS:
@@ -173,7 +174,7 @@ def shading(
                 continue
             for k in range(count):
                 sunlit[k] = _brightness(surface, s, which[k * every], facing[k * every], tried)
-            cost = light_strengths(some, sunlit, albedo, tolerance, strengths, rounds)
+            cost = light_strengths(some, sunlit, albedo, tolerance, white, strengths, rounds, False)
             if cost < best:
                 best, node = cost, s
                 copy_into(tried, sun)
