@@ -173,9 +173,8 @@ def test_the_sun_is_the_best_of_a_coarse_sphere_and_three_rings(seed, given):
     expected = searched((levels, which), scene, albedo, 12.0, start)
     sun = start.copy()
     search_sun(
-        levels, which, scene.normals, scene.palette, scene.away, 12.0, np.inf, False, np.empty(2),
-        sun,
-    )  # fmt: skip
+        levels, which, scene.normals, scene.palette, scene.away, 12.0, False, np.empty(2), sun
+    )
     assert sun == pytest.approx(expected, abs=1e-9)
     assert not np.allclose(sun, start)
 

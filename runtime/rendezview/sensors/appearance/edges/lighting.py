@@ -95,9 +95,7 @@ def fit_light(
     if known:
         copy_into(frame[3:6], sun)
     strengths = np.empty(2)
-    cost = search_sun(
-        levels, which, normals, palette, away, tolerance, WHITE_GREY - black, known, strengths, sun
-    )
+    cost = search_sun(levels, which, normals, palette, away, tolerance, known, strengths, sun)
     for e in range(1, len(shade)):
         n = normals[e]
         facing = max(0.0, n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
@@ -164,7 +162,7 @@ def facing_normals(palette: npt.NDArray[np.float32], rotation: Array, away: Arra
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_sun(
     levels: Array, which: npt.NDArray[np.int64], normals: Array,
-    palette: npt.NDArray[np.float32], away: Array, tolerance: float, white: float, known: bool,
+    palette: npt.NDArray[np.float32], away: Array, tolerance: float, known: bool,
     strengths: Array, sun: Array,
 ) -> float:  # fmt: skip
     """The direction of the Sun that explains the levels best, into ``sun`` (3,); its misfit.
@@ -207,7 +205,7 @@ def search_sun(
                 tried[2] = ahead * z + c * axes[0, 2] + s * axes[1, 2]
             cost = _misfit(
                 some if step == -2 else levels, of if step == -2 else which, normals, palette,
-                tried, tolerance, white, found,
+                tried, tolerance, found,
             )  # fmt: skip
             if cost < best:
                 best = cost
@@ -230,8 +228,7 @@ def _across_into(sun: Array, axes: Array) -> None:
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _misfit(
     levels: Array, which: npt.NDArray[np.int64], normals: Array,
-    palette: npt.NDArray[np.float32], sun: Array, tolerance: float, white: float,
-    strengths: Array,
+    palette: npt.NDArray[np.float32], sun: Array, tolerance: float, strengths: Array,
 ) -> float:  # fmt: skip
     """Robust misfit of one Sun, by kinds; see ``light_strengths``."""
     kinds = normals.shape[0]
@@ -243,7 +240,7 @@ def _misfit(
     for i in range(len(levels)):
         sunlit[i], albedo[i] = facing[which[i]], palette[which[i], 3]
     rounds = int(np.int64(ROUNDS))  # as a literal, numba would compile a copy for it
-    return light_strengths(levels, sunlit, albedo, tolerance, white, strengths, rounds, False)
+    return light_strengths(levels, sunlit, albedo, tolerance, np.inf, strengths, rounds, False)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
@@ -260,12 +257,11 @@ def light_strengths(
         lit: (N,) albedo times the cosine to the Sun, 0 where it does not reach.
         albedo: (N,).
         tolerance: grey levels beyond which a level is an outlier.
-        white: grey levels above black; from there on a level is a lower bound, as of an
-            overexposed surface (Tobin 1958).
+        white: grey levels above black; from there on a level is a lower bound (Tobin 1958).
         strengths: (2,) gets the grey levels of albedo 1 in full sun, and around.
         rounds: of weighted least squares.
-        sun_alone: start without the light all around; its fit has two optima where one face fills
-            the picture: that face lit by both, and its shadow an outlier, or the Sun alone.
+        sun_alone: start without the light all around. Where one face fills the picture there are
+            two optima: it is lit from all around, its shadow an outlier, or by the Sun alone.
     """
     a, b = 0.0, 0.0
     inverse = 1.0 / (tolerance * tolerance)

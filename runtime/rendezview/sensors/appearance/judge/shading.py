@@ -26,7 +26,6 @@ from rendezview.sensors.appearance.edges.lighting import (
     BEHIND,
     BRIGHT_PERCENTILE,
     ROUNDS,
-    WHITE_GREY,
     light_strengths,
 )
 from rendezview.sensors.appearance.model.contours import DIRECTION_UNIT, POINT_UNIT
@@ -150,16 +149,14 @@ def shading(
     if found < LEAST_POINTS:
         return 0.0, 0.0
     black = frame[1] if frame[2] > 0.0 else 0.0
-    for k in range(found):
-        levels[k] -= black
+    levels[:found] -= black
     every = 1 + found // _FITTED
-    count = (found + every - 1) // every
     some = levels[:found:every].copy()
-    albedo, sunlit = surface.albedo[which[:found:every]], np.empty(count)
+    albedo, sunlit = surface.albedo[which[:found:every]], np.empty(len(some))
     tolerance = _TOLERANCE * quantile(some, 0.01 * BRIGHT_PERCENTILE) + frame[0]
     away = centre / np.sqrt(_dot(centre, centre))
-    strengths, chosen, tried = np.empty(2), np.zeros(2), np.empty(3)
-    best, white = np.inf, WHITE_GREY - black
+    strengths, chosen = np.empty(2), np.zeros(2)
+    tried, best = np.empty(3), np.inf
     node, rounds = int(np.int64(-1)), int(np.int64(ROUNDS))  # literals: numba would compile copies
     known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
     for nodes, near in _SUN_LEVELS:
@@ -172,9 +169,11 @@ def shading(
                     continue
             elif _dot(tried, away) > -BEHIND or (near > -1.0 and _dot(tried, middle) < near):
                 continue
-            for k in range(count):
+            for k in range(len(some)):
                 sunlit[k] = _brightness(surface, s, which[k * every], facing[k * every], tried)
-            cost = light_strengths(some, sunlit, albedo, tolerance, white, strengths, rounds, False)
+            cost = light_strengths(
+                some, sunlit, albedo, tolerance, np.inf, strengths, rounds, False
+            )
             if cost < best:
                 best, node = cost, s
                 copy_into(tried, sun)
