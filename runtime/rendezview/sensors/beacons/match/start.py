@@ -12,12 +12,11 @@ import itertools
 from collections.abc import Iterable
 
 import numpy as np
-from numba import njit
 
 from rendezview.estimation.hypotheses import choose
 from rendezview.estimation.p3p import MAX_ROOTS, solve_p3p_batch
 from rendezview.geometry.pose import Array
-from rendezview.sensors.beacons.pose.collinearity import solve, squares
+from rendezview.sensors.beacons.pose.collinearity import solve
 from rendezview.sensors.beacons.rig import Rig, Sights
 
 # Of lights, for each camera: all of six lights'.
@@ -58,9 +57,9 @@ def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[tu
     best = np.argsort(cost, kind="stable")[:_REFINED]
     rotations = np.ascontiguousarray(rotations[best])
     translations = np.ascontiguousarray(translations[best])
-    arguments = (leds, normals, rig.rotations, rig.translations, sights.xy)
-    _settle(rotations, translations, *arguments, sights.weight)
-    cost = misfits((rotations, translations), rig, leds, normals, *own)
+    with np.errstate(over="ignore", invalid="ignore"):  # where a pose runs away
+        settle((rotations, translations), rig, leds, normals, sights)
+        cost = misfits((rotations, translations), rig, leds, normals, *own)
     cost[~np.isfinite(rotations.sum(axis=(1, 2)) + translations.sum(axis=1))] = np.inf
 
     def same(one: int, other: int) -> bool:
@@ -113,6 +112,15 @@ def misfits(
     ``xy``, 1/σ: (C, S, 2) spots of any light, NaN where there is none, or (L, C, 1, 2) each light's
     own, of weight 0 where it is not visible.
     """
+    nearest = np.fmin(np.fmin.reduce(squares(poses, rig, leds, normals, xy, weight), axis=3), CAP)
+    hidden = (weight == 0.0).all(axis=(-2, -1))
+    return np.asarray(np.where(hidden, 0.0, nearest).sum(axis=(1, 2)))
+
+
+def squares(
+    poses: Retrieval, rig: Rig, leds: Array, normals: Array, xy: Array, weight: Array
+) -> Array:
+    """(H, L, C, S) squared distances of spots and lights, infinite where a light does not show."""
     rotations, translations = poses
     turn = rotations.transpose(0, 2, 1)
     q = np.tensordot(leds @ turn + translations[:, None], rig.rotations, (2, 2)) + rig.translations
@@ -120,39 +128,19 @@ def misfits(
     front = (q[..., 2] > 1e-9) & ((beam * q).sum(axis=3) <= 0.0)
     at = q[..., :2] / np.where(front, q[..., 2], 1.0)[..., None]
     square = ((weight * (xy - at[..., None, :])) ** 2).sum(axis=4)
-    nearest = np.fmin(np.fmin.reduce(square, axis=3), CAP)  # NaN: no spot
-    hidden = (weight == 0.0).all(axis=(-2, -1))
-    return np.asarray(np.where(front | hidden, nearest, CAP).sum(axis=(1, 2)))
+    return np.where(front[..., None], square, np.inf)
 
 
-@njit(cache=True, nogil=True)
-def _settle(
-    rotations: Array,
-    translations: Array,
-    leds: Array,
-    normals: Array,
-    cr: Array,
-    ct: Array,
-    xy: Array,
-    weight: Array,
-) -> None:
-    """Iterate each pose with Geman's and McClure's weights, from loose to tight."""
-    each = np.empty(weight.shape[:2])
-    nothing, no_turn, origin = np.zeros((6, 6)), np.zeros((3, 3)), np.zeros(3)  # no prior
-    information = np.empty((6, 6))
-    softened = np.empty_like(weight)
-    # A 4 would be a type of its own, for which `solve` is compiled again.
-    steps: int = np.int64(4)  # type: ignore[assignment]
-    for i in range(rotations.shape[0]):
-        for scale2 in (900.0, 200.0, 60.0, 20.0, 20.0, 20.0):
-            squares(rotations[i], translations[i], leds, normals, cr, ct, xy, weight, each)
-            for k in range(weight.shape[0]):
-                for j in range(weight.shape[1]):
-                    g = scale2 / (scale2 + each[k, j])  # 0 where the light is not visible
-                    g = g if g > 1e-6 else 0.0
-                    # One by one: numba compiles a row's assignment for two seconds.
-                    softened[k, j, 0], softened[k, j, 1] = weight[k, j, 0] * g, weight[k, j, 1] * g
+def settle(poses: Retrieval, rig: Rig, leds: Array, normals: Array, sights: Sights) -> None:
+    """Iterate each pose, in place, with Geman's and McClure's weights, from loose to tight."""
+    each = [part.swapaxes(0, 1)[:, :, None] for part in (sights.xy, sights.weight)]
+    no_prior, information = (np.zeros((6, 6)), np.zeros((3, 3)), np.zeros(3)), np.empty((6, 6))
+    for scale in (900.0, 200.0, 60.0, 20.0, 20.0, 20.0):
+        share = scale / (scale + squares(poses, rig, leds, normals, *each)[..., 0])
+        share[~(share > 1e-6)] = 0.0
+        weights = sights.weight * share.swapaxes(1, 2)[..., None]
+        for rotation, translation, weight in zip(*poses, weights, strict=True):
             solve(
-                rotations[i], translations[i], leds, cr, ct, xy, softened, nothing, no_turn,
-                origin, steps, 1e-3, information,
+                rotation, translation, leds, rig.rotations, rig.translations, sights.xy, weight,
+                *no_prior, 4, 1e-3, information,
             )  # fmt: skip
