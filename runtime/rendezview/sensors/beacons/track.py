@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.estimation.rates import RateOptions
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.detect.cover import middle
 from rendezview.sensors.beacons.detect.spot_columns import AMPLITUDE, RIVALS, SIGMA, X
@@ -59,7 +58,6 @@ class TrackingOptions:
     floor_px: float = 0.01
     # s, from the first row to the last of a rolling shutter; times are those of the middle row
     readout_s: float = 0.0  # Source: a global shutter
-    rates: RateOptions = field(default_factory=RateOptions)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.readout_s < 1.0:
