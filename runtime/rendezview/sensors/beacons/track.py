@@ -75,8 +75,7 @@ class Doubt(IntEnum):
 class Branch(StrEnum):
     """How the pose is distinguished from the mirrored one that shows nearly the same spots."""
 
-    SURE = "sure"  # by the spots of this reading: no other pose shows them
-    FOLLOWED = "followed"  # by its motion, since it was certain
+    SURE = "sure"  # by its spots, which no other pose shows, or by its motion, since they did
     MERGED = "merged"  # both are within the error: the covariance holds both
     OPEN = "open"  # not at all: there is no pose
 
