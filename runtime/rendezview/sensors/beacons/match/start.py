@@ -33,6 +33,7 @@ _ALIKE = 15.0
 CAP = 30.0  # Source: χ² distribution, two degrees of freedom
 
 Retrieval = tuple[Array, Array]  # (N, 3, 3) rotations and (N, 3) translations, rig from target
+Triple = tuple[int, int, int]
 _NO: Retrieval = (np.empty((0, 3, 3)), np.empty((0, 3)))  # Source: by construction
 
 
@@ -48,7 +49,7 @@ def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[tu
         normals: (L, 3) directions of their beams, zeros where not known.
         sights: identified lights.
     """
-    parts = [three_light_poses(rig, k, leds, sights) for k in range(len(rig))]
+    parts = [_of_three_lights(rig, k, leds, sights) for k in range(len(rig))]
     rotations, translations = (np.concatenate(part) for part in zip(*parts, strict=True))
     if not len(rotations):
         return []
@@ -72,17 +73,16 @@ def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[tu
     return [(rotations[k], translations[k]) for k in found.answers]
 
 
-def three_light_poses(rig: Rig, camera: int, leds: Array, sights: Sights) -> Retrieval:
+def _of_three_lights(rig: Rig, camera: int, leds: Array, sights: Sights) -> Retrieval:
     """Every pose of every three lights (at most the 20 widest) that one camera sees."""
-    visible = np.flatnonzero(sights.visible[camera])
-    triples: list[tuple[int, ...]] = list(itertools.combinations(visible.tolist(), 3))
-    xy = sights.xy[camera]
+    visible, xy = np.flatnonzero(sights.visible[camera]).tolist(), sights.xy[camera]
+    triples = list(itertools.combinations(visible, 3))
     if len(triples) > _MOST_TRIPLES:
         triples = widest(xy, triples)[:_MOST_TRIPLES]
     return p3p(rig, camera, [(leds[three], xy[three]) for three in map(list, triples)])
 
 
-def widest(xy: Array, triples: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
+def widest(xy: Array, triples: list[Triple]) -> list[Triple]:
     """Triples of points by the area of their triangle, largest first."""
     corners = xy[np.array(triples, dtype=np.intp)]
     u, v = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
