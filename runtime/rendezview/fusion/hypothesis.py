@@ -16,7 +16,7 @@ from rendezview.fusion.models import Forecast, forecasts
 from rendezview.fusion.options import FusionOptions, MotionOptions
 from rendezview.fusion.prediction import predict
 from rendezview.fusion.state import FilterState, sensor_options, with_slot
-from rendezview.fusion.trust import STAYS, Trust, after_reading, judge
+from rendezview.fusion.trust import Trust, after_reading, judge, lasting
 from rendezview.fusion.update import (
     Comparison,
     compared,
@@ -119,8 +119,9 @@ def judged(
     believed, wrong, hidden, offset = judge(
         trust, outliers, found.log_likelihood, seen.peak, seen.nis, seen.innovation, root, spread
     )
-    trust = after_reading(trust, time_s, believed, seen.nis / found.size, found.size)._replace(
-        fault=wrong * STAYS + (1.0 - wrong) * outliers, doubt=hidden, offset=offset
+    level, fault = seen.nis / found.size, lasting(wrong, outliers, trust.rejected)
+    trust = after_reading(trust, time_s, believed, level, found.size)._replace(
+        fault=fault, doubt=hidden, offset=offset
     )
     trusts = {**before.trusts, name: trust}
     if not believed:

@@ -14,7 +14,7 @@ import numpy as np
 
 from rendezview.geometry.pose import Array
 
-STAYS = 0.95  # probability that a fault lasts to the next reading. Source: by construction
+_STAYS = 0.95  # probability that a fault lasts to the next reading. Source: by construction
 _BLOW = 10.0  # σ of an outlier over that of the innovation. Source: by construction
 _HIDDEN = 5.0  # the same of an outlier that is hard to see. Source: glare in `rendezview fly`
 _SAME = 0.9  # probability that a faulty sensor's offset is as it was. Source: by construction
@@ -109,6 +109,18 @@ def judge(
         own = np.minimum((root * root).sum(axis=1) / spread.diagonal(), 1.0).mean()
         offset = offset + 0.5 * (float(own) if trust.locked else 1.0) * (innovation - offset)
     return believed, after, hidden, offset
+
+
+def lasting(wrong: float, outliers: float, rejected: int) -> float:
+    """Probability that a sensor is faulty at its next reading, by that of this one.
+
+    A fault that has lasted for many readings lasts for as many more (Laplace's rule of succession).
+
+    Args:
+        rejected: readings turned away in a row before this one.
+    """
+    goes = 1.0 / (1.0 / (1.0 - _STAYS) + rejected)
+    return wrong * (1.0 - goes) + (1.0 - wrong) * outliers
 
 
 def after_reading(trust: Trust, time_s: float, believed: bool, level: float, size: int) -> Trust:
