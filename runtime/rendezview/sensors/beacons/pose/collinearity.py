@@ -67,10 +67,18 @@ def normal_equations(
     return cost
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
 def count_lights(weight: Array) -> tuple[int, int]:
     """How many lights any camera sees, and how many equations they give."""
-    visible = weight[..., 0] > 0.0
-    return int(visible.any(axis=0).sum()), 2 * int(np.count_nonzero(visible))
+    lights, equations = 0, 0
+    for j in range(weight.shape[1]):
+        visible = False
+        for k in range(weight.shape[0]):
+            if weight[k, j, 0] > 0.0:
+                visible = True
+                equations += 2
+        lights += visible
+    return lights, equations
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
