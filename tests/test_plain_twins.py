@@ -21,7 +21,8 @@ from rendezview.sensors.appearance.model.view_tables import read_only
 from rendezview.sensors.beacons.detect.cover import _shape
 from rendezview.sensors.beacons.detect.discs import expected_size
 from rendezview.sensors.beacons.match.judgement import judge
-from rendezview.sensors.beacons.match.start import _settle, misfits
+from rendezview.sensors.beacons.match.start import misfits, settle
+from rendezview.sensors.beacons.rig import Sights
 from rendezview.sensors.ring.circle_pose import (
     CirclePose,
     _differences,
@@ -178,7 +179,9 @@ def robust_pose_of_lights(rng):
     given, rotation, place, squares = lights(rng)
     rotations = (so3.exp(0.02 * rng.normal(size=3)) @ rotation)[None].copy()
     places = place[None] + 0.05 * rng.normal(size=(1, 3))
-    _settle(rotations, places, *given)
+    leds, normals, cameras, shifts, xy, weight = given
+    rig = SimpleNamespace(rotations=cameras, translations=shifts)
+    settle((rotations, places), rig, leds, normals, Sights(xy, weight))
 
     def cost(step):
         each = squares(so3.exp(step[:3]) @ rotations[0], places[0] + step[3:])

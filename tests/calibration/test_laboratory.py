@@ -25,11 +25,10 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import Lens, Rig, RigCamera, Spots, StereoTracker
-from rendezview.sensors.beacons.match.agreement import LightsFit
+from rendezview.sensors.beacons.match.agreement import LightsFit, difference
 from rendezview.sensors.beacons.readings import picture_pairs
 from rendezview.sensors.beacons.rig import INTRINSICS, POSE, intrinsics_of
 from rendezview.sensors.beacons.rig_files import load_rig, save_opencv, save_rig
-from rendezview.sensors.beacons.stereo_motion import difference
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview_ground.simulate.led_pictures import PictureOptions, picture_rig
 

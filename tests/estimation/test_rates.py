@@ -11,13 +11,13 @@ from tests.estimation.swings import AXIS, SIGMA, swinging
 
 from rendezview.estimation import rate_filters as bank_module
 from rendezview.estimation.rate_filters import surprise
-from rendezview.estimation.rates import RateBank, RateOptions
+from rendezview.estimation.rates import TURNS, RateBank
 from rendezview.geometry.pose import Pose
 
 
-def errors_of(motion, hertz, seconds, seed, after_s, options=None):
+def errors_of(motion, hertz, seconds, seed, after_s):
     """Errors (N, 6) of the rates, of a line through eight readings, and NEES (N,)."""
-    rng, bank, kept = np.random.default_rng(seed), RateBank(options), []
+    rng, bank, kept = np.random.default_rng(seed), RateBank(), []
     ours, lines, nees = [], [], []
     for t in np.arange(0.0, seconds, 1.0 / hertz):
         pose, truth = motion(t)
@@ -90,13 +90,13 @@ def plain_filter(dt, kind, walk, state, covariance, off, error):
 @pytest.mark.parametrize("row", range(9))
 def test_a_filter_is_that_of_plain_numpy(row):
     rng, dt = np.random.default_rng(row), 0.3
-    kind = RateOptions().kinds()[row]
+    kind = TURNS[row]
     root = rng.normal(0.0, 0.1, (13, 13))
     covariance, state = root @ root.T, np.append(np.zeros(3), rng.normal(0.0, 0.1, 10))
     off, error = rng.normal(0.0, 0.02, 3), np.diag(SIGMA[:3] ** 2)
     wanted = plain_filter(dt, kind, 1e-3, state, covariance, off, error)
     step, change = np.empty(3), np.empty(3)
-    bank_module.predict(dt, kind, 1e-3, state, covariance, step)
+    bank_module.predict(dt, kind, state, covariance, step)
     likely = bank_module.update(off, error, state, covariance, change)
     for found, expected in zip((step, state, change, covariance), wanted[:4], strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-8)
@@ -132,7 +132,7 @@ def test_mixed_rates_are_those_of_plain_numpy():
 @pytest.mark.parametrize("row", range(9))
 def test_a_bank_of_one_filter_is_that_filter(row):
     rng, dt = np.random.default_rng(5), 0.3
-    kinds = RateOptions().kinds()[row : row + 1]
+    kinds = TURNS[row : row + 1]
     states, covariances = np.zeros((2, 1, 13)), np.empty((2, 1, 13, 13))
     for part in range(2):
         bank_module.begin(kinds[0], states[part, 0], covariances[part, 0])
@@ -144,7 +144,7 @@ def test_a_bank_of_one_filter_is_that_filter(row):
     mean, spread = np.zeros(6), np.zeros((6, 6))
     assert bank_module.step_bank(
         dt, kinds, kinds, rotations, places, states, covariances, scores, np.eye(3), place,
-        measured, 0.5, 1e-3, 12.0, mean, spread,
+        measured, 0.5, mean, spread,
     )  # fmt: skip
     step, state, change, covariance, likely = plain_filter(
         dt, kinds[0], 1e-3, *first, place, measured[3:, 3:]
@@ -161,7 +161,7 @@ def test_a_bank_of_one_filter_is_that_filter(row):
 
 @pytest.mark.parametrize("row", range(9))
 def test_a_restarted_filter_has_the_rate_of_the_best_and_its_error(row):
-    rng, kinds = np.random.default_rng(4), RateOptions().kinds()
+    rng, kinds = np.random.default_rng(4), TURNS
     root = rng.normal(0.0, 0.1, (2, 13, 13))
     covariances, states = root @ root.transpose(0, 2, 1), rng.normal(0.0, 0.1, (2, 13))
     bank_module.restart(kinds[row], 0, 1, states, covariances)
@@ -309,7 +309,7 @@ def test_a_surprise_is_a_jump_of_range_or_attitude_and_leaves_the_filters_as_the
 
 def test_a_surprise_is_the_distance_from_the_prediction_of_numpy():
     """One filter of each part; the place off along the line of sight only."""
-    dt, kinds = 0.5, RateOptions().kinds()[:1]
+    dt, kinds = 0.5, TURNS[:1]
     rng = np.random.default_rng(9)
     states, covariances = np.zeros((2, 1, 13)), np.zeros((2, 1, 13, 13))
     for part in range(2):
@@ -329,7 +329,7 @@ def test_a_surprise_is_the_distance_from_the_prediction_of_numpy():
     before = states.copy(), covariances.copy(), rotations.copy(), places.copy()
     found = surprise(
         dt, kinds, kinds, rotations, places, states, covariances, np.zeros((2, 1)), rotation,
-        place, measured, 1e-3,
+        place, measured,
     )  # fmt: skip
     assert found == pytest.approx(wanted, rel=1e-6)
     for kept, now in zip(before, (states, covariances, rotations, places), strict=True):

@@ -110,16 +110,14 @@ def share_by_numpy(shares, root, weights, spreads, offs):
     for weight, spread, off in zip(weights, spreads, offs, strict=True):
         along = (root.T @ np.linalg.solve(spread, off)) ** 2
         size = np.diag(root.T @ np.linalg.solve(spread, root))
-        out += weight * (np.minimum(along, 25.0 * size) - size) * shares**2
+        out += weight * (along - size) * shares**2
     return np.concatenate([np.full(3, out[:3].mean()), np.full(len(out) - 3, out[3:].mean())])
 
 
 @pytest.mark.parametrize("k", [5, 6])
-@pytest.mark.parametrize("far", [1.0, 100.0])
-def test_a_step_of_the_white_share_is_that_of_numpy(k, far):
+def test_a_step_of_the_white_share_is_that_of_numpy(k):
     (x, p, weights), design, noise, residual = a_measurement(11, k)
     root, shares = np.linalg.cholesky(noise), np.linspace(0.2, 0.9, k)
-    residual = far * residual
     seen = compared(beside((x, p, weights)), design, noise, residual)
     spreads, offs = design @ p @ design.T + noise, residual - x @ design.T
     found = white_share(shares, root, weights, seen)

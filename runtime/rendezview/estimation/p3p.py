@@ -32,7 +32,7 @@ from rendezview.estimation.conic_pencil import (
     split_lines,
     unit_conic,
 )
-from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.pose import Array
 
 _Axes = tuple[float, float, float, float, float, float, float, float, float]
 _Root = tuple[float, float, float, float]  # k, X, Y, error
@@ -45,37 +45,15 @@ MAX_ROOTS = 4  # poses. Source: Persson & Nordberg 2018, two conics meet in four
 _EXACT = 1e-11
 
 
-def solve_p3p(rays: npt.ArrayLike, points_m: npt.ArrayLike) -> list[Pose]:
-    """All poses ``camera_from_target`` of three points seen along three rays.
+def solve_p3p_batch(rays: npt.ArrayLike, points_m: npt.ArrayLike) -> tuple[Array, Array, Counts]:
+    """All poses ``camera_from_target`` of three points seen along three rays, for N sets of rays.
 
     Args:
-        rays: (3, 3) one ray a row, camera frame, any length.
-        points_m: (3, 3) one point a row, target frame, not on one line.
+        rays: (N, 3, 3) one ray a row, camera frame, any length.
+        points_m: (3, 3) one point a row, target frame, not on one line; or (N, 3, 3), of each set.
 
     Returns:
-        At most four poses with every point in front of the camera centre (along its ray);
-        none where there is none.
-
-    Raises:
-        ValueError: a wrong shape, a number that is not finite, a ray of no length, points on a
-            line.
-    """
-    given_rays, given_points = _checked(rays, (3, 3), "rays"), _checked(points_m, (3, 3), "points")
-    if not np.linalg.norm(given_rays, axis=1).all():
-        raise ValueError("rays must not have zero length")
-    sides = given_points[1:] - given_points[0]
-    area = np.linalg.norm(np.cross(sides[0], sides[1]))
-    if area <= 1e-9 * float(np.max(np.sum(sides * sides, axis=1))):
-        raise ValueError("points must not lie on one line")
-    rotations, translations = np.empty((MAX_ROOTS, 3, 3)), np.empty((MAX_ROOTS, 3))
-    count = p3p_roots(given_rays, given_points, _EXACT, rotations, translations)
-    return [Pose(rotations[k], translations[k]) for k in range(count)]
-
-
-def solve_p3p_batch(rays: npt.ArrayLike, points_m: npt.ArrayLike) -> tuple[Array, Array, Counts]:
-    """`solve_p3p` for N sets of rays (N, 3, 3) of the same three points (3, 3), or of N (N, 3, 3).
-
-    Returns:
+        At most four poses with every point in front of the camera centre (along its ray):
         rotations (N, 4, 3, 3), translations (N, 4, 3) in metres, number of roots (N,). Rows
         past the number of roots are NaN; a set with NaN has no roots.
 
@@ -97,13 +75,6 @@ def solve_p3p_batch(rays: npt.ArrayLike, points_m: npt.ArrayLike) -> tuple[Array
     return rotations, translations, counts
 
 
-def _checked(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Array:
-    array = np.ascontiguousarray(values, dtype=np.float64)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{name} must be {shape} and finite, not {array.tolist()}")
-    return array
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def _batch(
     rays: Array, points: Array, rotations: Array, translations: Array, counts: Counts
@@ -117,7 +88,7 @@ def _batch(
 def p3p_roots(
     rays: Array, points: Array, residual: float, rotations: Array, translations: Array
 ) -> int:
-    """`solve_p3p` for other compiled code: fills (4, 3, 3) and (4, 3), returns the number.
+    """`solve_p3p_batch` for other compiled code: fills (4, 3, 3) and (4, 3), returns the number.
 
     ``residual``: largest error of a squared side, over the longest squared. A larger one keeps what
     is left of two poses that noise has made one."""

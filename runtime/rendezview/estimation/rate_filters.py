@@ -23,6 +23,10 @@ _NEVER = 1e6  # below any score. Source: by construction
 _SERIES = 1e-3  # rad of a swing in a step; below it the series. Source: by construction, 1e-13 off
 # 1/k: time for which a wrong frequency's jerk keeps its sign. Source: reflector-rates (0.1)
 _PERSISTS = 0.2
+# of the logarithm of k, a √s. Source: reflector-rates (0.1)
+FREQUENCY_WALK = 1e-3
+# ln of a likelihood: that far behind, a filter restarts. Source: reflector-rates (0.1)
+BEHIND = 12.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -44,7 +48,7 @@ def begin(kind: Array, state: Array, covariance: Array) -> None:
 def step_bank(
     dt: float, turns: Array, moves: Array, rotations: Array, places: Array, states: Array,
     covariances: Array, scores: Array, rotation: Array, place: Array, measured: Array,
-    kept: float, frequency_walk: float, behind: float, mean: Array, spread: Array,
+    kept: float, mean: Array, spread: Array,
 ) -> bool:  # fmt: skip
     """Predict all filters by ``dt``, update them with a pose, mix their rates.
 
@@ -54,8 +58,6 @@ def step_bank(
             (2, B): of turns and of moves; they change in place.
         rotation, place, measured: the reading's pose and its covariance (6, 6).
         kept: share of the scores that is kept.
-        frequency_walk: of the logarithm of k, a √s.
-        behind: a filter whose score is that far below the best restarts.
         mean, spread: out, (6,) and (6, 6) of angular rate and velocity.
 
     Returns:
@@ -69,7 +71,7 @@ def step_bank(
                 error[i, j] = measured[3 * part + i, 3 * part + j]
         for b in range(len(kinds)):
             state, covariance = states[part, b], covariances[part, b]
-            predict(dt, kinds[b], frequency_walk, state, covariance, step)
+            predict(dt, kinds[b], state, covariance, step)
             so3.exp_into(step, turn)
             if not part:
                 carry_attitude(turn, covariance)
@@ -86,9 +88,9 @@ def step_bank(
         best = largest_at(scores[part])
         mix(scores[part], states[part], covariances[part], 3 * part, mean, spread)
         for b in range(len(kinds)):
-            if scores[part, b] < scores[part, best] - behind:
+            if scores[part, b] < scores[part, best] - BEHIND:
                 restart(kinds[b], best, b, states[part], covariances[part])
-                scores[part, b] = scores[part, best] - 0.7 * behind
+                scores[part, b] = scores[part, best] - 0.7 * BEHIND
                 copy_into(places[best if part else b], places[b])
                 copy_matrix_into(rotations[b if part else best], rotations[b])
     return True
@@ -138,9 +140,7 @@ def transition(dt: float, k: float, carry: Array, slope: Array) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def predict(
-    dt: float, kind: Array, frequency_walk: float, state: Array, covariance: Array, step: Array
-) -> None:
+def predict(dt: float, kind: Array, state: Array, covariance: Array, step: Array) -> None:
     """Predict one filter; ``step`` (3,): the turn or the move, which the caller applies."""
     swings = kind[FREQUENCY] > 0.0
     k = math.exp(state[_LOG_K]) if swings else 0.0
@@ -178,7 +178,7 @@ def predict(
         for r, c, power, share in ((0, 0, 3, 3.0), (0, 1, 2, 2.0), (1, 1, 1, 1.0)):
             _disturb(covariance, 3 * r + i, 3 * c + i, walks * dt**power / share)
     if swings:
-        covariance[_LOG_K, _LOG_K] += frequency_walk**2 * dt
+        covariance[_LOG_K, _LOG_K] += FREQUENCY_WALK**2 * dt
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -329,7 +329,6 @@ def restart(kind: Array, best: int, b: int, states: Array, covariances: Array) -
 def surprise(
     dt: float, turns: Array, moves: Array, rotations: Array, places: Array, states: Array,
     covariances: Array, scores: Array, rotation: Array, place: Array, measured: Array,
-    frequency_walk: float,
 ) -> float:  # fmt: skip
     """χ² of a pose against the filters' predictions, which stay as they are; see `step_bank`.
 
@@ -345,7 +344,7 @@ def surprise(
         copy_into(states[part, best], state)
         copy_matrix_into(covariances[part, best], errors[part])
         kind = moves[best] if part else turns[best]
-        predict(dt, kind, frequency_walk, state, errors[part], steps[part])
+        predict(dt, kind, state, errors[part], steps[part])
         if part:
             for i in range(3):
                 own_at[i] = places[best, i] + steps[1, i]

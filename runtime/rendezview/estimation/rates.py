@@ -54,38 +54,32 @@ _KEPT = 200
 _CHANGED = 1.5  # × the variance of the jitter: again. Source: by construction, a fifth of its σ
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RateOptions:
-    """How freely the target may move; the numbers of turns, and for moves times a length."""
+# Of the filters, how freely the target may move; numbers of turns, and for moves times a length.
+# rad/s² √s of white accelerations. Source: reflector-rates (0.1), a free body, a drive
+_STEADY_WALKS = (1e-4, 1e-3)
+# rad/s³ √s of white jerks. Source: experiment reflector-rates (0.1), a robot's arm to a hand
+_JERKS = (1e-1, 1.0)
+# rad/s of swings, periods of 42 to 2.6 s; each estimates its own. Source: reflector-rates (0.1)
+_FREQUENCIES = (0.15, 0.3, 0.6, 1.2, 2.4)
+_FREQUENCY_SPREAD = 0.35  # of the logarithm: half the step. Source: by construction
+_SWING_JERK = 1e-4  # rad/s³ √s of the swings. Source: reflector-rates (0.1)
+_LINEAR_PER_ANGULAR_M = 0.3  # m/rad. Source: by construction, an arm's length
+_RATE = 0.5  # rad/s, σ before the first reading. Source: by construction
+_CHANGE = 0.3  # rad/s², likewise. Source: by construction
+_MEMORY_S = 10.0  # s, of the likelihoods. Source: experiment reflector-rates (0.1)
 
-    # rad/s² √s of white accelerations. Source: reflector-rates (0.1), a free body, a drive
-    steady_walks: tuple[float, ...] = (1e-4, 1e-3)
-    # rad/s³ √s of white jerks. Source: experiment reflector-rates (0.1), a robot's arm to a hand
-    jerks: tuple[float, ...] = (1e-1, 1.0)
-    # rad/s of swings, periods of 42 to 2.6 s; each estimates its own. Source: reflector-rates (0.1)
-    frequencies: tuple[float, ...] = (0.15, 0.3, 0.6, 1.2, 2.4)
-    frequency_spread: float = 0.35  # of the logarithm: half the step. Source: by construction
-    swing_jerk: float = 1e-4  # rad/s³ √s of the swings. Source: reflector-rates (0.1)
-    frequency_walk: float = 1e-3  # of the logarithm, a √s. Source: reflector-rates (0.1)
-    linear_per_angular_m: float = 0.3  # m/rad. Source: by construction, an arm's length
-    first_rate: float = 0.5  # rad/s, σ before the first reading. Source: by construction
-    first_acceleration: float = 0.3  # rad/s², likewise. Source: by construction
-    memory_s: float = 10.0  # s, of the likelihoods. Source: experiment reflector-rates (0.1)
-    # of the logarithm of a likelihood: that far behind, a filter restarts. Source: reflector-rates
-    # (0.1)
-    behind: float = 12.0
 
-    def kinds(self) -> Array:
-        """(B, 7) the filters, a row each."""
-        rate, change = self.first_rate, self.first_acceleration
-        steady = [(0.0, walk, 0.0, rate, 0.0, 0.0, 0.0) for walk in self.steady_walks]
-        pushed = [(jerk, 0.0, 0.0, 0.0, rate, change, 0.0) for jerk in self.jerks]
-        half = math.sqrt(0.5) * rate
-        swinging = [
-            (self.swing_jerk, 0.0, k, half, half, change, self.frequency_spread)
-            for k in self.frequencies
-        ]
-        return np.array(steady + pushed + swinging)
+def _kinds() -> Array:
+    """(B, 7) the filters, a row each."""
+    half = math.sqrt(0.5) * _RATE
+    steady = [(0.0, walk, 0.0, _RATE, 0.0, 0.0, 0.0) for walk in _STEADY_WALKS]
+    pushed = [(jerk, 0.0, 0.0, 0.0, _RATE, _CHANGE, 0.0) for jerk in _JERKS]
+    swinging = [(_SWING_JERK, 0.0, k, half, half, _CHANGE, _FREQUENCY_SPREAD) for k in _FREQUENCIES]
+    return np.array(steady + pushed + swinging)
+
+
+TURNS, MOVES = _kinds(), _kinds()
+MOVES[:, [JERK, WALK, FIRST_MEAN, FIRST_SWING, FIRST_CHANGE]] *= _LINEAR_PER_ANGULAR_M
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,15 +96,8 @@ class MotionRates:
 class RateBank:
     """The filters of one target over poses with covariances, in order of time."""
 
-    def __init__(self, options: RateOptions | None = None) -> None:
-        self.options = options or RateOptions()
-        turns = self.options.kinds()
-        moves = turns.copy()
-        moves[:, [JERK, WALK, FIRST_MEAN, FIRST_SWING, FIRST_CHANGE]] *= (
-            self.options.linear_per_angular_m
-        )
-        self._kinds = turns, moves
-        count = len(turns)
+    def __init__(self) -> None:
+        count = len(TURNS)
         self._rotations, self._places = np.empty((count, 3, 3)), np.empty((count, 3))
         self._states = np.zeros((2, count, STATES))
         self._covariances = np.zeros((2, count, STATES, STATES))
@@ -163,9 +150,9 @@ class RateBank:
         if variances[0] > 0.0:
             covariance = covariance + jitter_covariance(variances, pose.translation_m)
         return float(surprise(
-            time_s - self._time_s, *self._kinds, self._rotations, self._places, self._states,
+            time_s - self._time_s, TURNS, MOVES, self._rotations, self._places, self._states,
             self._covariances, self._scores, pose.rotation.copy(), pose.translation_m.copy(),
-            np.ascontiguousarray(covariance), self.options.frequency_walk,
+            np.ascontiguousarray(covariance),
         ))  # fmt: skip
 
     def _step(self, time_s: float, pose: Pose, covariance: Array) -> MotionRates | None:
@@ -177,13 +164,12 @@ class RateBank:
             self._begin(time_s, pose, covariance)
             return None
         dt, self._time_s = time_s - self._time_s, time_s
-        options, rates, spread = self.options, np.zeros(6), np.zeros((6, 6))
-        kept = math.exp(-max(dt, 0.0) / options.memory_s)
+        rates, spread = np.zeros(6), np.zeros((6, 6))
+        kept = math.exp(-max(dt, 0.0) / _MEMORY_S)
         sound = step_bank(
-            dt, self._kinds[0], self._kinds[1], self._rotations, self._places, self._states,
+            dt, TURNS, MOVES, self._rotations, self._places, self._states,
             self._covariances, self._scores, pose.rotation.copy(), pose.translation_m.copy(),
-            np.ascontiguousarray(covariance),
-            kept, options.frequency_walk, options.behind, rates, spread,
+            np.ascontiguousarray(covariance), kept, rates, spread,
         )  # fmt: skip
         if not sound:
             self._begin(time_s, pose, covariance)
@@ -194,7 +180,7 @@ class RateBank:
         self._time_s = time_s
         self._rotations[:], self._places[:] = pose.rotation, pose.translation_m
         self._scores[:] = 0.0
-        for part, kinds in enumerate(self._kinds):
+        for part, kinds in enumerate((TURNS, MOVES)):
             own = slice(3 * part, 3 * part + 3)
             for b in range(len(kinds)):
                 begin(kinds[b], self._states[part, b], self._covariances[part, b])

@@ -46,9 +46,7 @@ _OPPOSITE_SIGMA, _OPPOSITE_RIM, _OPPOSITE_ROUND = 5.0, 0.1, 0.5
 # × the shift, for what is below these limits. Source: experiment reflector-nees --kind clutter
 _BELOW_LIMIT = 1.5
 
-# Numbers of the moments that `window_moments` gives
-TOTAL, MX, MY, MXX, MYY, NORM, LEVER = range(7)
-Moments = tuple[float, float, float, float, float, float, float]
+Moments = tuple[float, float, float, float, float, float]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -66,7 +64,7 @@ def window_moments(
         columns, rows: scratch, at least as long as the box is wide and high.
 
     Returns:
-        Σ w v, Σ w v dx, Σ w v dy, Σ w v dx², Σ w v dy², Σ w², Σ w² (dx² + dy²) / 2.
+        Σ w v, Σ w v dx, Σ w v dy, Σ w v dx², Σ w v dy², Σ w² (dx² + dy²) / 2.
     """
     x0, x1, y0, y1 = box
     has_dark = dark.shape[0] > 0
@@ -75,7 +73,7 @@ def window_moments(
         columns[u - x0] = math.exp(f * (u - x) * (u - x))
     for v in range(y0, y1 + 1):
         rows[v - y0] = math.exp(f * (v - y) * (v - y))
-    total = mx = my = mxx = myy = norm = lever = 0.0
+    total = mx = my = mxx = myy = lever = 0.0
     for v in range(y0, y1 + 1):
         dy, row = v - y, rows[v - y0]
         a = ax = axx = q = qxx = 0.0
@@ -95,9 +93,8 @@ def window_moments(
         my += row * a * dy
         mxx += row * axx
         myy += row * a * dy * dy
-        norm += row * row * q
         lever += row * row * 0.5 * (qxx + q * dy * dy)
-    return total, mx, my, mxx, myy, norm, lever
+    return total, mx, my, mxx, myy, lever
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -169,7 +166,7 @@ def centre_spot(
         if x1 < x0 or y1 < y0:
             break
         here = level + slope_x * (x - start[0]) + slope_y * (y - start[1])
-        total, mx, my, mxx, myy, _, lever = window_moments(
+        total, mx, my, mxx, myy, lever = window_moments(
             image, dark, here, x, y, sigma, (x0, x1, y0, y1), columns, rows
         )
         if not total > 0.0:

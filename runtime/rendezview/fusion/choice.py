@@ -56,7 +56,6 @@ class Snapshot(NamedTuple):
     main: Hypothesis | None = None
     rivals: tuple[Rival, ...] = ()
     starts: int = 0
-    log_likelihood: float = 0.0  # of the last measurement
     note: str | None = None  # why it last restarted
     contested_s: float = -math.inf  # when a sensor last contradicted it, or a rival won
 
@@ -122,7 +121,7 @@ def step(
     )
     if isinstance(found, str):
         main = main._replace(trusts=_heard(main.trusts, name, time_s))
-        after = before._replace(main=main, rivals=rivals, log_likelihood=0.0)
+        after = before._replace(main=main, rivals=rivals)
         return after, Verdict(name, time_s, False, found, None, size)
     views = [look(rival.hypothesis.state, measurement, options) for rival in rivals]
     outliers = sensor_options(measurement, options).outliers
@@ -156,8 +155,7 @@ def step(
         if main.trusts[name].locked:
             reason += f", {main.trusts[name].rejected} times in a row: locked out"
         kept += new_rivals(forecast, kept, measurement, options)
-    alone = mixture(outliers, found.log_likelihood, outlier_log(found.comparison.peak, size))
-    after = before._replace(main=main, rivals=tuple(kept), log_likelihood=alone)
+    after = before._replace(main=main, rivals=tuple(kept))
     if believed and found.forecast.other_edge:
         reason = "another edge than the ring's: for its bearing only"
     return after, Verdict(name, time_s, believed, reason, found.comparison.nis, size)
@@ -179,7 +177,7 @@ def _told(
     trust = after_reading(main.trusts.get(name) or Trust(name), time_s, True, 1.0, 0)
     main = with_it(main._replace(trusts={**main.trusts, name: trust}))
     rivals = tuple(r._replace(hypothesis=with_it(r.hypothesis)) for r in before.rivals)
-    after = before._replace(main=main, rivals=rivals, log_likelihood=0.0)
+    after = before._replace(main=main, rivals=rivals)
     return after, Verdict(name, time_s, True, None)
 
 
@@ -195,7 +193,7 @@ def _start(
     slow = begun(begin(pose, options), pose, trusts)
     quick = begin(pose, options, None, (motion.fast_rate, motion.fast_velocity))
     fast = Rival(Kind.FAST, begun(quick, pose, trusts), FAST_PRIOR, pose.time_s)
-    after = Snapshot(slow, (fast,), before.starts + 1, 0.0, reason if before.starts else None)
+    after = Snapshot(slow, (fast,), before.starts + 1, reason if before.starts else None)
     return after, Verdict(pose.sensor, pose.time_s, True, reason, None, 6, began=True)
 
 
@@ -302,15 +300,7 @@ def _won(
     after = before._replace(
         main=rival.hypothesis, rivals=(), starts=before.starts + restarted,
         contested_s=before.contested_s if rival.kind is Kind.FAST else measurement.time_s,
-        log_likelihood=0.0, note=reason if restarted else before.note,
+        note=reason if restarted else before.note,
     )  # fmt: skip
-    verdict = Verdict(
-        measurement.sensor,
-        measurement.time_s,
-        fits,
-        reason,
-        seen.comparison.nis,
-        seen.size,
-        restarted,
-    )
-    return after, verdict
+    sensor, nis = measurement.sensor, seen.comparison.nis
+    return after, Verdict(sensor, measurement.time_s, fits, reason, nis, seen.size, restarted)

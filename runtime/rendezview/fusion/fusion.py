@@ -27,7 +27,6 @@ from rendezview.sensors.measurement import (
 from rendezview.sensors.observation import Status
 from rendezview.sensors.protection import ESTIMATORS_DISAGREE, Protection
 
-_ORDER_LEAD = 1.0  # by which the other order must be likelier, nats. Source: by construction
 # Of a variance, in directions in which readings share no error. Source: by construction, nothing
 _LEAST_SHARE = 1e-6
 _ALARM = 0.1  # probability of a rival that raises an alarm. Source: by construction
@@ -94,50 +93,20 @@ class Fusion:
             reason = f"later than {self.options.history_s:g} s: no longer remembered"
             return Verdict(measurement.sensor, time_s, False, reason, None, measurement.size)
         place = bisect.bisect_right(self._measurements, time_s, key=_time_of)
-        after, verdict = self._filtered(place, [measurement])
-        if not verdict.accepted:
-            # Of those that contradict each other at one time, the likelier order counts.
-            first = bisect.bisect_left(self._measurements, time_s, key=_time_of)
-            others = self._measurements[first:place]
-            if 0 < first < place:
-                own = after[-1].log_likelihood
-                own += sum(snapshot.log_likelihood for snapshot in self._after[first:place])
-                swapped, other_verdict = self._filtered(first, [measurement, *others])
-                if sum(one.log_likelihood for one in swapped) > own + _ORDER_LEAD:
-                    del self._measurements[first:place], self._after[first:place]
-                    measurements, place = [measurement, *others], first
-                    self._put(place, measurements, swapped)
-                    return other_verdict
-        self._put(place, [measurement], after)
+        before = self._after[place - 1] if place else self._base
+        after, verdict = step(before, measurement, self.options)
+        later = self._measurements[place:]
+        del self._measurements[place:], self._after[place:]
+        self._measurements.append(measurement)
+        self._after.append(after)
+        for other in later:
+            self._measurements.append(other)
+            self._after.append(step(self._after[-1], other, self.options)[0])
+        self._forget()
         if verdict.accepted and not isinstance(measurement, RateMeasurement | ThrustMeasurement):
             common = measurement.common if isinstance(measurement, PoseMeasurement) else None
             self._common[measurement.sensor] = common
         return verdict
-
-    def _filtered(
-        self, place: int, measurements: list[Measurement]
-    ) -> tuple[list[Snapshot], Verdict]:
-        """The snapshots after each of these, from the one before ``place``; the first's verdict."""
-        snapshot = self._after[place - 1] if place else self._base
-        snapshots: list[Snapshot] = []
-        verdicts: list[Verdict] = []
-        for measurement in measurements:
-            snapshot, verdict = step(snapshot, measurement, self.options)
-            snapshots.append(snapshot)
-            verdicts.append(verdict)
-        return snapshots, verdicts[0]
-
-    def _put(self, place: int, measurements: list[Measurement], snapshots: list[Snapshot]) -> None:
-        """Insert them, and filter again what is later."""
-        later = self._measurements[place:]
-        del self._measurements[place:], self._after[place:]
-        self._measurements += measurements
-        self._after += snapshots
-        for measurement in later:
-            after, _ = step(self._after[-1], measurement, self.options)
-            self._measurements.append(measurement)
-            self._after.append(after)
-        self._forget()
 
     def resume(self, last: Estimate) -> None:
         """Go on from the last estimate of another filter; nothing may have been added yet.

@@ -14,7 +14,6 @@ from rendezview.geometry.pose import Array
 # Of a model, so that it can return. Source: plain situations; at 1e-5 outliers cost 1.4 × the place
 _LEAST_PROBABILITY = 1e-4
 _PIVOT = 1e-14  # of a variance: what is left is rounding. Source: about 50 times that of float64
-_MOST_SIGMAS = 5.0  # that an outlier within the gate may teach. Source: by construction
 
 
 def root_of(covariances: Array) -> Array | None:
@@ -124,9 +123,7 @@ def white_share(shares: Array, root: Array, weights: Array, comparison: Comparis
     """
     columns = np.linalg.solve(comparison.lowers, root)
     along = (comparison.whites[:, None, :] @ columns)[:, 0]
-    sizes = (columns**2).sum(axis=1)
-    seen = np.minimum(along**2, _MOST_SIGMAS**2 * sizes)
-    out = np.asarray(shares**2 * (weights @ (seen - sizes)))
+    out = np.asarray(shares**2 * (weights @ (along**2 - (columns**2).sum(axis=1))))
     for part in (out[:3], out[3:]):
         if len(part):
             part[:] = part.mean()

@@ -323,38 +323,28 @@ def record(report: Report) -> dict[str, Any]:
         line["segment"], line["segment_reason"] = None, segment.reason
     correction = report.correction
     if isinstance(correction, Correction):
-        line["correction"] = {
-            "reach_s": correction.reach_s,
-            "error_m": correction.error_m,
-            "predicted_error_m": correction.predicted_error_m,
-            "predicted_sigma_m": correction.predicted_sigma_m,
-            "delta_v_m_s": correction.delta_v_m_s,
-            "direction": correction.direction,
-            "arrival_delta_v_m_s": correction.arrival_delta_v_m_s,
-        }
+        line["correction"] = _fields(
+            correction, "reach_s error_m predicted_error_m predicted_sigma_m delta_v_m_s direction "
+            "arrival_delta_v_m_s",
+        )  # fmt: skip
     elif correction is not None:
         line["correction"], line["correction_reason"] = None, correction.reason
     spin = report.spin
     if isinstance(spin, Spin):
-        quat = Pose(spin.rotation, np.zeros(3)).quat_wxyz
-        line["spin"] = {
-            "time_s": spin.time_s,
-            "quat_wxyz": quat,
-            "rate_rad_s": spin.rate_rad_s,
-            "speed_rad_s": spin.speed_rad_s,
-            "speed_sigma_rad_s": spin.speed_sigma_rad_s,
-            "axis": spin.axis,
-            "axis_reference": spin.axis_reference,
-            "axis_sigma_rad": spin.axis_sigma_rad,
-            "covariance": spin.covariance,
-            "tumbling": spin.tumbling,
-            "moments": spin.moments,
-            "moments_sigma": spin.moments_sigma,
-            "roll_known": spin.roll_known,
-        }
+        line["spin"] = _fields(spin, "time_s") | {
+            "quat_wxyz": Pose(spin.rotation, np.zeros(3)).quat_wxyz,
+            **_fields(
+                spin, "rate_rad_s speed_rad_s speed_sigma_rad_s axis axis_reference axis_sigma_rad "
+                "covariance tumbling moments moments_sigma roll_known",
+            ),
+        }  # fmt: skip
     elif spin is not None:
         line["spin"], line["spin_reason"] = None, spin.reason
     return line
+
+
+def _fields(of: object, names: str) -> dict[str, Any]:
+    return {name: getattr(of, name) for name in names.split()}
 
 
 def _angle(a: Array, b: Array) -> float:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from experiments.benchmark.check import Bench, Row, Way, times
 from experiments.frame import CLIENT
 from rendezview import BeamSurface, Fusion, Pose, RangeMeasurement, Target
-from rendezview.estimation.p3p import solve_p3p, solve_p3p_batch
+from rendezview.estimation.p3p import solve_p3p_batch
 from rendezview.fusion import Measurement, PoseMeasurement, RingCandidate, RingMeasurement
 from rendezview.geometry.pose import Array
 from rendezview.trajectory import FitOptions, Method, PointCloud, Segment, Shape, fit_segment
@@ -191,7 +191,7 @@ def solvers() -> dict[str, Callable[[Array, Array], object]]:
         return [(cv2.Rodrigues(a)[0], b.ravel()) for a, b in zip(turns, moves, strict=True)]
 
     found = {
-        "P3P": solve_p3p,
+        "P3P": lambda rays, points: solve_p3p_batch(rays[None], points),
         "cv2.solveP3P P3P": partial(by_opencv, cv2.solveP3P, cv2.SOLVEPNP_P3P),
         "cv2.solveP3P AP3P": partial(by_opencv, cv2.solveP3P, cv2.SOLVEPNP_AP3P),
         "cv2 SQPNP": partial(by_opencv, cv2.solvePnPGeneric, cv2.SOLVEPNP_SQPNP),

@@ -11,11 +11,11 @@ from tests.plain_laboratory import rotation_of
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import yaw_pitch_roll
 from rendezview.sensors.beacons.match.agreement import iterate
+from rendezview.sensors.beacons.match.start import squares
 from rendezview.sensors.beacons.pose.collinearity import (
     count_lights,
     normal_equations,
     solve,
-    squares,
 )
 from rendezview_ground.simulate.led_laboratory import Laboratory
 
@@ -121,19 +121,18 @@ def test_squares_are_those_of_the_projection_and_infinite_behind_or_turned_away(
     weight = rng.uniform(500.0, 1000.0, xy.shape)
     weight[1, 2] = 0.0
     expected = ((weight * (xy - predicted(laboratory, POSE))) ** 2).sum(axis=2)
-    out = np.empty((2, 6))
-    given = (rig.rotations, rig.translations, xy, weight, out)
+    own = [values.swapaxes(0, 1)[:, :, None] for values in (xy, weight)]
     normals = np.zeros((6, 3))
-    squares(POSE.rotation, POSE.translation_m, laboratory.leds, normals, *given)
-    assert out == pytest.approx(expected)
+
+    def found(place_m: np.ndarray) -> np.ndarray:
+        poses = POSE.rotation[None], place_m[None]
+        return squares(poses, rig, laboratory.leds, normals, *own)[0, :, :, 0].T
+
+    assert found(POSE.translation_m) == pytest.approx(expected)
     camera = rig.cameras[0].camera_from_rig
-    away = POSE.rotation.T @ camera.rotation.T @ np.array([0.0, 0.0, 1.0])  # from the camera
-    normals[3] = away
-    squares(POSE.rotation, POSE.translation_m, laboratory.leds, normals, *given)
-    assert np.isinf(out[0, 3])
-    behind = camera.inverse().apply(np.array([0.0, 0.0, -5.0]))
-    squares(POSE.rotation, behind, laboratory.leds, np.zeros((6, 3)), *given)
-    assert np.isinf(out[0]).all()
+    normals[3] = POSE.rotation.T @ camera.rotation.T @ np.array([0.0, 0.0, 1.0])  # away from it
+    assert np.isinf(found(POSE.translation_m)[0, 3])
+    assert np.isinf(found(camera.inverse().apply(np.array([0.0, 0.0, -5.0])))[0]).all()
 
 
 def test_a_solution_with_a_prior_is_that_of_scipy(laboratory: Laboratory):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.estimation.p3p import MAX_ROOTS, p3p_roots, solve_p3p
+from rendezview.estimation.p3p import MAX_ROOTS, p3p_roots, solve_p3p_batch
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import SixNumbers, pose_of, predict_spots
@@ -128,10 +128,9 @@ def test_p3p_roots_are_those_of_the_front_door():
     rays = points @ Rotation.random(rng=rng).as_matrix().T + [0.1, 0.2, 5.0]
     rotations, translations = np.empty((MAX_ROOTS, 3, 3)), np.empty((MAX_ROOTS, 3))
     count = p3p_roots(rays, points, 1e-11, rotations, translations)
-    poses = solve_p3p(rays, points)
-    assert count == len(poses) >= 1
-    for k, pose in enumerate(poses):
-        np.testing.assert_allclose(pose.rotation, rotations[k], atol=1e-12)
+    wanted, _, counts = solve_p3p_batch(rays[None], points)
+    assert count == counts[0] >= 1
+    np.testing.assert_allclose(wanted[0, :count], rotations[:count], atol=1e-12)
 
 
 def test_the_adjusted_pose_is_the_minimum_and_its_covariance_the_inverse_normal_matrix(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendezview.estimation.rates import RateBank, RateOptions
+from rendezview.estimation.rates import RateBank
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import Face
 from rendezview.sensors.beacons.match.choice import FEW
@@ -38,8 +38,8 @@ class Rates:
 class RateEstimator:
     """Follows the poses of one target; see `rendezview.estimation.rates`."""
 
-    def __init__(self, options: RateOptions | None = None) -> None:
-        self._bank = RateBank(options)
+    def __init__(self) -> None:
+        self._bank = RateBank()
         self._first_s = self._last_s = math.nan
         self._readings = 0
         self._scatter = np.full((6, 6), np.inf)  # of the last pose

@@ -14,7 +14,7 @@ import numpy as np
 from rendezview.estimation.motion import predict_covariance
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
-from rendezview.sensors.beacons.match.agreement import ITERATIONS
+from rendezview.sensors.beacons.match.agreement import ITERATIONS, difference
 from rendezview.sensors.beacons.pose.collinearity import solve
 from rendezview.sensors.beacons.rig import Rig
 
@@ -120,10 +120,3 @@ def breaks(state: Motion, rotation: Array, translation: Array, information: Arra
     both = np.linalg.inv(information) + state.covariance[:6, :6]
     away = difference(rotation, translation, state.rotation, state.translation)
     return bool(away @ np.linalg.solve(both, away) > _BREAK)
-
-
-def difference(
-    rotation: Array, translation: Array, other_rotation: Array, other_translation: Array
-) -> Array:
-    """(6,) perturbation that leads from the other pose to this one."""
-    return np.append(so3.between(rotation, other_rotation), translation - other_translation)

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.estimation.rates import RateOptions
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.detect.cover import middle
 from rendezview.sensors.beacons.detect.spot_columns import AMPLITUDE, RIVALS, SIGMA, X
@@ -59,7 +58,6 @@ class TrackingOptions:
     floor_px: float = 0.01
     # s, from the first row to the last of a rolling shutter; times are those of the middle row
     readout_s: float = 0.0  # Source: a global shutter
-    rates: RateOptions = field(default_factory=RateOptions)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.readout_s < 1.0:
@@ -77,8 +75,7 @@ class Doubt(IntEnum):
 class Branch(StrEnum):
     """How the pose is distinguished from the mirrored one that shows nearly the same spots."""
 
-    SURE = "sure"  # by the spots of this reading: no other pose shows them
-    FOLLOWED = "followed"  # by its motion, since it was certain
+    SURE = "sure"  # by its spots, which no other pose shows, or by its motion, since they did
     MERGED = "merged"  # both are within the error: the covariance holds both
     OPEN = "open"  # not at all: there is no pose
 

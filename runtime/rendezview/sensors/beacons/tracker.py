@@ -69,7 +69,7 @@ class ReflectorSensor:
         self._background = Background()
         self._expect(*self._given)
         self._faces = {pattern.name: Face.of(pattern) for pattern in patterns}
-        self._rates = RateEstimator(self.tracking.rates)
+        self._rates = RateEstimator()
         self._track: Track | None = None
         self._unconfirmed: tuple[float, Pose, Array] | None = None
         self._lights = Lights(self.tracking.doubt)
@@ -99,7 +99,7 @@ class ReflectorSensor:
         with self._lock:
             self._track, self._unconfirmed, self._note, self._last_s = None, None, None, -np.inf
             self._lights = Lights(self.tracking.doubt)
-            self._rates = RateEstimator(self.tracking.rates)
+            self._rates = RateEstimator()
             self._dots.clear()
             if self.patterns is not self._given[0]:
                 self._expect(*self._given)

@@ -14,13 +14,15 @@ from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
+from rendezview.estimation.least_squares import ROUNDING
 from rendezview.geometry.pose import Array, Pose
 
 Squares = tuple[float, float, float]  # of the chords between unit rays: tip, left; …, right; outer
 # From these, L, H and the cosine between the tip and the middle of the outer two, with a bound of
-# iterations and a tolerance: the distances and the iterations used.
-Method = Callable[[Squares, float, float, float, int, float], tuple[Array, int]]
+# iterations: the distances and the iterations used.
+Method = Callable[[Squares, float, float, float, int], tuple[Array, int]]
 
 
 class Iteration(StrEnum):
@@ -40,9 +42,7 @@ class Triangulation:
     residual: float  # largest error of the three equations over L²
 
 
-def newton_raphson(
-    rays: npt.ArrayLike, base_m: float, post_m: float, *, most: int = 30, tolerance: float = 1e-13
-) -> Triangulation:
+def newton_raphson(rays: npt.ArrayLike, base_m: float, post_m: float) -> Triangulation:
     """The three law-of-cosines equations by Newton–Raphson, from the mid-point assumption.
 
     The base's middle is assumed to appear midway between the outer spots: that gives the
@@ -52,19 +52,14 @@ def newton_raphson(
     Args:
         rays: (3, 3) of tip, left and right reflector, camera frame.
         base_m, post_m: L and H.
-        most: iterations.
-        tolerance: change of a distance, relative, that ends the iteration.
 
     Raises:
         ValueError: rays not (3, 3) and finite, or a length not positive.
     """
-    return _one(rays, base_m, post_m, most, tolerance, _newton)
+    return _one(rays, base_m, post_m, 30, _newton)
 
 
-def alternate_iteration(
-    rays: npt.ArrayLike, base_m: float, post_m: float, *, most: int = 2000,
-    tolerance: float = 1e-13,
-) -> Triangulation:  # fmt: skip
+def alternate_iteration(rays: npt.ArrayLike, base_m: float, post_m: float) -> Triangulation:
     """Bales' alternate method, three distances in turn from right triangles.
 
     ``r2 = r1 cos θ12 + √(D² − r1² sin² θ12)``, ``r3 = r2 cos θ23 + √(L² − r2² sin² θ23)``,
@@ -72,35 +67,24 @@ def alternate_iteration(
     where θ12 < θ13. As printed the first radicands are negative in nearly all cases; here they
     are taken as 0 then. That reaches the truth in most cases, not in all.
     """
-    return _one(rays, base_m, post_m, most, tolerance, _alternate)
+    return _one(rays, base_m, post_m, 2000, _alternate)
 
 
 def pose_from_distances(
     rays: npt.ArrayLike, distances_m: npt.ArrayLike, points_m: npt.ArrayLike
 ) -> Pose:
-    """The pose that carries three target points (3, 3) to these distances along their rays.
-
-    Raises:
-        ValueError: the points are on a line.
-    """
+    """The pose that carries a triangle of the target (3, 3) to these distances along its rays."""
     directions = np.asarray(rays, dtype=np.float64)
     directions = directions / np.linalg.norm(directions, axis=1)[:, None]
     on_rays = directions * np.asarray(distances_m, dtype=np.float64)[:, None]
     points = np.asarray(points_m, dtype=np.float64)
-    frames = []
-    for corners in (on_rays, points):
-        x, v = corners[2] - corners[1], corners[0] - corners[1]
-        z = np.cross(x, v)
-        if np.linalg.norm(z) <= 1e-9 * (x @ x):
-            raise ValueError("three points on a line have no attitude")
-        x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
-        frames.append(np.column_stack([x, np.cross(z, x), z]))
-    rotation = frames[0] @ frames[1].T
-    return Pose(rotation, on_rays.mean(axis=0) - rotation @ points.mean(axis=0))
+    here, there = on_rays.mean(axis=0), points.mean(axis=0)
+    rotation = Rotation.align_vectors(on_rays - here, points - there)[0].as_matrix()
+    return Pose(rotation, here - rotation @ there)
 
 
 def _one(
-    rays: npt.ArrayLike, base_m: float, post_m: float, most: int, tolerance: float, method: Method
+    rays: npt.ArrayLike, base_m: float, post_m: float, most: int, method: Method
 ) -> Triangulation:
     given = np.asarray(rays, dtype=np.float64)
     if given.shape != (3, 3) or not np.isfinite(given).all():
@@ -116,7 +100,7 @@ def _one(
         return Triangulation(np.full(3, np.nan), most, False, np.inf)
     middle = left + right
     cosine = float(middle @ tip / np.linalg.norm(middle))
-    r, used = method((q12, q13, q23), base_m, post_m, cosine, most, tolerance)
+    r, used = method((q12, q13, q23), base_m, post_m, cosine, most)
     errors = _equations(r, (q12, q13, q23), side2, base_m**2)
     residual = float(np.abs(errors).max()) / base_m**2
     if not (r.min() > 0.0 and math.isfinite(residual)):
@@ -136,9 +120,7 @@ def _equations(r: Array, q: Squares, side2: float, base2: float) -> Array:
     )
 
 
-def _newton(
-    q: Squares, base: float, post: float, cosine: float, most: int, tolerance: float
-) -> tuple[Array, int]:
+def _newton(q: Squares, base: float, post: float, cosine: float, most: int) -> tuple[Array, int]:
     q12, q13, q23 = q
     half = math.sqrt(0.25 * q23)  # sin(θ23/2)
     outer = 0.5 * base / half
@@ -160,14 +142,12 @@ def _newton(
         except np.linalg.LinAlgError:
             break
         r = r - step
-        if np.abs(step).sum() < tolerance * np.abs(r).sum():
+        if np.abs(step).sum() < ROUNDING * np.abs(r).sum():
             return r, k + 1
     return r, most
 
 
-def _alternate(
-    q: Squares, base: float, post: float, cosine: float, most: int, tolerance: float
-) -> tuple[Array, int]:
+def _alternate(q: Squares, base: float, post: float, cosine: float, most: int) -> tuple[Array, int]:
     swapped = q[0] < q[1]
     q12, q13, q23 = (q[1], q[0], q[2]) if swapped else q
     c12, c13, c23 = 1.0 - 0.5 * q12, 1.0 - 0.5 * q13, 1.0 - 0.5 * q23
@@ -180,7 +160,7 @@ def _alternate(
         r2 = r1 * c12 + math.sqrt(max(side2 - r1 * r1 * s12, 0.0))
         r3 = r2 * c23 + math.sqrt(max(base * base - r2 * r2 * s23, 0.0))
         last, r1 = r1, r3 * c13 - math.sqrt(max(side2 - r3 * r3 * s13, 0.0))
-        if abs(r1 - last) < tolerance * abs(r1):
+        if abs(r1 - last) < ROUNDING * abs(r1):
             used = k + 1
             break
     return np.array([r1, r3, r2] if swapped else [r1, r2, r3]), used

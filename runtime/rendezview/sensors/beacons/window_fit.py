@@ -165,9 +165,7 @@ class WindowFit:
             return Branch.SURE
         step = pose.angle_to(track.pose)
         continuous = other.camera_from_target.angle_to(track.pose) > _CONTINUITY * step
-        if continuous and track.branch in (Branch.SURE, Branch.FOLLOWED):
-            return Branch.FOLLOWED
-        return Branch.OPEN
+        return Branch.SURE if continuous and track.branch is Branch.SURE else Branch.OPEN
 
     def _cost(self, refined: Refined, table: Array, seen: Ints) -> float:
         sigma = self._sigma(refined, table, seen)

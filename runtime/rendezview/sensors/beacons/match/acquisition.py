@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -196,35 +196,25 @@ class Acquirer:
         return Acquisition(Status.NOT_FOUND, MIRRORED)
 
     def _ready(self) -> list[_Triangle]:
-        ready = []
-        first = 0
+        ready, first = [], 0
         for group, pattern in enumerate(self.patterns):
-            triangles = pattern.triangles()
             # Three visible reflectors of a redundant target may be any of its triangles.
-            for triangle in triangles:
-                left, _, right = triangle
-                positions = pattern.positions_m
-                glass = self._hourglass(pattern, triangle)
+            for triangle in pattern.triangles():
+                glass, own = self._hourglass(pattern, triangle), list(triangle)
                 if glass is None:
                     continue
+                places, diameters_m = pattern.positions_m[own], pattern.diameters_m[own]
+                names = tuple(pattern.names[k] for k in own)
                 only = ReflectorPattern(
-                    pattern.name,
-                    tuple(pattern.names[k] for k in triangle),
-                    positions[list(triangle)],
-                    pattern.normals[list(triangle)],
-                    pattern.diameters_m[list(triangle)],
+                    pattern.name, names, places, pattern.normals[own], diameters_m
                 )
                 ready.append(
                     _Triangle(
-                        group,
-                        np.array(triangle, dtype=np.int64) + first,
-                        glass.as_array(),
-                        glass.longest_side,
-                        float(np.linalg.norm(positions[right] - positions[left])),
-                        only.diameters_m,
-                        not any(order == (2, 1, 0) for order in only.symmetries()),
+                        group, np.array(own, dtype=np.int64) + first, np.array(astuple(glass)),
+                        glass.longest_side, float(np.linalg.norm(places[2] - places[0])),
+                        diameters_m, (2, 1, 0) not in only.symmetries(),
                     )
-                )
+                )  # fmt: skip
             first += len(pattern)
         if not ready:
             raise RendezviewError(

@@ -137,9 +137,15 @@ def agree(
 
 def distance(one: LightsFit, other: LightsFit) -> float:
     """Squared distance of two poses in standard deviations of the first."""
-    turn = so3.between(other.rotation, one.rotation)
-    away = np.concatenate([turn, other.translation - one.translation])
+    away = difference(other.rotation, other.translation, one.rotation, one.translation)
     return float(away @ one.information @ away)
+
+
+def difference(
+    rotation: Array, translation: Array, other_rotation: Array, other_translation: Array
+) -> Array:
+    """(6,) perturbation that leads from the other pose to this one."""
+    return np.append(so3.between(rotation, other_rotation), translation - other_translation)
 
 
 def _faults(fit: LightsFit) -> str:

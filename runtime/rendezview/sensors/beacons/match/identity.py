@@ -119,26 +119,21 @@ def _answers(rig: Rig, leds: Array, normals: Array, spots: Sequence[Spots]) -> l
         xy[k, : len(found)], weight[k, : len(found)] = ideal, 1.0 / sigma
     # Spread-out triples of the camera that sees the most; then the others.
     answers: list[Answer] = []
-    tried = 0
+    tried, all_of_them = 0, min(sum(counts), len(rig) * len(leds))
     for k in np.argsort([-count for count in counts], kind="stable"):
         if counts[k] < 3:
             continue
         places = xy[k, : counts[k]]
         good = np.flatnonzero(np.isfinite(places).all(axis=1)).tolist()
+        orders = list(itertools.permutations(range(len(leds)), 3))
         for three in widest(places, list(itertools.combinations(good, 3)))[:_TRIPLES]:
-            orders = list(itertools.permutations(range(len(leds)), 3))
-            tried += len(orders)
             poses = p3p(rig, int(k), ((leds[list(o)], places[list(three)]) for o in orders))
             if len(poses[0]):
                 _explain(rig, leds, normals, spots, xy, weight, poses, answers)
-            # Nothing can explain more than all lights in all cameras.
-            if answers and max(a[0] for a in answers) >= min(sum(counts), len(rig) * len(leds)):
-                break
-            if tried > _MOST_ASSIGNMENTS:
-                break
-        else:
-            continue
-        break
+            tried += len(orders)
+            explained = max((answer[0] for answer in answers), default=0)
+            if explained >= all_of_them or tried > _MOST_ASSIGNMENTS:
+                return answers
     return answers
 
 

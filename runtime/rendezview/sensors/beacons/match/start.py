@@ -12,12 +12,11 @@ import itertools
 from collections.abc import Iterable
 
 import numpy as np
-from numba import njit
 
 from rendezview.estimation.hypotheses import choose
 from rendezview.estimation.p3p import MAX_ROOTS, solve_p3p_batch
 from rendezview.geometry.pose import Array
-from rendezview.sensors.beacons.pose.collinearity import solve, squares
+from rendezview.sensors.beacons.pose.collinearity import solve
 from rendezview.sensors.beacons.rig import Rig, Sights
 
 # Of lights, for each camera: all of six lights'.
@@ -34,6 +33,7 @@ _ALIKE = 15.0
 CAP = 30.0  # Source: χ² distribution, two degrees of freedom
 
 Retrieval = tuple[Array, Array]  # (N, 3, 3) rotations and (N, 3) translations, rig from target
+Triple = tuple[int, int, int]
 _NO: Retrieval = (np.empty((0, 3, 3)), np.empty((0, 3)))  # Source: by construction
 
 
@@ -49,7 +49,7 @@ def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[tu
         normals: (L, 3) directions of their beams, zeros where not known.
         sights: identified lights.
     """
-    parts = [three_light_poses(rig, k, leds, sights) for k in range(len(rig))]
+    parts = [_of_three_lights(rig, k, leds, sights) for k in range(len(rig))]
     rotations, translations = (np.concatenate(part) for part in zip(*parts, strict=True))
     if not len(rotations):
         return []
@@ -58,9 +58,9 @@ def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[tu
     best = np.argsort(cost, kind="stable")[:_REFINED]
     rotations = np.ascontiguousarray(rotations[best])
     translations = np.ascontiguousarray(translations[best])
-    arguments = (leds, normals, rig.rotations, rig.translations, sights.xy)
-    _settle(rotations, translations, *arguments, sights.weight)
-    cost = misfits((rotations, translations), rig, leds, normals, *own)
+    with np.errstate(over="ignore", invalid="ignore"):  # where a pose runs away
+        settle((rotations, translations), rig, leds, normals, sights)
+        cost = misfits((rotations, translations), rig, leds, normals, *own)
     cost[~np.isfinite(rotations.sum(axis=(1, 2)) + translations.sum(axis=1))] = np.inf
 
     def same(one: int, other: int) -> bool:
@@ -73,17 +73,16 @@ def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[tu
     return [(rotations[k], translations[k]) for k in found.answers]
 
 
-def three_light_poses(rig: Rig, camera: int, leds: Array, sights: Sights) -> Retrieval:
+def _of_three_lights(rig: Rig, camera: int, leds: Array, sights: Sights) -> Retrieval:
     """Every pose of every three lights (at most the 20 widest) that one camera sees."""
-    visible = np.flatnonzero(sights.visible[camera])
-    triples: list[tuple[int, ...]] = list(itertools.combinations(visible.tolist(), 3))
-    xy = sights.xy[camera]
+    visible, xy = np.flatnonzero(sights.visible[camera]).tolist(), sights.xy[camera]
+    triples = list(itertools.combinations(visible, 3))
     if len(triples) > _MOST_TRIPLES:
         triples = widest(xy, triples)[:_MOST_TRIPLES]
     return p3p(rig, camera, [(leds[three], xy[three]) for three in map(list, triples)])
 
 
-def widest(xy: Array, triples: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
+def widest(xy: Array, triples: list[Triple]) -> list[Triple]:
     """Triples of points by the area of their triangle, largest first."""
     corners = xy[np.array(triples, dtype=np.intp)]
     u, v = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
@@ -113,6 +112,15 @@ def misfits(
     ``xy``, 1/σ: (C, S, 2) spots of any light, NaN where there is none, or (L, C, 1, 2) each light's
     own, of weight 0 where it is not visible.
     """
+    nearest = np.fmin(np.fmin.reduce(squares(poses, rig, leds, normals, xy, weight), axis=3), CAP)
+    hidden = (weight == 0.0).all(axis=(-2, -1))
+    return np.asarray(np.where(hidden, 0.0, nearest).sum(axis=(1, 2)))
+
+
+def squares(
+    poses: Retrieval, rig: Rig, leds: Array, normals: Array, xy: Array, weight: Array
+) -> Array:
+    """(H, L, C, S) squared distances of spots and lights, infinite where a light does not show."""
     rotations, translations = poses
     turn = rotations.transpose(0, 2, 1)
     q = np.tensordot(leds @ turn + translations[:, None], rig.rotations, (2, 2)) + rig.translations
@@ -120,39 +128,19 @@ def misfits(
     front = (q[..., 2] > 1e-9) & ((beam * q).sum(axis=3) <= 0.0)
     at = q[..., :2] / np.where(front, q[..., 2], 1.0)[..., None]
     square = ((weight * (xy - at[..., None, :])) ** 2).sum(axis=4)
-    nearest = np.fmin(np.fmin.reduce(square, axis=3), CAP)  # NaN: no spot
-    hidden = (weight == 0.0).all(axis=(-2, -1))
-    return np.asarray(np.where(front | hidden, nearest, CAP).sum(axis=(1, 2)))
+    return np.where(front[..., None], square, np.inf)
 
 
-@njit(cache=True, nogil=True)
-def _settle(
-    rotations: Array,
-    translations: Array,
-    leds: Array,
-    normals: Array,
-    cr: Array,
-    ct: Array,
-    xy: Array,
-    weight: Array,
-) -> None:
-    """Iterate each pose with Geman's and McClure's weights, from loose to tight."""
-    each = np.empty(weight.shape[:2])
-    nothing, no_turn, origin = np.zeros((6, 6)), np.zeros((3, 3)), np.zeros(3)  # no prior
-    information = np.empty((6, 6))
-    softened = np.empty_like(weight)
-    # A 4 would be a type of its own, for which `solve` is compiled again.
-    steps: int = np.int64(4)  # type: ignore[assignment]
-    for i in range(rotations.shape[0]):
-        for scale2 in (900.0, 200.0, 60.0, 20.0, 20.0, 20.0):
-            squares(rotations[i], translations[i], leds, normals, cr, ct, xy, weight, each)
-            for k in range(weight.shape[0]):
-                for j in range(weight.shape[1]):
-                    g = scale2 / (scale2 + each[k, j])  # 0 where the light is not visible
-                    g = g if g > 1e-6 else 0.0
-                    # One by one: numba compiles a row's assignment for two seconds.
-                    softened[k, j, 0], softened[k, j, 1] = weight[k, j, 0] * g, weight[k, j, 1] * g
+def settle(poses: Retrieval, rig: Rig, leds: Array, normals: Array, sights: Sights) -> None:
+    """Iterate each pose, in place, with Geman's and McClure's weights, from loose to tight."""
+    each = [part.swapaxes(0, 1)[:, :, None] for part in (sights.xy, sights.weight)]
+    no_prior, information = (np.zeros((6, 6)), np.zeros((3, 3)), np.zeros(3)), np.empty((6, 6))
+    for scale in (900.0, 200.0, 60.0, 20.0, 20.0, 20.0):
+        share = scale / (scale + squares(poses, rig, leds, normals, *each)[..., 0])
+        share[~(share > 1e-6)] = 0.0
+        weights = sights.weight * share.swapaxes(1, 2)[..., None]
+        for rotation, translation, weight in zip(*poses, weights, strict=True):
             solve(
-                rotations[i], translations[i], leds, cr, ct, xy, softened, nothing, no_turn,
-                origin, steps, 1e-3, information,
+                rotation, translation, leds, rig.rotations, rig.translations, sights.xy, weight,
+                *no_prior, 4, 1e-3, information,
             )  # fmt: skip

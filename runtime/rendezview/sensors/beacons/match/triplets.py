@@ -54,10 +54,6 @@ class Hourglass:
         limit = (1.0 - _TIE) ** 2
         return limit if (x + 0.5) ** 2 + y * y < limit else math.inf
 
-    def as_array(self) -> Array:
-        """(5,) for the compiled loops."""
-        return np.array([self.x0, self.y0, self.slope, self.x_intercept, self.y_intercept])
-
 
 # For the target 14.5 in wide with a post of 4 in, ±40° of yaw and pitch. Source: Book et al. 1992,
 # fig. 2

@@ -68,45 +68,6 @@ def normal_equations(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def squares(
-    rotation: Array,
-    translation: Array,
-    leds: Array,
-    normals: Array,
-    cr: Array,
-    ct: Array,
-    xy: Array,
-    weight: Array,
-    out: Array,
-) -> None:
-    """Fill (C, L) sums of squared weighted residuals of each light in each camera.
-
-    0 where not visible; infinite where the light would be behind the camera or shine away from
-    it (``normals`` (L, 3), zeros where its beam is not known).
-    """
-    p, n, q, m = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for j in range(leds.shape[0]):
-        so3.rotate_into(rotation, leds[j], p)
-        so3.rotate_into(rotation, normals[j], n)
-        for i in range(3):
-            p[i] += translation[i]
-        for k in range(cr.shape[0]):
-            out[k, j] = 0.0
-            if weight[k, j, 0] == 0.0:
-                continue
-            so3.rotate_into(cr[k], p, q)
-            so3.rotate_into(cr[k], n, m)
-            for i in range(3):
-                q[i] += ct[k, i]
-            if not q[2] > _NEAREST or m[0] * q[0] + m[1] * q[1] + m[2] * q[2] > 0.0:
-                out[k, j] = np.inf
-                continue
-            rx = weight[k, j, 0] * (xy[k, j, 0] - q[0] / q[2])
-            ry = weight[k, j, 1] * (xy[k, j, 1] - q[1] / q[2])
-            out[k, j] = rx * rx + ry * ry
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def count_lights(weight: Array) -> tuple[int, int]:
     """How many lights any camera sees, and how many equations they give."""
     lights, equations = 0, 0
