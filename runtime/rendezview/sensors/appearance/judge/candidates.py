@@ -153,7 +153,13 @@ class Candidates:
         k = next(k for k, one in enumerate(self._all) if one.pose is weighed[0].pose)
         chosen = choose(merits, self._same, best=k)
         assert chosen is not None
-        return replace(self._found(chosen), weighed=tuple(weighed))
+        found = replace(self._found(chosen), weighed=tuple(weighed))
+        if len(weighed) == 1:
+            return found
+        # Pictures tell it from the poses that were drawn; its edges need only lead the others.
+        drawn = [apart.answers[n] for n in order]
+        others = [m for n, m in enumerate(merits) if not any(self._same(n, d) for d in drawn)]
+        return replace(found, margin=float(merits[k] - max(others)) if others else 1.0)
 
     def _found(self, chosen: Choice) -> Found:
         best = self._all[chosen.best]
