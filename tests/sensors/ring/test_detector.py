@@ -146,15 +146,6 @@ def test_wrong_images_are_refused_in_words(ring_camera):
         RingSensor(ring_camera, float("nan"))
 
 
-def test_the_same_frame_gives_the_same_answer_twice(make, ring_camera):
-    _, image = make([9, 1], clutter=3)
-    detector = RingDetector(ring_camera)
-    first, second = detector.detect(image), detector.detect(image)
-    assert [e.ellipse.shape.tolist() for e in first.edges] == [
-        e.ellipse.shape.tolist() for e in second.edges
-    ]
-
-
 def test_without_a_radius_there_are_ellipses_and_no_pose(make, ring_camera):
     _, image = make([10, 1])
     reading = RingSensor(ring_camera).update(0.0, image)
