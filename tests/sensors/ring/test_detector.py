@@ -20,11 +20,11 @@ from rendezview.sensors.ring import (
 )
 
 
-def truths(scene, ring_only=True):
+def truths(scene):
     return [
         shape_of_circle(scene.camera, c.centre_m, c.axis, c.radius_m)
         for c in scene.circles
-        if c.is_ring or not ring_only
+        if c.is_ring
     ]
 
 
