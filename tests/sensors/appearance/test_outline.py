@@ -18,10 +18,6 @@ from rendezview.sensors.appearance.outline.silhouette import (
 from rendezview.sensors.appearance.outline.tracing import crack_outline
 
 
-def mask_of(rows: list[str]) -> np.ndarray:
-    return np.array([[255 if c == "#" else 0 for c in row] for row in rows], dtype=np.uint8)
-
-
 def signed_area(points: np.ndarray) -> float:
     """Shoelace; positive where x turns towards y, which is clockwise on the screen."""
     x, y = points.T
