@@ -19,12 +19,8 @@ def split_entropy(left_counts: npt.ArrayLike, right_counts: npt.ArrayLike) -> fl
     left = np.asarray(left_counts, dtype=np.float64)
     right = np.asarray(right_counts, dtype=np.float64)
 
-    def n_log(counts: np.ndarray, total: float) -> float:
+    def n_log(counts: np.ndarray) -> float:
         some = counts[counts > 0]
-        return float(np.sum(some * np.log(some / total))) if total > 0 else 0.0
+        return float(np.sum(some * np.log(some / counts.sum())))
 
-    return (
-        n_log(left, left.sum())
-        + n_log(right, right.sum())
-        - n_log(left + right, left.sum() + right.sum())
-    )
+    return n_log(left) + n_log(right) - n_log(left + right)

@@ -77,24 +77,18 @@ def _risk_at(length: float, alternatives: list[tuple[float, float]]) -> float:
     return sum(p for d, p in alternatives if d > length) + float(np.exp(-length))
 
 
-def test_without_alternatives_the_level_is_the_radius():
-    assert _level([], 1e-3) == pytest.approx(_tail(1e-3))
-
-
-def test_an_unlikely_alternative_takes_its_share_of_the_risk():
-    assert _level([(90.0, 4e-4)], 1e-3) == pytest.approx(_tail(6e-4))
-
-
-def test_an_alternative_that_is_likelier_than_the_risk_is_inside():
-    assert _level([(90.0, 4e-2)], 1e-3) == pytest.approx(90.0)
-
-
-def test_an_answer_that_is_anywhere_leaves_no_level():
-    assert _level([(np.inf, 1e-2)], 1e-3) == np.inf
-
-
-def test_near_alternatives_cost_nothing():
-    assert _level([(2.0, 0.5)], 1e-3) == pytest.approx(_tail(1e-3))
+@pytest.mark.parametrize(
+    ("alternatives", "level"),
+    [
+        ([], _tail(1e-3)),  # the radius
+        ([(90.0, 4e-4)], _tail(6e-4)),  # an unlikely one takes its share of the risk
+        ([(90.0, 4e-2)], 90.0),  # one that is likelier than the risk is inside
+        ([(np.inf, 1e-2)], np.inf),  # an answer that is anywhere leaves no level
+        ([(2.0, 0.5)], _tail(1e-3)),  # a near one costs nothing
+    ],
+)
+def test_the_level_keeps_the_risk_beside_alternatives(alternatives, level):
+    assert _level(alternatives, 1e-3) == pytest.approx(level)
 
 
 def test_the_level_is_the_least_that_keeps_the_risk():

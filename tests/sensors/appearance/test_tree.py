@@ -133,16 +133,6 @@ def test_thresholds_print_whole_up_to_a_million():
     assert tree.listing(0).splitlines()[0] == "0 #0 <= 123456"
 
 
-def test_split_entropy_has_the_values_of_a_hand_calculation():
-    # Table I, r1 <= 0.5: one of category 1 left; 1 and 3 right
-    expected = 0.0 + (np.log(1 / 4) + 3 * np.log(3 / 4)) - (2 * np.log(2 / 5) + 3 * np.log(3 / 5))
-    assert split_entropy([1, 0], [1, 3]) == pytest.approx(expected)
-    assert expected == pytest.approx(1.1157, abs=1e-4)
-    assert split_entropy([4, 0], [0, 4]) == pytest.approx(8 * np.log(2.0))  # a perfect split
-    assert split_entropy([2, 6], [1, 3]) == pytest.approx(0.0, abs=1e-12)  # a useless one
-    assert split_entropy([0, 0], [3, 5]) == pytest.approx(0.0, abs=1e-12)  # none at all
-
-
 def test_split_entropy_is_the_number_of_samples_times_scikit_learns_gain():
     rng = np.random.default_rng(0)
     for _ in range(10):
@@ -155,18 +145,6 @@ def test_split_entropy_is_the_number_of_samples_times_scikit_learns_gain():
         children = (tree.weighted_n_node_samples * tree.impurity)[1:].sum()
         gain_bits = 60 * tree.impurity[0] - children
         assert split_entropy(*counts) == pytest.approx(gain_bits * np.log(2.0), abs=1e-9)
-
-
-def test_the_greedy_root_of_table_1_is_r1_at_0_5():
-    candidates = {}
-    for component in range(3):
-        values = np.unique(TABLE_I[:, component])
-        for threshold in 0.5 * (values[1:] + values[:-1]):
-            left = TABLE_I[:, component] <= threshold
-            counts = [np.bincount(CATEGORY[side], minlength=3)[1:] for side in (left, ~left)]
-            candidates[component, round(float(threshold), 3)] = split_entropy(*counts)
-    assert max(candidates, key=candidates.__getitem__) == (0, 0.5)
-    assert sorted(candidates.values())[-2] < candidates[0, 0.5] - 0.1
 
 
 @pytest.mark.parametrize("bins", [360, 294, 8])

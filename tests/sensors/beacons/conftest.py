@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from rendezview.geometry.camera import Camera
+from rendezview.io.target import Target
 from rendezview.sensors.beacons import LitDark, ReflectorPattern, SixNumbers, pose_of
 from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
 
@@ -42,6 +45,11 @@ def five() -> ReflectorPattern:
         np.tile([0.0, 0.0, 1.0], (5, 1)),
         np.full(5, 0.025),
     )
+
+
+@pytest.fixture(scope="session")
+def client() -> Target:
+    return Target.load(Path(__file__).resolve().parents[3] / "models_cad" / "client")
 
 
 @pytest.fixture

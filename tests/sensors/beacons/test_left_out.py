@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.plain_readings import PAPER, frames_of
 
 from rendezview.geometry.pose import Pose
-from rendezview.io.target import Target
 from rendezview.sensors.beacons import (
     Acquirer,
     ReflectorPattern,
@@ -23,12 +21,10 @@ from rendezview.sensors.beacons import (
 from rendezview.sensors.beacons.match.acquisition_options import AcquisitionOptions
 from rendezview.sensors.observation import Status
 
-CLIENT = Path(__file__).resolve().parents[3] / "models_cad" / "client"
-
 
 @pytest.fixture(scope="module")
-def groups():
-    return {pattern.name: pattern for pattern in patterns_of(Target.load(CLIENT))}
+def groups(client):
+    return {pattern.name: pattern for pattern in patterns_of(client)}
 
 
 def at(pattern, range_m):

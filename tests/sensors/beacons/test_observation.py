@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ import pytest
 from rendezview.fusion.logs import LogContext, read_record
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import json_line
-from rendezview.io.target import Target
 from rendezview.sensors.beacons import (
     ReflectorSensor,
     SixNumbers,
@@ -23,13 +21,12 @@ from rendezview.sensors.beacons import (
 from rendezview.sensors.beacons.match.acquisition import merged
 from rendezview.sensors.observation import Observation
 
-CLIENT = Path(__file__).resolve().parents[3] / "models_cad" / "client"
 MOUNT = Pose.identity().perturbed([0.1, -0.2, 0.3, 0.5, 0.0, -0.4])
 
 
 @pytest.mark.parametrize("mounts", [{}, {"reflectors": MOUNT}])
-def test_a_measurement_is_the_one_that_the_log_gives(picture, paper_camera, mounts):
-    patterns = patterns_of(Target.load(CLIENT))
+def test_a_measurement_is_the_one_that_the_log_gives(client, picture, paper_camera, mounts):
+    patterns = patterns_of(client)
     sensor = ReflectorSensor(paper_camera, patterns, tracking=TrackingOptions(confirm=False))
     pose = pose_of(SixNumbers(9.0, 0.0, 0.0, 2.9, 0.05, 0.05), patterns[1])
     frames = picture(merged(patterns), pose, np.random.default_rng(30))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.sensors.ring.flyaround import DISTANCE_M, PANEL_M, RADIUS_M, camera_at
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -14,22 +15,17 @@ from rendezview.sensors.ring.ring_pass import ring_size_of_pass
 from rendezview.sensors.ring.ring_size import RingSight, ring_size
 
 CAMERA = Camera.from_fov(2048, 2048, np.radians(50.0))
-SIDES_M, RADIUS_M, DISTANCE_M = (8.0, 2.4), 0.597, 1.68
 
 
 def pose_at(angle, rng=None):
-    out = np.array([np.cos(angle), np.sin(angle), 0.1])
-    out /= np.linalg.norm(out)
-    right = np.cross([0.0, 0.0, -1.0], -out)
-    right /= np.linalg.norm(right)
-    rotation = np.vstack([right, np.cross(-out, right), -out])
-    if rng is not None:
-        rotation = Rotation.from_rotvec(rng.normal(0.0, 0.03, 3)).as_matrix() @ rotation
-    return Pose(rotation, rotation @ (-12.0 * out))
+    pose = camera_at(angle)
+    if rng is None:
+        return pose
+    return Pose(Rotation.from_rotvec(rng.normal(0.0, 0.03, 3)).as_matrix(), np.zeros(3)) @ pose
 
 
 def sight(pose, corner_px, ellipse_px, range_m, rng):
-    y, z = 0.5 * SIDES_M[0], 0.5 * SIDES_M[1]
+    y, z = 0.5 * PANEL_M[0], 0.5 * PANEL_M[1]
     corners = CAMERA.project(pose.apply([[0, y, z], [0, -y, z], [0, y, -z], [0, -y, -z]]))
     axis = pose.rotation[:, 0]
     shape = shape_of_circle(CAMERA, pose.apply([DISTANCE_M, 0, 0]), axis, RADIUS_M)
@@ -106,14 +102,9 @@ def test_an_error_that_all_frames_share_is_not_lessened_by_their_number():
     rng = np.random.default_rng(7)
     for angle in np.linspace(-0.9, 0.9, 16):
         pose = pose_at(angle, rng)
-        shape = shape_of_circle(
-            CAMERA, pose.apply([DISTANCE_M, 0, 0]), pose.rotation[:, 0], RADIUS_M
-        )
-        y, z = 0.5 * SIDES_M[0], 0.5 * SIDES_M[1]
-        corners = pose.apply(np.array([[0, y, z], [0, -y, z], [0, y, -z], [0, -y, -z]]))
-        range_m = float(pose.rotation[:, 0] @ pose.translation_m) / pose.rotation[2, 0]
-        ellipse = Ellipse.from_shape(shape, 1e-4 * np.eye(5))
-        sights.append(RingSight(CAMERA.project(corners), ellipse, range_m, 0.01, 0.001))
+        one = sight(pose, 0.0, 0.0, 0.0, np.random.default_rng(0))
+        ellipse = Ellipse.from_shape(one.ellipse.shape, 1e-4 * np.eye(5))
+        sights.append(RingSight(one.corners_px, ellipse, one.range_m, 0.01, 0.001))
     for count in (8, 16):
         plain, shared = (ring_size_of_pass(CAMERA, sights[:count], px) for px in (0.0, 0.1))
         more = np.sqrt(shared.covariance[0, 0] - plain.covariance[0, 0])
