@@ -156,9 +156,14 @@ class Candidates:
         found = replace(self._found(chosen), weighed=tuple(weighed))
         if len(weighed) == 1:
             return found
-        # Pictures tell it from the poses that were drawn; its edges need only lead the others.
-        drawn = [apart.answers[n] for n in order]
-        others = [m for n, m in enumerate(merits) if not any(self._same(n, d) for d in drawn)]
+        # Its look-alikes have the same edges, and pictures tell it from them: edges need only lead
+        # the others, which may show that it is a local optimum.
+        family = [self._all[k].pose, *rivals.look_alikes(self._all[k].pose)]
+
+        def another(pose: Pose) -> bool:
+            return all(pose.angle_to(one) > RIVAL_RAD for one in family)
+
+        others = [m for one, m in zip(self._all, merits, strict=True) if another(one.pose)]
         return replace(found, margin=float(merits[k] - max(others)) if others else 1.0)
 
     def _found(self, chosen: Choice) -> Found:

@@ -49,8 +49,8 @@ class Found:
     """The best pose of a frame and its rival, the best pose that is another answer."""
 
     best: Hypothesis
-    # Merit of the best pose above its rival's, 1 without a rival; where rivals were drawn, above
-    # that of the others; of a sketch log odds, at most 4
+    # Merit of the best pose above its rival's, 1 without a rival; where look-alikes were drawn,
+    # above that of the others; of a sketch log odds, at most 4
     margin: float
     dark: bool  # the sky is dark
     prior: bool  # found near a prior
