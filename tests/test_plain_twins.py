@@ -98,7 +98,7 @@ def unexplained_light(rng):
     levels, made = rng.normal(size=(2, 7, 7)).astype(np.float32)
     seen = np.flatnonzero(rng.random(49) < 0.5)
     cells = np.zeros(9)  # of three pixels a side
-    drawn._unexplained(levels, made, seen, drawn._cells_of(seen, 7, 9.0), 0.7, cells)
+    drawn._unexplained(levels, made, seen, drawn._cells_of(7, 9.0), 0.7, cells)
     square = ((levels.astype(float) - made) / 0.7) ** 2
     left, plain = np.zeros((9, 9)), square / (1.0 + square)
     left[np.divmod(seen, 7)] = plain.ravel()[seen]

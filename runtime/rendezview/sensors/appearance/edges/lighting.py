@@ -39,8 +39,6 @@ _COARSELY = 3
 TOLERANCE = 0.1
 # Of the levels: that of the bright samples. Source: by hand, seeds of docs/notes/refinement.md
 BRIGHT_PERCENTILE = 80
-# Grey levels: from there on, a level says that a surface is at least so bright. Source: of 8 bits
-WHITE_GREY = 254.0
 # Least cosine between the Sun and the direction to the camera. Source: by construction, phase
 # angles to 107°
 BEHIND = -0.3

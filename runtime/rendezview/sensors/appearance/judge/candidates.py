@@ -160,11 +160,12 @@ class Candidates:
         # the others, which may show that it is a local optimum.
         family = [self._all[k].pose, *rivals.look_alikes(self._all[k].pose)]
 
-        def another(pose: Pose) -> bool:
-            return all(pose.angle_to(one) > RIVAL_RAD for one in family)
+        def alike(n: int, _best: int) -> bool:
+            return any(self._all[n].pose.angle_to(one) <= RIVAL_RAD for one in family)
 
-        others = [m for one, m in zip(self._all, merits, strict=True) if another(one.pose)]
-        return replace(found, margin=float(merits[k] - max(others)) if others else 1.0)
+        beside = choose(merits, alike, best=k)
+        assert beside is not None
+        return replace(found, margin=beside.margin if beside.rivals else 1.0)
 
     def _found(self, chosen: Choice) -> Found:
         best = self._all[chosen.best]

@@ -23,7 +23,7 @@ from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.geometry.so3 import rotate_back_into
 from rendezview.geometry.zbuffer import draw_parallel, draw_perspective, empty_buffers
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.lighting import TOLERANCE, WHITE_GREY, light_strengths
+from rendezview.sensors.appearance.edges.lighting import TOLERANCE, light_strengths
 from rendezview.sensors.appearance.judge.gloss import GLOSS_ORDER, add_gloss
 from rendezview.sensors.appearance.judge.shading import LEAST_POINTS
 from rendezview.sensors.appearance.model.shape import Shape
@@ -49,9 +49,10 @@ _OBSERVED_BLUR_PX, _DRAWN_BLUR_PX = 0.8, 1.0
 _BRIGHT_QUANTILE = 0.9  # of the levels where the craft is. Source: by construction, not the glints
 # Of the target's radius: errors of neighbouring pixels are alike. Source: fixed with DRAWN_WEIGHT
 _CELLS_ACROSS = 20.0
-# Of the two strengths of light: six leave shadows 50 levels too bright, and forty let a rival take
-# its shadows for outliers. Source: docs/notes/rivals.md; pixels by construction, a bound of time
+# Of the two strengths of light: twelve come within 1 % of 200. Source: by construction, of time
 _ROUNDS, _LIGHT_SAMPLES = 12, 2000
+# Grey levels: from there on, a level says that a surface is at least so bright. Source: of 8 bits
+_WHITE_GREY = 254.0
 # The compared pixels reach so far beyond the craft. Source: by construction, three σ of blur
 _AROUND_PX = 3
 # σ: the sky beside the craft, behind it. Source: by construction, a fifth of its radius
@@ -106,7 +107,7 @@ class Window:
     cell_px: float  # pixels of an independent cell
     sky: Float32s  # (H, W) levels as they are expected beside the craft
     seen: Indices  # (M,) pixels that are compared
-    cells: Indices  # (M,) the cell of each
+    cells: Indices  # (H W,) the cell of every pixel
     blurred: tuple[slice, slice]  # rows and columns that blur may bring to them
 
     def beside(self, drawn: list[Drawn]) -> Window:
@@ -124,10 +125,9 @@ class Window:
         blurred = cv2.GaussianBlur(free * self.levels, *size) / np.maximum(weight, 1e-6)
         sky = np.where(weight > 1e-3, blurred, 0.0).astype(np.float32)
         seen = np.flatnonzero(near.ravel())
-        cells = _cells_of(seen, len(near), self.cell_px)
         left, top, width, height = cv2.boundingRect(near)
         part = _reached(top, height), _reached(left, width)
-        return replace(self, sky=sky, seen=seen, cells=cells, blurred=part)
+        return replace(self, sky=sky, seen=seen, blurred=part)
 
 
 class DrawnEvidence:
@@ -167,9 +167,9 @@ class DrawnEvidence:
         seen = levels[drawn > 0.0]
         bright = float(np.quantile(seen, _BRIGHT_QUANTILE)) if len(seen) else 0.0
         tolerance = TOLERANCE * max(bright, 0.0) + sky.noise_grey
-        white, cell_px = WHITE_GREY - black, (radius_px / times / _CELLS_ACROSS) ** 2
+        white, cell_px = _WHITE_GREY - black, (radius_px / times / _CELLS_ACROSS) ** 2
         nothing, all_of_it = np.zeros_like(levels), np.arange(levels.size)
-        cells = _cells_of(all_of_it, len(levels), cell_px)
+        cells = _cells_of(len(levels), cell_px)
         whole = slice(None), slice(None)
         return Window(
             levels, fx, fy, cx, cy, tolerance, white, cell_px, nothing, all_of_it, cells, whole
@@ -267,7 +267,7 @@ class Drawn:
         drawn.ravel()[self.where] = levels
         part = drawn[window.blurred]
         part[:] = cv2.GaussianBlur(part, (0, 0), _DRAWN_BLUR_PX)
-        cells = np.zeros(int(window.cells.max(initial=0)) + 1)
+        cells = np.zeros(window.cells[-1] + 1)
         _unexplained(window.levels, drawn, window.seen, window.cells, tolerance, cells)
         return Explained(cells / window.cell_px, drawn, sun_camera)
 
@@ -328,11 +328,11 @@ def _reached(start: int, length: int) -> slice:
     return slice(max(start - margin, 0), start + length + margin)
 
 
-def _cells_of(pixels: Indices, side: int, cell_px: float) -> Indices:
-    """(M,) the cell of each pixel of a square picture, counted by rows."""
+def _cells_of(side: int, cell_px: float) -> Indices:
+    """(side²,) the cell of each pixel of a square picture, counted by rows."""
     across = max(1, round(math.sqrt(cell_px)))
-    row, column = np.divmod(pixels, side)
-    return np.asarray(row // across * math.ceil(side / across) + column // across)
+    cell = np.arange(side) // across
+    return np.asarray(np.add.outer((cell[-1] + 1) * cell, cell).ravel())
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
@@ -344,7 +344,7 @@ def _unexplained(
     levels, drawn = levels.ravel(), drawn.ravel()
     for k in range(len(seen)):
         r = (levels[seen[k]] - drawn[seen[k]]) / tolerance
-        cells[cells_of[k]] += r * r / (1.0 + r * r)
+        cells[cells_of[seen[k]]] += r * r / (1.0 + r * r)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
