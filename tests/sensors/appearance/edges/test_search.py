@@ -13,6 +13,7 @@ from rendezview.sensors.appearance import Recognizer
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.judge.candidates import Candidates
+from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.observation import StageClock
 from rendezview.sensors.appearance.search.search import PoseSearch
@@ -177,6 +178,33 @@ def test_where_coarse_stages_lead_away_from_a_prior_the_pose_next_to_it_counts_t
     found = search.at(frame, Sky.of(frame), Near(truth, np.deg2rad(20.0), refining_model.centre_m))
     assert found is not None
     assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
+
+
+def test_few_edges_are_enough_only_where_the_prediction_speaks_for_the_pose_too(
+    refining_model, bumpy_mesh, camera, draw, truth, monkeypatch
+):
+    """Followed into shadow: a pose that leaves the prediction may be a local optimum."""
+    search, frame = PoseSearch(refining_model, camera), draw(bumpy_mesh, truth, camera)
+    centre_m, refine = refining_model.centre_m, search.refiner.refine
+
+    def in_shadow(*args, **how):
+        found = refine(*args, **how)
+        assert found is not None
+        return replace(found, outline=0.6 * found.outline, inner=0.6 * found.inner)
+
+    monkeypatch.setattr(search.refiner, "refine", in_shadow)
+
+    def followed(prior: Pose, confirmed: float) -> Found | None:
+        return search.at(frame, Sky.of(frame), Near(prior, np.deg2rad(20.0), centre_m), confirmed)
+
+    found = followed(truth, 0.35)
+    assert found is not None
+    assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
+    assert followed(truth, 0.45) is None  # the search before found more edges
+    aside = turned(truth, Rotation.from_euler("x", 6.0, degrees=True).as_matrix(), centre_m)
+    assert followed(aside, 0.35) is None
+    monkeypatch.setattr(search.refiner, "refine", refine)
+    assert followed(aside, 0.35) is not None  # edges enough on their own
 
 
 def test_every_pose_that_pictures_speak_for_has_its_look_alikes_aligned(refining_model, camera):

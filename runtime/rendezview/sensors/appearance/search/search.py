@@ -227,7 +227,8 @@ class PoseSearch:
     ) -> Found | None:
         """The pose next to a prior that is right to a few degrees; None unless it is confident.
 
-        ``sufficient_inlier_ratio`` lowers what is enough otherwise: a search has confirmed it.
+        ``sufficient_inlier_ratio`` lowers what is enough otherwise: a search has confirmed it, and
+        the prior speaks for it, too.
         """
         usual = _ENOUGH if sky.dark else _ENOUGH_BRIGHT
         prior = near.prior
@@ -244,6 +245,8 @@ class PoseSearch:
         if found is None or found.confidence < least:
             return None
         if found.best.pose.angle_to(prior) > CLOSE_RAD:  # else the prior speaks for it
+            if not reaches_usual:
+                return None
             found = self._beside_look_alikes(single, found) or found
         return self.levels.finished(replace(found, single=True), image, sky)
 
