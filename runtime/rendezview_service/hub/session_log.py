@@ -70,7 +70,4 @@ class SessionLog:
         if not self._paths:
             return []
         *before, last = self._paths
-        return [
-            *map(LogPart, before),
-            LogPart(last, self.recording.size_bytes or None, trusted=True),
-        ]
+        return [*map(LogPart, before), LogPart(last, self.recording.size_bytes or None)]

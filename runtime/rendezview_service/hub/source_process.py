@@ -78,13 +78,13 @@ class SourceProcess:
 
     def _receive(self, timeout_s: float | None) -> tuple[Header, bytes] | None:
         """The next message; None: the process has ended, or is ended, because it is silent."""
-        self._connection.settimeout(timeout_s)
         try:
+            self._connection.settimeout(timeout_s)
             return receive(self._connection)
         except TimeoutError:
             self._process.kill()
         except OSError:
-            pass  # closed by another thread
+            pass  # closed by another thread, or not started again
         return None
 
     def _end(self) -> str:
@@ -172,7 +172,7 @@ class SourceProcess:
                 if not self.live and speed > 0.0:
                     if last_s is not None and frame.time_s is not None:
                         pause_s = (frame.time_s - last_s) / speed
-                        due_s = max(due_s + min(max(pause_s, 0.0), _LONGEST_PAUSE_S), 0.0)
+                        due_s += min(max(pause_s, 0.0), _LONGEST_PAUSE_S)
                     last_s = frame.time_s
                     if self._stop.wait(max(0.0, due_s - time.monotonic())):
                         break
@@ -228,7 +228,7 @@ def main() -> None:
 
     threading.Thread(target=until_gone, daemon=True).start()
     try:
-        for frame in source.frames(threading.Event()):
+        for frame in source.frames:
             if isinstance(frame, RendezviewError):
                 send({"kind": "refused", "error": str(frame)})
             else:
