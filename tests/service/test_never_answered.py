@@ -130,7 +130,7 @@ def test_a_stream_that_is_cut_off_with_its_answers_unread_is_over(monkeypatch) -
 
     async def accepted(*_: object) -> Any:
         lease = SimpleNamespace(release=lambda sender: None)
-        return SimpleNamespace(lease=lease, streaming=InputQueue().streaming)
+        return SimpleNamespace(lease=lease, waiting=InputQueue())
 
     monkeypatch.setattr(streams, "_accepted", accepted)
     cut: Any = Cut()

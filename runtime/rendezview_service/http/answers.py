@@ -10,7 +10,7 @@ import re
 import secrets
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, FastAPI, Request
 from fastapi.concurrency import run_in_threadpool
@@ -44,12 +44,24 @@ BINARY = {"schema": {"type": "string", "format": "binary"}}
 SENDER_HEADER, KEY_HEADER = "X-Sender", "Idempotency-Key"
 _FRAME_HEAD = TypeAdapter(FrameHead)
 _LONGEST_KEY = 128  # characters. Source: a chosen limit
+FoundT = TypeVar("FoundT")
 
 
 def service_of(connection: HTTPConnection) -> Service:
     """The service behind the application."""
     service: Service = connection.app.state.service
     return service
+
+
+def found(thing: FoundT | None, what: str, where: str) -> FoundT:
+    """What a path names.
+
+    Raises:
+        HTTPException: 404, there is none; ``where`` has those that there are.
+    """
+    if thing is None:
+        raise HTTPException(404, f"{what}: there is none: see {where}")
+    return thing
 
 
 def session_of(connection: HTTPConnection, name: str) -> Session:
@@ -65,11 +77,7 @@ def session_of(connection: HTTPConnection, name: str) -> Session:
         raise NotReady(f"session {name} goes on in a moment: the service has started again")
     if session is None and name in service.ended:
         raise HTTPException(404, f"session {name} has ended: {service.ended[name]}")
-    if session is None:
-        raise HTTPException(
-            404, f"session {name[:80]!r}: there is none with this id: see /v1/sessions"
-        )
-    return session
+    return found(session, f"session {name[:80]!r}", "/v1/sessions")
 
 
 async def _opened(request: Request, name: str) -> Session:

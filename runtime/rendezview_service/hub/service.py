@@ -244,8 +244,8 @@ class Service:
                 known = source is not None or resumed is not None
                 await self.workers.sensors_compiled(None if known else _START_WAIT_S)
             of = None if source is None else source.name
-            about = self.settings, self.metrics, of, self.histories
-            session = Session(name, stored, request, *about)
+            shared = self.settings, self.metrics, self.histories
+            session = Session(name, stored, request, *shared, of)
             if resumed is not None:
                 session.resume(resumed)
             try:
@@ -340,7 +340,7 @@ class Service:
             raise RendezviewError(answer["error"])
         session.worker = worker
         session.recorded(answer)
-        if session.has_waiting:
+        if session.waiting:
             worker.wake(session)
 
     async def _reopen(self, orphans: list[Session], worker: WorkerHandle | None) -> list[Session]:

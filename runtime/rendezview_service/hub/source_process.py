@@ -53,7 +53,7 @@ class SourceProcess:
         opened = self._start()
         known = opened["camera"]
         self.name: str = opened["name"]
-        self.camera = None if known is None else Camera(**_camera_keys(known))
+        self.camera = None if known is None else Camera(**known)
         self.live: bool = opened["live"]
         self.notes: list[str] = opened["notes"]
 
@@ -192,10 +192,6 @@ class SourceProcess:
             done.wait(0.5)
 
 
-def _camera_keys(opened: Header) -> Header:
-    return opened | {"distortion": tuple(opened["distortion"])}
-
-
 def main() -> None:
     """Read one source; the service says when to begin."""
     for sent in (signal.SIGINT, signal.SIGTERM):
@@ -206,7 +202,7 @@ def main() -> None:
     os.dup2(quiet, 2)  # decoders write there
     connection = socket.socket(fileno=int(sys.argv[1]))
     given = json.loads(sys.argv[3])
-    camera = None if given is None else Camera(**_camera_keys(given))
+    camera = None if given is None else Camera(**given)
 
     def send(header: Header, content: bytes = b"") -> None:
         connection.sendall(pack(header, content))

@@ -189,13 +189,12 @@ class RerunViewer:
             "stdout": subprocess.DEVNULL,
             "stderr": subprocess.DEVNULL,
         }
-        forbid = subprocess.Popen([*program, "analytics", "disable"], **quiet)
-        self._open.callback(_end, forbid)
-        import rerun as rr  # takes as long as the program does
+        forbid = [*program, "analytics", "disable"]
+        if subprocess.run(forbid, timeout=_SERVER_START_S, **quiet).returncode:
+            raise OSError("Rerun's program fails: is its package whole?")
+        import rerun as rr
 
         self._rr = rr
-        if forbid.wait(_SERVER_START_S):
-            raise OSError("Rerun's program fails: is its package whole?")
         at = "127.0.0.1" if host == "0.0.0.0" else "[::1]" if host == "::" else host
         self.address = f"rerun+http://{at}:{port}/proxy"
         server = subprocess.Popen(

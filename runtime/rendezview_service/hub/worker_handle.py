@@ -181,10 +181,10 @@ class WorkerHandle(asyncio.Protocol):
     def _next(self) -> None:
         while self._current is None and self._turns and self._transport is not None:
             session = self._turns.popleft()
-            waiting = session.take()
+            waiting = session.waiting.take()
             if waiting is None:
                 continue
-            if session.has_waiting:
+            if session.waiting:
                 self._turns.append(session)
             self._current = session, waiting
             request = session.header_of(waiting)

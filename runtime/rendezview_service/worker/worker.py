@@ -99,7 +99,7 @@ class WorkerProcess:
         """Report logs that are complete, and disks that fail while no frame comes."""
         for name, writer in [one for one in self._ending if one[1].is_ended]:
             self._ending.remove((name, writer))
-            self._send_closed(name, writer)
+            self._send_closed(name)
         now_s = time.monotonic()
         if now_s - self._looked_s < _LOOK_S:
             return
@@ -154,7 +154,8 @@ class WorkerProcess:
         self._models.load_loops(sensors=asked.sensors is not None and asked.sensors.any)
         try:
             model, recognizer = self._models.model(sight.model), self._models.recognizer(sight)
-            tracker = SessionTracker.of_notes(notes, asked, model, options.sensors, recognizer)
+            name = request["session"]
+            tracker = SessionTracker(name, model, asked, notes, options.sensors, recognizer)
             writer = None
             if request["log_path"] is not None:
                 whole = options.record_model and options.record_images
@@ -162,7 +163,7 @@ class WorkerProcess:
                 place = Path(request["log_path"])
                 writer = LogWriter(place, tracker.camera, notes, content, options)
             session = _WorkerSession(tracker, writer, sight)
-            self._sessions[request["session"]] = session
+            self._sessions[name] = session
         finally:
             self._drop_unused()
         return _report(session)
@@ -277,13 +278,12 @@ class WorkerProcess:
             session.log.end()
             self._ending.append((request["session"], session.log))
         else:
-            self._send_closed(request["session"], None)
+            self._send_closed(request["session"])
         del session  # its memory is free before the next line
         self._drop_unused()
 
-    def _send_closed(self, session: str, writer: LogWriter | None) -> None:
-        recording = None if writer is None else writer.status.model_dump(mode="json")
-        self._send({"kind": "closed", "session": session, "recording": recording})
+    def _send_closed(self, session: str) -> None:
+        self._send({"kind": "closed", "session": session})
 
     def _drop_unused(self) -> None:
         self._models.keep({session.sight for session in self._sessions.values()})
