@@ -48,6 +48,7 @@ class Session:
 
         Args:
             stored: the model; it stays the same, whatever happens to its name.
+            histories: of all sessions.
             source: a source that the service itself reads; None: clients send the frames.
         """
         self.id = name

@@ -45,15 +45,13 @@ _PARSED: dict[int, Any] = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
-    Opcode.MESSAGE: None,
     Opcode.CHUNK: Chunk,
     Opcode.MESSAGE_INDEX: MessageIndex,
     Opcode.ATTACHMENT: Attachment,
     Opcode.METADATA: Metadata,
 }
 # Codes of other records, of this or a later version of MCAP. Source: mcap.dev/spec, "Opcodes".
-_OTHER = (*range(0x0B, 0x0F), *range(0x80, 0x100))
-_LEAST_MESSAGE = 22  # bytes of an empty message. Source: mcap.dev/spec, "Message"
+_OTHER = (Opcode.MESSAGE, *range(0x0B, 0x0F), *range(0x80, 0x100))
 _WINDOW = 1 << 20  # bytes that are searched at once for the next chunk. Source: chosen
 # The start of a chunk: opcode, a length below 4 GiB, times, size and checksum, a compression.
 # Source: mcap.dev/spec, "Chunk".
@@ -185,9 +183,6 @@ def _parsed(opcode: int, body: bytes) -> McapRecord | None:
     """A record of data; None for damage. Records that are not needed stay empty."""
     if opcode == Opcode.DATA_END:
         return DataEnd(0) if len(body) == 4 else None
-    if opcode == Opcode.MESSAGE:
-        fits = len(body) >= _LEAST_MESSAGE
-        return Message.read(ReadDataStream(io.BytesIO(body)), len(body)) if fits else None
     kind = _PARSED.get(opcode)
     if kind is None:
         return McapRecord() if opcode in _OTHER else None
