@@ -14,6 +14,8 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, BinaryIO
 
 from mcap.data_stream import ReadDataStream
@@ -232,6 +234,24 @@ def is_own(path: StrPath) -> bool:
     except OSError:
         return False
     return found is not None and isinstance(found[0], Header) and found[0].library == WRITER
+
+
+def own_notes(path: Path) -> dict[str, str]:
+    """The metadata of one of the service's own logs; those of files as they were are remembered.
+
+    Raises:
+        RendezviewError: it is another file.
+        OSError: it cannot be read.
+    """
+    status = path.stat()
+    return _own_notes(path, status.st_ino, status.st_mtime_ns)
+
+
+@lru_cache(maxsize=4096)
+def _own_notes(path: Path, *_: int) -> dict[str, str]:
+    if not is_own(path):
+        raise RendezviewError(f"{path}: no log of the service: name another file")
+    return head_of(path).notes
 
 
 def is_finished(path: StrPath) -> bool:
