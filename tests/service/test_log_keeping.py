@@ -248,7 +248,12 @@ def test_each_log_is_read_once_for_the_list_and_a_damaged_head_hides_no_other(
     content[place : place + 4] = b"none"
     (tmp_path / "11.mcap").write_bytes(content)
     read, head_of = [], log_file.head_of
-    monkeypatch.setattr(log_file, "head_of", lambda path: read.append(path) or head_of(path))
+
+    def counted(path: Path) -> log_file.LogHead:
+        read.append(path)
+        return head_of(path)
+
+    monkeypatch.setattr(log_file, "head_of", counted)
     recordings = Recordings(tmp_path)
     for _ in range(2):
         assert {one.session for one in recordings.list()} == set(map(str, range(11)))

@@ -9,6 +9,7 @@ import math
 import re
 import secrets
 from collections.abc import AsyncIterator, Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -23,7 +24,7 @@ from starlette.responses import Response, StreamingResponse
 from rendezview.errors import RendezviewError
 from rendezview.io.files import checked, write_error
 from rendezview_service.http.security import fault
-from rendezview_service.hub.inputs import Answer, NotReady, Refused
+from rendezview_service.hub.inputs import Answer, NotReady, Refused, SessionInput
 from rendezview_service.hub.model_store import NameTaken
 from rendezview_service.hub.service import Service
 from rendezview_service.hub.sessions import Session
@@ -159,13 +160,9 @@ async def track(
         Refused: as `Session.queue`.
         RendezviewError: the key belongs to another request.
     """
-
-    def put(answer: Callable[[Answer], None]) -> None:
-        at_s, roi = head.time_s, head.roi
-        session.queue(session.input(pieces, at_s, answer, sender=sender, key=key, roi=roi))
-
     about = "frame", head.model_dump_json(), sum(map(len, pieces))
-    return await session.once.do(key, about, lambda: _answered(put))
+    given = partial(session.input, pieces, head.time_s, sender=sender, key=key, roi=head.roi)
+    return await session.once.do(key, about, lambda: _answered(given, session.queue))
 
 
 async def measure(session: Session, sensor: str, content: bytes, key: str | None) -> Answer:
@@ -175,17 +172,16 @@ async def measure(session: Session, sensor: str, content: bytes, key: str | None
         Refused: as `Session.measure`.
         RendezviewError: the key belongs to another request.
     """
-
-    def put(answer: Callable[[Answer], None]) -> None:
-        session.measure(session.input([content], None, answer, sensor=sensor))
-
-    return await session.once.do(key, (sensor, content), lambda: _answered(put))
+    given = partial(session.input, [content], None, sensor=sensor)
+    return await session.once.do(key, (sensor, content), lambda: _answered(given, session.measure))
 
 
-async def _answered(put: Callable[[Callable[[Answer], None]], None]) -> Answer:
+async def _answered(
+    given: Callable[[Callable[[Answer], None]], SessionInput], put: Callable[[SessionInput], None]
+) -> Answer:
     """The answer to an input that ``put`` gives to its session."""
     future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-    put(lambda result: None if future.done() else future.set_result(result))
+    put(given(lambda result: None if future.done() else future.set_result(result)))
     return await future
 
 

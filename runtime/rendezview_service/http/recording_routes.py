@@ -10,10 +10,10 @@ from fastapi.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
-from rendezview.errors import RendezviewError
 from rendezview_service.http.answers import FAULTS, JSON, download, found, service_of
 from rendezview_service.hub.session_defaults import approach_of
 from rendezview_service.hub.session_events import events_of
+from rendezview_service.logs.log_file import reading
 from rendezview_service.logs.log_repair import LogPart
 from rendezview_service.logs.recordings import Recording
 from rendezview_service.messages.approach_messages import ApproachRequest
@@ -24,10 +24,8 @@ router = APIRouter(prefix="/v1/recordings", tags=["recordings"], responses=FAULT
 
 
 async def _found(request: Request, name: str) -> Recording:
-    try:
+    with reading(name[:80]):
         known = await run_in_threadpool(service_of(request).recordings.get, name)
-    except OSError as error:
-        raise RendezviewError(f"{name[:80]}: cannot be read ({error.strerror})") from None
     return found(known, f"recording {name[:80]!r}", "/v1/recordings")
 
 

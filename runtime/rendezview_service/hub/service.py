@@ -110,7 +110,7 @@ class Service:
         self.recordings = Recordings(logs)
         self._viewers, self.histories = Viewers(settings), Histories(settings.history_bytes)
         self._speed = speed
-        self.jobs = Jobs(self.models, settings.jobs, settings.job_s, settings.job_bytes)
+        self.jobs = Jobs(self.models, settings)
         self.workers = WorkerPool(settings, self.metrics, self._reopen)
         self._fed: dict[str, SourceProcess] = {}  # by session
         self._opening: set[str] = set()

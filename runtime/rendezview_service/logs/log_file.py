@@ -7,6 +7,7 @@ with the next chunk.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import re
@@ -102,23 +103,33 @@ def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord
     Raises:
         RendezviewError: the file cannot be read, or is not an MCAP file.
     """
+    with reading(path), open(path, "rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        size = size if most is None else min(size, most)
+        if file.read(len(MAGIC)) != MAGIC:
+            raise RendezviewError(f"{path}: not an MCAP log: name another file")
+        place: int | None = len(MAGIC)
+        while place is not None and place + _HEAD.size <= size:
+            found = _record_at(file, place, size)
+            if found is None:
+                place = next_chunk(file, place + 1, size)
+                continue
+            record, length = found
+            yield record, place, length
+            if isinstance(record, DataEnd):
+                return
+            place += length
+
+
+@contextlib.contextmanager
+def reading(path: StrPath) -> Iterator[None]:
+    """Explain why a log cannot be read.
+
+    Raises:
+        RendezviewError: it is missing, or its disk fails.
+    """
     try:
-        with open(path, "rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            size = size if most is None else min(size, most)
-            if file.read(len(MAGIC)) != MAGIC:
-                raise RendezviewError(f"{path}: not an MCAP log: name another file")
-            place: int | None = len(MAGIC)
-            while place is not None and place + _HEAD.size <= size:
-                found = _record_at(file, place, size)
-                if found is None:
-                    place = next_chunk(file, place + 1, size)
-                    continue
-                record, length = found
-                yield record, place, length
-                if isinstance(record, DataEnd):
-                    return
-                place += length
+        yield
     except FileNotFoundError:
         raise RendezviewError(f"{path}: no such log: check the path") from None
     except OSError as error:

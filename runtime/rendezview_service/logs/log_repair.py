@@ -30,7 +30,7 @@ from mcap.records import (
 from rendezview.errors import RendezviewError
 from rendezview.io.file_lock import lock
 from rendezview.io.files import atomic_write
-from rendezview_service.logs.log_file import content_of, is_finished, records
+from rendezview_service.logs.log_file import content_of, is_finished, reading, records
 from rendezview_service.logs.log_index import MAGIC, Scan, chunk_index, ending, taken
 
 _COPY_BYTES = 1 << 16  # bytes per piece of a copy. Source: chosen
@@ -99,12 +99,11 @@ class Joined:
         else:
             self.pieces.append(made)
         index.chunk_start_offset, index.message_index_length = self.found.end, len(made)
-        self.found.end += length
-        for (channel, places), blob in zip(entries.items(), blobs, strict=True):
-            index.message_index_offsets[channel] = self.found.end
-            self.found.counts[channel] += len(places)
-            self.found.end += len(blob)
-        self.found.chunks.add(index)
+        end = self.found.end + length
+        for channel, blob in zip(entries, blobs, strict=True):
+            index.message_index_offsets[channel] = end
+            end += len(blob)
+        self.found.add_chunk(index, {channel: len(places) for channel, places in entries.items()})
 
 
 Entries = dict[int, list[tuple[int, int]]]  # log time and offset in the chunk, by channel
@@ -204,14 +203,12 @@ def mend(path: Path) -> Mended | None:
             return None
         joined = join([LogPart(path)])
         place = copy if joined.damaged_bytes else path
-        try:
+        with reading(path):  # a fault of writing is explained by `atomic_write`
             if is_finished(path) and not joined.damaged_bytes:
                 return None
             with atomic_write(place) as file:
                 for block in joined.blocks():
                     file.write(block)
-        except OSError as error:  # one of writing is explained by `atomic_write`
-            raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
     return Mended(place, joined.cut_bytes, joined.damaged_bytes)
 
 
@@ -222,12 +219,8 @@ def locked(path: Path) -> Iterator[None]:
     Raises:
         RendezviewError: a service writes it, or it cannot be opened.
     """
-    try:
+    with reading(path):
         file = os.open(path, os.O_RDONLY)
-    except FileNotFoundError:
-        raise RendezviewError(f"{path}: no such log: check the path") from None
-    except OSError as error:
-        raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
     try:
         try:
             ours = lock(file)
