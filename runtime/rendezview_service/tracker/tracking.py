@@ -134,10 +134,10 @@ class SessionTracker:
             recognizer, prior, integrity=integrity, prior_posterior=request.prior_posterior
         )
         self._nodes = model.geodesic.nodes.tolist()
-        self._sensors = FrameSensors(request, self.camera)
+        self.sensors = FrameSensors(request, self.camera)
         fuses = request.sensors is not None and bool(request.sensors.fusion)
         notes = notes or {}
-        about = notes.get("forgotten") == "yes", self._sensors.names, fuses, model.beam_mesh()
+        about = notes.get("forgotten") == "yes", self.sensors.names, fuses, model.beam_mesh()
         self.filter = SessionFilter(request.fusion, most_sensors, *about)
         handover = json.loads(notes.get("handover", "null"))
         if handover is not None:
@@ -202,9 +202,9 @@ class SessionTracker:
 
         fused = self.filter.track(observation)
         lap("filter")
-        if self._sensors.names:
+        if self.sensors.names:
             number = self.frames + drops
-            state |= self._sensors.look(image, time_s, number, fused, self.filter)
+            state |= self.sensors.look(image, time_s, number, fused, self.filter)
             fused = self.filter.state_at(time_s)
             lap("sensors")
         if self.filter.fuses:
@@ -216,11 +216,6 @@ class SessionTracker:
         state["approach"] = self._approach.state(time_s, state["motion"], covariance)
         self.frames += 1
         return state, observation
-
-    @property
-    def own_sensors(self) -> list[str]:
-        """Names of the sensors that it reads in its frames."""
-        return self._sensors.names
 
     def _state(
         self,

@@ -199,7 +199,7 @@ class WorkerProcess:
         }
         if tracker.filter.fuses:
             answer["sensors"] = tracker.filter.health()
-            answer["own"] = tracker.own_sensors
+            answer["own"] = tracker.sensors.names
         self._send(answer | _report(session), text)
         session.last = image, state, observation
         if more:
