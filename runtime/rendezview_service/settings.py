@@ -43,9 +43,7 @@ class Settings(BaseSettings):
     record_model: bool = True  # with images: the log can be replayed on its own
     sync: Literal["always", "interval", "never"] = "interval"  # fsync; `interval`: each second
     compression: Literal["", "lz4", "zstd"] = "lz4"
-    log_part_bytes: int = Field(
-        default=1_000_000_000, ge=1_000_000
-    )  # then a log's next part begins
+    log_part_bytes: int = Field(default=1_000_000_000, ge=1_000_000)  # then the next part begins
     log_part_s: float = Field(default=3600.0, ge=1.0)  # the same
     log_wait_s: float = Field(default=0.25, ge=0.0)  # an answer waits so long for the disk
     log_memory_bytes: int = Field(default=64_000_000, ge=0)  # of what waits longer, of a session
@@ -64,9 +62,7 @@ class Settings(BaseSettings):
     spare_worker: bool = True  # one more process, ready to take over
     sessions: int = Field(default=16, ge=1, le=1024)
     watchers: int = Field(default=32, ge=1)  # of all sessions
-    waiting: int = Field(
-        default=4, ge=1, le=256
-    )  # frames of a session that plain requests may queue
+    waiting: int = Field(default=4, ge=1, le=256)  # frames of plain requests, of a session
     frame_bytes: int = Field(default=32_000_000, ge=1024, le=1_000_000_000)
     model_bytes: int = Field(default=200_000_000, ge=1024)
     mesh_bytes: int = Field(default=200_000_000, ge=1024)

@@ -221,14 +221,18 @@ def test_a_machine_is_warmed_for_the_commands_that_are_named(monkeypatch):
         warm_command.warm(["trak"])
 
 
-def test_a_loop_that_is_compiled_unexpectedly_is_announced_once():
+def test_a_loop_that_is_compiled_unexpectedly_is_announced_once(monkeypatch):
     said: list[str] = []
+    listeners: list[compiling.Compiling] = []
+    monkeypatch.setattr(compiling, "say", said.append)
+    monkeypatch.setattr(compiling, "register", lambda _, listener: listeners.append(listener))
+    compiling.tell_of_compiling()
 
     def work() -> None:
         njit(lambda x: x + 1)(1)
         njit(lambda x: x + 2)(1)
 
-    with install_listener("numba:compile", compiling._Teller(said.append)):
+    with install_listener("numba:compile", *listeners):
         work()
     assert len(said) == 1
     entries = recorded(lambda: njit(lambda x: 2.0 * x)(1))

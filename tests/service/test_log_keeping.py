@@ -22,11 +22,12 @@ from tests.service.logged import settings_of
 from tests.waiting import MOST_S, wait_until
 
 from rendezview.errors import RendezviewError
-from rendezview_service.logs import log_folder, recording
+from rendezview_service.logs import log_file, log_folder, recording
 from rendezview_service.logs.log_folder import mend_folder, part_path, remove_old
 from rendezview_service.logs.log_lock import folder_lock
 from rendezview_service.logs.log_repair import LogPart, join, mend
 from rendezview_service.logs.recording import RECORDED, LogWriter
+from rendezview_service.logs.recordings import Recordings
 from rendezview_service.logs.replay import model_of, read_log, repeat
 from rendezview_service.messages.messages import SessionRequest
 from rendezview_service.tracker.tracking import (
@@ -231,6 +232,32 @@ def test_a_log_in_parts_is_repeated_whole_and_sent_as_one_file(
     *_, (_, so_far) = repeat(read_log(base), refining_model)
     assert so_far.gap.startswith("frames ")
     assert so_far.frames > 12  # of the second tracker all
+
+
+def test_each_log_is_read_once_for_the_list_and_a_damaged_head_hides_no_other(
+    tmp_path, camera, monkeypatch
+):
+    request = SessionRequest(camera=camera_message(camera))
+    for k in range(12):
+        notes = session_notes(f"{k}", request, "bumpy", Path("a.rvm")) | {"log": f"log {k}"}
+        writer = LogWriter(tmp_path / f"{k}.mcap", camera, notes, None, PATIENT)
+        _write(writer, 0, 1)
+        writer.close()
+    content = bytearray((tmp_path / "11.mcap").read_bytes())
+    place = content.index(b"rendezview.session")
+    content[place : place + 4] = b"none"
+    (tmp_path / "11.mcap").write_bytes(content)
+    read, head_of = [], log_file.head_of
+
+    def counted(path: Path) -> log_file.LogHead:
+        read.append(path)
+        return head_of(path)
+
+    monkeypatch.setattr(log_file, "head_of", counted)
+    recordings = Recordings(tmp_path)
+    for _ in range(2):
+        assert {one.session for one in recordings.list()} == set(map(str, range(11)))
+    assert sorted(read) == sorted(tmp_path.glob("*.mcap"))
 
 
 def test_old_logs_go_and_open_ones_stay(tmp_path, camera):

@@ -130,7 +130,7 @@ def test_a_stream_that_is_cut_off_with_its_answers_unread_is_over(monkeypatch) -
 
     async def accepted(*_: object) -> Any:
         lease = SimpleNamespace(release=lambda sender: None)
-        return SimpleNamespace(lease=lease, streaming=InputQueue().streaming)
+        return SimpleNamespace(lease=lease, waiting=InputQueue())
 
     monkeypatch.setattr(streams, "_accepted", accepted)
     cut: Any = Cut()
@@ -178,9 +178,9 @@ def _compiled_after(known: _Handled, before_s: float, pause_s: float) -> Any:
 
     async def ask() -> Any:
         theirs = await known.connect()
-        asked = asyncio.create_task(known.handle.ask({"kind": "warm", "session": ""}))
+        asked = asyncio.create_task(known.handle.ask({"kind": "warm"}))
         await asyncio.sleep(before_s)
-        theirs.sendall(pack({"kind": "opened", "session": "", "compiled": 3}))
+        theirs.sendall(pack({"kind": "done", "to": 1, "compiled": 3}))
         time.sleep(pause_s)
         answer = await asked
         theirs.close()
@@ -237,10 +237,8 @@ def test_a_worker_of_a_service_with_a_thousand_connections_starts() -> None:
         theirs.close()
         ours.settimeout(MOST_S)
         assert receive(ours) == ({"kind": "ready"}, b"")
-        ours.sendall(pack({"kind": "close", "session": "none"}))
-        answer = receive(ours)
-        assert answer is not None
-        assert answer[0]["kind"] == "closed"
+        ours.sendall(pack({"kind": "close", "session": "none", "number": 7}))
+        assert receive(ours) == ({"kind": "done", "to": 7}, b"")
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
         ours.close()

@@ -6,7 +6,6 @@ import asyncio
 import itertools
 import os
 import signal
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -44,7 +43,7 @@ def test_a_recording_is_a_source(tmp_path: Path, write, name: str) -> None:
         open_source(str(path), None)
     source = open_source(f"{path}#/a/image_raw", None)
     assert (source.camera, source.live) == (CAMERA, False)
-    frames = list(source.frames(threading.Event()))
+    frames = list(source.frames)
     assert len(frames) == 4
     for k, frame in enumerate(frames):
         assert isinstance(frame, SourceFrame)
@@ -67,10 +66,9 @@ def test_a_network_stream_is_opened_again_when_it_breaks_off(network_camera, mon
     source = open_source(network_camera, CAMERA)
     assert source.live
     assert "word" not in source.name
-    stop = threading.Event()
     seen: list[float] = []
     breaks: list[str] = []
-    for got in itertools.islice(source.frames(stop), 70):
+    for got in itertools.islice(source.frames, 70):
         if isinstance(got, RendezviewError):
             breaks.append(str(got))
             continue
@@ -80,7 +78,6 @@ def test_a_network_stream_is_opened_again_when_it_breaks_off(network_camera, mon
         seen.append(float(grey.mean()))
         if len(breaks) == 2:
             break
-    stop.set()
     assert len(breaks) == 2
     assert all("broke off" in told and "word" not in told for told in breaks)
     assert len(seen) >= 40  # the first of a connection may be lost in opening it
@@ -91,7 +88,7 @@ def test_a_network_stream_is_opened_again_when_it_breaks_off(network_camera, mon
 def test_a_network_stream_that_is_not_there_is_tried_again(monkeypatch) -> None:
     monkeypatch.setattr("rendezview_service.hub.sources.RECONNECT_S", 0.05)
     source = open_source("http://127.0.0.1:9/nothing", CAMERA)
-    first, second = itertools.islice(source.frames(threading.Event()), 2)
+    first, second = itertools.islice(source.frames, 2)
     assert isinstance(first, RendezviewError)
     assert "cannot be opened" in str(first)
     assert isinstance(second, RendezviewError)
@@ -104,7 +101,7 @@ def test_why_a_source_cannot_be_opened_is_said(monkeypatch) -> None:
         ("http://no-such-host.invalid/x", "no such host"),
         ("/dev/video97", "no such camera"),
     ):
-        first = next(open_source(name, CAMERA).frames(threading.Event()))
+        first = next(open_source(name, CAMERA).frames)
         assert isinstance(first, RendezviewError)
         assert why in str(first)
 
@@ -146,6 +143,29 @@ def test_a_decoder_that_ends_is_said_and_a_live_one_is_started_again(
     said = (isinstance(each, RendezviewError) and "starting again" in str(each) for each in got)
     assert any(itertools.islice(said, 200))
     live.close()
+
+
+def test_a_live_source_that_does_not_start_again_is_tried_once_more(
+    network_camera, monkeypatch
+) -> None:
+    monkeypatch.setattr("rendezview_service.hub.source_process.RECONNECT_S", 0.05)
+    live = SourceProcess(network_camera, CAMERA)
+    start, tries = live._start, []
+
+    def fails_once() -> object:
+        tries.append(len(tries))
+        if len(tries) == 1:
+            raise RendezviewError("no memory")
+        return start()
+
+    monkeypatch.setattr(live, "_start", fails_once)
+    got = live.frames()
+    next(got)
+    _kill_children()
+    frames = (each for each in got if len(tries) > 1 and isinstance(each, SourceFrame))
+    next(frames)
+    live.close()
+    assert tries == [0, 1]
 
 
 def _kill_children() -> None:

@@ -17,6 +17,7 @@ from websockets.sync.client import connect
 
 from rendezview.errors import RendezviewError
 from rendezview_service.client import Client, ServiceError, pose_of_state
+from rendezview_service.hub.history import Histories
 from rendezview_service.hub.inputs import SessionInput
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.sessions import Session
@@ -159,9 +160,8 @@ def test_a_stream_of_no_session_is_closed_with_the_reason(service, client, what)
 def test_who_comes_while_a_frame_is_looked_at_sees_the_next_one(camera):
     """Its extras were not asked for in the newcomer's name."""
     request = SessionRequest(camera=camera_message(camera))
-    session = Session(
-        "s", SimpleNamespace(name="m"), request, Settings(history_image_hz=0.0), Metrics()
-    )
+    shared = Settings(history_image_hz=0.0), Metrics(), Histories(1_000_000)
+    session = Session("s", SimpleNamespace(name="m"), request, *shared)
     before, after = (Watcher(30.0, 200, contour=True, silhouette=False) for _ in range(2))
     state = b'{"frame": 0}'
     header = {"frame": 0, "phase": "tracking", "time_s": 0.0, "status": "ok", "track_ms": 1.0,

@@ -13,7 +13,7 @@ from rendezview.calibration.as_built import AsBuilt, ShapeEstimator, strain_name
 from rendezview.calibration.as_built.picture import shape_picture
 from rendezview.calibration.board import Chessboard
 from rendezview.calibration.one_camera import CharucoBoard, calibrate_camera
-from rendezview.cli.inputs import board_of, check_positive, given_sequence
+from rendezview.cli.inputs import CameraFile, ObjectId, board_of, check_positive, given_sequence
 from rendezview.cli.pattern import calibrate_pattern
 from rendezview.cli.progress import say, say_table
 from rendezview.cli.reflectors import calibrate_reflectors
@@ -108,7 +108,7 @@ def shape(
         Path, typer.Argument(help="Fly-around: BOP scene, SPEED folder, folder of images, video.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Model file to write.")],
-    camera: Annotated[Path | None, typer.Option(help="Camera file; wins over the scene's.")] = None,
+    camera: CameraFile = None,
     poses: Annotated[
         str | None,
         typer.Option(
@@ -138,9 +138,7 @@ def shape(
         ),
     ] = None,
     frames: Annotated[int, typer.Option(help="At most, evenly spaced.")] = 200,
-    obj_id: Annotated[
-        int | None, typer.Option(help="Which object of a BOP scene is the target.")
-    ] = None,
+    obj_id: ObjectId = None,
     picture: Annotated[
         Path | None,
         typer.Option(help="PNG to write: residuals over the surface, before and after."),

@@ -20,7 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -231,24 +231,25 @@ _EACH_S = 0.3
 
 def tell_of_compiling() -> None:
     """From now on, one line on stderr when this process begins to compile a loop itself."""
-    register("numba:compile", _Teller(say))  # type: ignore[no-untyped-call]
+    once = cache(lambda: say("Compiling loops for this machine, only once …"))
+    register("numba:compile", Compiling(began=once))  # type: ignore[no-untyped-call]
 
 
-class _Teller(Listener):
-    """Says once that loops are being compiled."""
+class Compiling(Listener):
+    """Calls back when this process begins to compile a loop, and when that is done."""
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell = tell
-        self._reported = False
+    def __init__(
+        self, began: Callable[[], None] = lambda: None, done: Callable[[], None] = lambda: None
+    ) -> None:
+        self._began, self._done = began, done
 
     def on_start(self, event: Event) -> None:
         """A loop is being compiled."""
-        if not self._reported:
-            self._reported = True
-            self._tell("Compiling loops for this machine, only once …")
+        self._began()
 
     def on_end(self, event: Event) -> None:
         """A loop is compiled."""
+        self._done()
 
 
 def _named(name: str) -> Any:

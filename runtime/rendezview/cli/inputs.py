@@ -23,6 +23,7 @@ from rendezview.io.sequences import Sequence, open_sequence
 CameraFile = Annotated[
     Path | None, typer.Option(help="Camera file; wins over that of the pictures.")
 ]
+ObjectId = Annotated[int | None, typer.Option(help="Which object of a BOP scene is the target.")]
 
 
 def given_camera(path: Path | None) -> Camera | None:

@@ -21,7 +21,7 @@ from rendezview.cli.guide import (
     ShapeName,
     first_epoch,
 )
-from rendezview.cli.inputs import check_apart, direction_of, given_camera, given_sequence
+from rendezview.cli.inputs import ObjectId, check_apart, direction_of, given_camera, given_sequence
 from rendezview.cli.live_view import LiveView
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.cli.where import At, Box, Boxes, Instances, Mask, given_regions
@@ -106,9 +106,7 @@ def track(
     alarm_position_m: Annotated[
         float | None, typer.Option(help="Alarm where the level of the position is higher.")
     ] = None,
-    obj_id: Annotated[
-        int | None, typer.Option(help="Which object of a BOP scene is the target.")
-    ] = None,
+    obj_id: ObjectId = None,
     box: Box = None,
     boxes: Boxes = None,
     instances: Instances = 1,

@@ -34,6 +34,16 @@ def lock(descriptor: int, *, wait: bool = False) -> bool:
     return True
 
 
+def lock_if_possible(descriptor: int) -> bool | None:
+    """Like `lock`; None where the file system has no locks."""
+    try:
+        return lock(descriptor)
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise
+        return None
+
+
 def opened_alone(path: Path) -> BinaryIO:
     """An empty file that this process alone writes; what was in it is gone.
 

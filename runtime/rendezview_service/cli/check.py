@@ -18,7 +18,7 @@ from pathlib import Path
 import numba
 
 from rendezview.errors import RendezviewError, without_cache
-from rendezview.io.file_lock import NO_LOCKS, lock
+from rendezview.io.file_lock import lock_if_possible
 from rendezview.sensors.appearance import ViewModel
 from rendezview_service.hub.model_store import SUFFIX
 from rendezview_service.hub.session_defaults import SessionDefaults
@@ -105,11 +105,7 @@ def _folder(folder: Path, least_bytes: int) -> str:
         file.write(bytes(4096))
         file.flush()
         os.fsync(file.fileno())
-        try:
-            lock(file.fileno())
-        except OSError as error:
-            if error.errno not in NO_LOCKS:
-                raise
+        if lock_if_possible(file.fileno()) is None:
             notes += "no locks (no other service may use it), "
     free = shutil.disk_usage(there).free
     if free < least_bytes:

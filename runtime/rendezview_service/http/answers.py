@@ -9,8 +9,9 @@ import math
 import re
 import secrets
 from collections.abc import AsyncIterator, Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, FastAPI, Request
 from fastapi.concurrency import run_in_threadpool
@@ -23,7 +24,7 @@ from starlette.responses import Response, StreamingResponse
 from rendezview.errors import RendezviewError
 from rendezview.io.files import checked, write_error
 from rendezview_service.http.security import fault
-from rendezview_service.hub.inputs import Answer, NotReady, Refused
+from rendezview_service.hub.inputs import Answer, NotReady, Refused, SessionInput
 from rendezview_service.hub.model_store import NameTaken
 from rendezview_service.hub.service import Service
 from rendezview_service.hub.sessions import Session
@@ -44,12 +45,24 @@ BINARY = {"schema": {"type": "string", "format": "binary"}}
 SENDER_HEADER, KEY_HEADER = "X-Sender", "Idempotency-Key"
 _FRAME_HEAD = TypeAdapter(FrameHead)
 _LONGEST_KEY = 128  # characters. Source: a chosen limit
+FoundT = TypeVar("FoundT")
 
 
 def service_of(connection: HTTPConnection) -> Service:
     """The service behind the application."""
     service: Service = connection.app.state.service
     return service
+
+
+def found(thing: FoundT | None, what: str, where: str) -> FoundT:
+    """What a path names.
+
+    Raises:
+        HTTPException: 404, there is none; ``where`` has those that there are.
+    """
+    if thing is None:
+        raise HTTPException(404, f"{what}: there is none: see {where}")
+    return thing
 
 
 def session_of(connection: HTTPConnection, name: str) -> Session:
@@ -65,11 +78,7 @@ def session_of(connection: HTTPConnection, name: str) -> Session:
         raise NotReady(f"session {name} goes on in a moment: the service has started again")
     if session is None and name in service.ended:
         raise HTTPException(404, f"session {name} has ended: {service.ended[name]}")
-    if session is None:
-        raise HTTPException(
-            404, f"session {name[:80]!r}: there is none with this id: see /v1/sessions"
-        )
-    return session
+    return found(session, f"session {name[:80]!r}", "/v1/sessions")
 
 
 async def _opened(request: Request, name: str) -> Session:
@@ -151,13 +160,9 @@ async def track(
         Refused: as `Session.queue`.
         RendezviewError: the key belongs to another request.
     """
-
-    def put(answer: Callable[[Answer], None]) -> None:
-        at_s, roi = head.time_s, head.roi
-        session.queue(session.input(pieces, at_s, answer, sender=sender, key=key, roi=roi))
-
     about = "frame", head.model_dump_json(), sum(map(len, pieces))
-    return await session.once.do(key, about, lambda: _answered(put))
+    given = partial(session.input, pieces, head.time_s, sender=sender, key=key, roi=head.roi)
+    return await session.once.do(key, about, lambda: _answered(given, session.queue))
 
 
 async def measure(session: Session, sensor: str, content: bytes, key: str | None) -> Answer:
@@ -167,17 +172,16 @@ async def measure(session: Session, sensor: str, content: bytes, key: str | None
         Refused: as `Session.measure`.
         RendezviewError: the key belongs to another request.
     """
-
-    def put(answer: Callable[[Answer], None]) -> None:
-        session.measure(session.input([content], None, answer, sensor=sensor))
-
-    return await session.once.do(key, (sensor, content), lambda: _answered(put))
+    given = partial(session.input, [content], None, sensor=sensor)
+    return await session.once.do(key, (sensor, content), lambda: _answered(given, session.measure))
 
 
-async def _answered(put: Callable[[Callable[[Answer], None]], None]) -> Answer:
+async def _answered(
+    given: Callable[[Callable[[Answer], None]], SessionInput], put: Callable[[SessionInput], None]
+) -> Answer:
     """The answer to an input that ``put`` gives to its session."""
     future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-    put(lambda result: None if future.done() else future.set_result(result))
+    put(given(lambda result: None if future.done() else future.set_result(result)))
     return await future
 
 

@@ -81,7 +81,6 @@ class BoundedProtocol(HttpToolsProtocol):
         super().on_message_begin()
         if self._head_bytes is None:
             self._await_head()
-        self._start_timer()
 
     def on_headers_complete(self) -> None:
         """The head is complete."""
@@ -156,12 +155,7 @@ class BoundedProtocol(HttpToolsProtocol):
                 oldest.abort()
 
     def _await_head(self) -> None:
-        self._head_bytes = 0
-        self._start_timer()
-
-    def _start_timer(self) -> None:
-        if self._head_timer is None:
-            self._head_timer = Timer(HEAD_S, self.abort)
+        self._head_bytes, self._head_timer = 0, Timer(HEAD_S, self.abort)
 
     def _await_reader(self) -> None:
         """See that somebody reads, as long as something is unread."""

@@ -19,6 +19,7 @@ from rendezview_service.http.answers import (
     JSON,
     body_in_docs,
     file_of,
+    found,
     key_of,
     service_of,
 )
@@ -39,21 +40,11 @@ _BODY = body_in_docs({BYTES: BINARY})
 
 
 async def _job(request: Request, job_id: str) -> Job:
-    job = service_of(request).jobs.get(job_id)
-    if job is None:
-        raise HTTPException(
-            404, f"training {job_id[:80]!r}: there is none with this id: see /v1/jobs"
-        )
-    return job
+    return found(service_of(request).jobs.get(job_id), f"training {job_id[:80]!r}", "/v1/jobs")
 
 
 async def _stored(request: Request, name: str) -> StoredModel:
-    stored = service_of(request).models.get(name)
-    if stored is None:
-        raise HTTPException(
-            404, f"model {name[:80]!r}: there is none with this name: see /v1/models"
-        )
-    return stored
+    return found(service_of(request).models.get(name), f"model {name[:80]!r}", "/v1/models")
 
 
 Stored = Annotated[StoredModel, Depends(_stored)]
@@ -62,8 +53,8 @@ Stored = Annotated[StoredModel, Depends(_stored)]
 @router.get("/models")
 async def list_models(request: Request) -> ModelList:
     """All models."""
-    found = service_of(request).models.all()
-    return ModelList(models=[await run_in_threadpool(_listed, stored) for stored in found])
+    known = service_of(request).models.all()
+    return ModelList(models=[await run_in_threadpool(_listed, stored) for stored in known])
 
 
 @router.get("/models/{name}")

@@ -10,10 +10,10 @@ from fastapi.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
-from rendezview.errors import RendezviewError
-from rendezview_service.http.answers import FAULTS, JSON, download, service_of
+from rendezview_service.http.answers import FAULTS, JSON, download, found, service_of
 from rendezview_service.hub.session_defaults import approach_of
 from rendezview_service.hub.session_events import events_of
+from rendezview_service.logs.log_file import reading
 from rendezview_service.logs.log_repair import LogPart
 from rendezview_service.logs.recordings import Recording
 from rendezview_service.messages.approach_messages import ApproachRequest
@@ -24,13 +24,9 @@ router = APIRouter(prefix="/v1/recordings", tags=["recordings"], responses=FAULT
 
 
 async def _found(request: Request, name: str) -> Recording:
-    try:
-        found = await run_in_threadpool(service_of(request).recordings.get, name)
-    except OSError as error:
-        raise RendezviewError(f"{name[:80]}: cannot be read ({error.strerror})") from None
-    if found is None:
-        raise HTTPException(404, f"recording {name[:80]!r}: there is none: see /v1/recordings")
-    return found
+    with reading(name[:80]):
+        known = await run_in_threadpool(service_of(request).recordings.get, name)
+    return found(known, f"recording {name[:80]!r}", "/v1/recordings")
 
 
 Logged = Annotated[Recording, Depends(_found)]
@@ -39,8 +35,7 @@ Logged = Annotated[Recording, Depends(_found)]
 @router.get("")
 async def list_recordings(request: Request) -> RecordedList:
     """The logs of the service's folder, the newest first."""
-    found = await run_in_threadpool(service_of(request).recordings.list)
-    return RecordedList(recordings=found)
+    return RecordedList(recordings=await run_in_threadpool(service_of(request).recordings.list))
 
 
 @router.get("/{name}/history", responses={200: {"model": History}})
@@ -60,10 +55,10 @@ async def get_history(
 @router.get("/{name}/images/{frame}", response_class=Response)
 async def get_image(recording: Logged, frame: int) -> Response:
     """The picture of a frame that ``history`` listed, or of the last one before it."""
-    found = await run_in_threadpool(recording.picture, frame)
-    if found is None:
+    shown = await run_in_threadpool(recording.picture, frame)
+    if shown is None:
         raise HTTPException(404, f"no picture of frame {frame} or earlier is in this log")
-    return Response(found[1], 200, {"X-Frame": str(found[0])}, found[2])
+    return Response(shown[1], 200, {"X-Frame": str(shown[0])}, shown[2])
 
 
 @router.get("/{name}/contour/{frame}")

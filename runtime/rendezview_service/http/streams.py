@@ -85,7 +85,7 @@ async def stream(socket: WebSocket, name: str) -> None:
     sender = asyncio.create_task(send())
     sender.add_done_callback(lambda _: room.set())  # who waits for room sees that it has ended
     try:
-        with session.streaming(answer):
+        with session.waiting.streaming(answer):
             while not sender.done():
                 message = await socket.receive()
                 if message["type"] != "websocket.receive":

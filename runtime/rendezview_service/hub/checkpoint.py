@@ -15,7 +15,7 @@ from typing import ClassVar
 from pydantic import BaseModel, ConfigDict
 
 from rendezview.errors import RendezviewError
-from rendezview.io.file_lock import NO_LOCKS, lock
+from rendezview.io.file_lock import lock_if_possible
 from rendezview.io.files import atomic_write_text, make_folder, write_error
 from rendezview_service.hub.progress import Progress
 from rendezview_service.messages.messages import SessionRequest
@@ -90,12 +90,10 @@ def lock_state(folder: Path) -> int:
     make_folder(folder)
     try:
         file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
-        ours = lock(file)
+        ours = lock_if_possible(file)
     except OSError as error:
-        if error.errno not in NO_LOCKS:
-            raise write_error(folder, error) from error
-        ours = True
-    if not ours:
+        raise write_error(folder, error) from error
+    if ours is False:
         raise RendezviewError(f"{folder}: another service has its state there: choose another one")
     return file
 

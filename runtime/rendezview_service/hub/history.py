@@ -47,15 +47,14 @@ class Past:
     held: int = 0  # bytes
     _states: deque[tuple[float, int, bytes]] = field(default_factory=deque)
     _images: deque[tuple[float, int, tuple[bytes, bytes]]] = field(default_factory=deque)
-    _newest: tuple[float, int, bytes] | None = None
     _image_at_s: float = -1e300
 
     def add(self, now_s: float, frame: int, state: bytes) -> None:
-        """Keep a state, unless more than ``rate_hz`` come per second; the newest in any case."""
-        self._newest = now_s, frame, state
-        if self._states and now_s - self._states[-1][0] < 0.9 / self.rate_hz:
-            return
-        self._states.append((now_s, frame, state))
+        """Keep a state; of more than ``rate_hz`` a second, it takes the place of the last one."""
+        kept = self._states
+        if len(kept) > 1 and kept[-1][0] - kept[-2][0] < 0.9 / self.rate_hz:
+            self.histories.count(self, -len(kept.pop()[2]))
+        kept.append((now_s, frame, state))
         self._grown(now_s, len(state))
 
     def wants_image(self, now_s: float) -> bool:
@@ -71,10 +70,7 @@ class Past:
 
     def states(self, after_s: float, since_frame: int, most: int) -> list[tuple[int, bytes]]:
         """States since a time and a frame, evenly thinned to at most ``most``, newest included."""
-        kept = [*self._states]
-        if self._newest is not None and self._newest not in kept[-1:]:
-            kept.append(self._newest)
-        chosen = [(f, s) for at, f, s in kept if at >= after_s and f >= since_frame]
+        chosen = [(f, s) for at, f, s in self._states if at >= after_s and f >= since_frame]
         if len(chosen) <= most:
             return chosen
         step = -(-len(chosen) // most)
@@ -82,8 +78,6 @@ class Past:
 
     def state(self, frame: int) -> bytes | None:
         """The state of a frame, or of the last one before it that is kept."""
-        if self._newest is not None and self._newest[1] <= frame:
-            return self._newest[2]
         place = bisect_right(self._states, frame, key=lambda entry: entry[1])
         return self._states[place - 1][2] if place else None
 

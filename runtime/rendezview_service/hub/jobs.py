@@ -20,6 +20,7 @@ from rendezview.errors import RendezviewError
 from rendezview_service.hub.model_store import ModelStore
 from rendezview_service.logs.log_lock import TemporaryFolder
 from rendezview_service.messages.model_messages import JobInfo, JobState
+from rendezview_service.settings import Settings
 
 log = logging.getLogger("rendezview_service")
 
@@ -63,19 +64,11 @@ class Job(JobInfo):
 class Jobs:
     """All training jobs: waiting, running and finished."""
 
-    def __init__(self, store: ModelStore, at_once: int, most_s: float, most_bytes: int) -> None:
-        """No jobs yet.
-
-        Args:
-            at_once: that run at the same time; 0: none may.
-            most_s: of one training; it is ended then.
-            most_bytes: of addresses of each of its processes.
-        """
-        self._most_s, self._most_bytes = most_s, most_bytes
-        self._store = store
-        self._at_once = at_once
+    def __init__(self, store: ModelStore, settings: Settings) -> None:
+        """No jobs yet."""
+        self._store, self._settings = store, settings
         self._jobs: dict[str, Job] = {}
-        self._turns = asyncio.Semaphore(at_once)
+        self._turns = asyncio.Semaphore(settings.jobs)
 
     def list(self) -> list[Job]:
         """All jobs, newest first."""
@@ -109,7 +102,7 @@ class Jobs:
         Raises:
             RendezviewError: a name is invalid or taken, or too many jobs wait.
         """
-        if self._at_once == 0:
+        if self._settings.jobs == 0:
             raise RendezviewError("training is switched off: see the setting `jobs`")
         suffix = Path(file_name).suffix.lower()
         if suffix not in MESH_SUFFIXES:
@@ -161,11 +154,12 @@ class Jobs:
 
     async def _train(self, job: Job) -> None:
         job.state, job._started_s = JobState.RUNNING, time.monotonic()
-        last, ended = "", JobState.CANCELLED
+        last, ended, most_s = "", JobState.CANCELLED, self._settings.job_s
+        most_bytes = str(self._settings.job_bytes)
         try:
             # Its own process group: the processes that it starts end with it.
             job._process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-c", _TRAIN, str(self._most_bytes), "train", *job._arguments),
+                *(sys.executable, "-c", _TRAIN, most_bytes, "train", *job._arguments),
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=asyncio.subprocess.DEVNULL,
                 stderr=asyncio.subprocess.PIPE,
@@ -176,7 +170,7 @@ class Jobs:
             if job.state is JobState.CANCELLED:  # while the process started
                 _kill(job)
             assert job._process.stderr is not None
-            async with asyncio.timeout(self._most_s):
+            async with asyncio.timeout(most_s):
                 async for line in job._process.stderr:
                     last = _progress(job, line.decode(errors="replace").strip()) or last
                 code = await job._process.wait()
@@ -187,7 +181,7 @@ class Jobs:
                 await asyncio.to_thread(self._store.add, job.model, made)
                 ended = JobState.DONE
         except (OSError, RendezviewError, ValueError) as error:  # the time is over, too
-            late = f"the training took longer than {self._most_s:g} s: see `job_s`"
+            late = f"the training took longer than {most_s:g} s: see `job_s`"
             job.reason = late if isinstance(error, TimeoutError) else str(error)
             ended = JobState.FAILED
         finally:

@@ -62,7 +62,6 @@ class Metrics:
                 ("faults", "Faults of a log's files."),
             )
         }
-        self._open: set[str] = set()  # sessions: what still comes of others is not counted
         lines = "Lines of other sensors; outcome: accepted, other."
         self._lines = counter("measurements", lines, "session", "sensor", "outcome")
 
@@ -77,7 +76,6 @@ class Metrics:
 
     def begin(self, session: str) -> None:
         """A session begins."""
-        self._open.add(session)
         for metric in (self._drops, self._refused, self._latency, self._track):
             metric.labels(session)
 
@@ -87,29 +85,21 @@ class Metrics:
 
     def refused(self, session: str) -> None:
         """A frame could not be read."""
-        if session not in self._open:
-            return
         self._refused.labels(session).inc()
 
     def tracked(self, session: str, status: str, track_ms: float, latency_s: float) -> None:
         """A frame was tracked."""
-        if session not in self._open:
-            return
         self._frames.labels(session, status).inc()
         self._latency.labels(session).observe(latency_s)
         self._track.labels(session).observe(1e-3 * track_ms)
 
     def measured(self, session: str, sensor: str, lines: int, accepted: int) -> None:
         """Lines of another sensor were taken."""
-        if session not in self._open:
-            return
         self._lines.labels(session, sensor, "accepted").inc(accepted)
         self._lines.labels(session, sensor, "other").inc(lines - accepted)
 
     def recording(self, session: str, now: Recording) -> None:
         """The state of the log."""
-        if session not in self._open:
-            return
         failed = now.state is RecordingState.FAILED
         numbers = now.size_bytes, failed, now.lost, now.pending, now.faults
         for metric, number in zip(self._log.values(), numbers, strict=True):
@@ -117,7 +107,6 @@ class Metrics:
 
     def end(self, session: str) -> None:
         """Forget a session."""
-        self._open.discard(session)
         one = self._frames, self._drops, self._refused, self._latency, self._track, self._lines
         for metric in (*one, *self._log.values()):
             metric.remove_by_labels({"session": session})

@@ -58,9 +58,7 @@ class StoredModel:
         self.own = own
         self._copies = copies
         self._copy: Path | None = None
-        self._held: int | None = (
-            None  # descriptor of its copy; it can be read when its name is gone
-        )
+        self._held: int | None = None  # descriptor of its copy, which reads without a name, too
         self._model: ViewModel | None = None  # None: not in memory
         self._used_s = 0.0
         self._lock = threading.RLock()

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from rendezview.errors import optional
 from rendezview_service.messages.messages import SessionInfo
 from rendezview_service.messages.ros import pose_with_covariance_stamped, transform_stamped
 
@@ -40,10 +41,11 @@ class RosViewer:
 
         Raises:
             OSError: it is none, or nothing listens there.
-            ModuleNotFoundError: a package is not installed.
+            RendezviewError: a package is not installed.
         """
-        import zenoh
-        from rosbags.typesys import Stores, get_typestore
+        with optional("a live stream needs", "zenoh"):
+            import zenoh
+            from rosbags.typesys import Stores, get_typestore
 
         settings = zenoh.Config()
         settings.insert_json5("mode", json.dumps("client"))

@@ -30,7 +30,7 @@ from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.model_store import ModelStore, StoredModel
 from rendezview_service.hub.once import Once
 from rendezview_service.hub.session_defaults import SessionDefaults
-from rendezview_service.hub.session_log import LogNames
+from rendezview_service.hub.session_log import log_path
 from rendezview_service.hub.sessions import Session
 from rendezview_service.hub.source_process import SourceProcess
 from rendezview_service.hub.viewers import Viewers
@@ -110,7 +110,7 @@ class Service:
         self.recordings = Recordings(logs)
         self._viewers, self.histories = Viewers(settings), Histories(settings.history_bytes)
         self._speed = speed
-        self.jobs = Jobs(self.models, settings.jobs, settings.job_s, settings.job_bytes)
+        self.jobs = Jobs(self.models, settings)
         self.workers = WorkerPool(settings, self.metrics, self._reopen)
         self._fed: dict[str, SourceProcess] = {}  # by session
         self._opening: set[str] = set()
@@ -119,7 +119,7 @@ class Service:
         self._ending: dict[str, CheckpointKeeper] = {}  # of sessions that have ended
         self.once: Once[str] = Once(_REMEMBERED)  # ids of what requests have begun
         self._tasks: set[asyncio.Task[None]] = set()
-        self._log_path = LogNames(settings.record)
+        self._logs = 0  # new ones so far
         self._begun: asyncio.Task[None] | None = None
         self.failure: BaseException | None = None  # why the start failed
         self.on_failure: Callable[[], None] = lambda: None
@@ -244,8 +244,8 @@ class Service:
                 known = source is not None or resumed is not None
                 await self.workers.sensors_compiled(None if known else _START_WAIT_S)
             of = None if source is None else source.name
-            about = self.settings, self.metrics, of, self.histories
-            session = Session(name, stored, request, *about)
+            shared = self.settings, self.metrics, self.histories
+            session = Session(name, stored, request, *shared, of)
             if resumed is not None:
                 session.resume(resumed)
             try:
@@ -328,8 +328,10 @@ class Service:
         if worker is None or not worker.ready:
             worker = self.workers.least_busy()
         worker.sessions.add(session)
-        if session.request_now.record and session.log.base is None:
-            session.log.base = self._log_path(session.id)
+        place = self.settings.record
+        if place is not None and session.request_now.record and session.log.base is None:
+            session.log.base = log_path(place, session.id, first=self._logs == 0)
+            self._logs += 1
         try:
             answer = await worker.ask(open_request(session))
         except WorkerGone:
@@ -340,7 +342,7 @@ class Service:
             raise RendezviewError(answer["error"])
         session.worker = worker
         session.recorded(answer)
-        if session.has_waiting:
+        if session.waiting:
             worker.wake(session)
 
     async def _reopen(self, orphans: list[Session], worker: WorkerHandle | None) -> list[Session]:

@@ -13,20 +13,11 @@ from rendezview_service.messages.messages import Recording, RecordingState
 log = logging.getLogger("rendezview_service")
 
 
-class LogNames:
-    """Names of new logs: the file that was asked for is the first one's."""
-
-    def __init__(self, place: Path | None) -> None:
-        """``place``: a file (*.mcap) or a folder; None: nothing is recorded."""
-        self._place, self._taken = place, False
-
-    def __call__(self, session: str) -> Path:
-        place = self._place
-        assert place is not None
-        if place.suffix != ".mcap":
-            return place / f"{session}-{datetime.now(UTC):%Y%m%dT%H%M%S}.mcap"
-        first, self._taken = not self._taken, True
-        return place if first else place.with_name(f"{place.stem}-{session}{place.suffix}")
+def log_path(place: Path, session: str, *, first: bool) -> Path:
+    """The file of a new log, in a folder; a file (*.mcap) that was asked for is the first one's."""
+    if place.suffix != ".mcap":
+        return place / f"{session}-{datetime.now(UTC):%Y%m%dT%H%M%S}.mcap"
+    return place if first else place.with_name(f"{place.stem}-{session}{place.suffix}")
 
 
 class SessionLog:
@@ -70,7 +61,4 @@ class SessionLog:
         if not self._paths:
             return []
         *before, last = self._paths
-        return [
-            *map(LogPart, before),
-            LogPart(last, self.recording.size_bytes or None, trusted=True),
-        ]
+        return [*map(LogPart, before), LogPart(last, self.recording.size_bytes or None)]

@@ -41,15 +41,15 @@ class Session:
         request: SessionRequest,
         settings: Settings,
         metrics: Metrics,
+        histories: Histories,
         source: str | None = None,
-        histories: Histories | None = None,
     ) -> None:
         """A session without a worker; frames wait until it has one.
 
         Args:
             stored: the model; it stays the same, whatever happens to its name.
+            histories: of all sessions.
             source: a source that the service itself reads; None: clients send the frames.
-            histories: of all sessions; None: it is alone.
         """
         self.id = name
         self.stored = stored
@@ -67,7 +67,7 @@ class Session:
         self.created_unix_s = time.time()
         self.log = SessionLog(name)
         rates_hz = settings.history_rate_hz, settings.history_image_hz
-        self._histories = histories or Histories(settings.history_bytes)
+        self._histories = histories
         self.past = Past(settings.history_s, *rates_hz, self._histories)
         self._histories.enter(self.past)
         self.progress = Progress()
@@ -83,8 +83,7 @@ class Session:
             self.lease.take(inputs.SOURCE, self.used_s)
         self._metrics = metrics
         metrics.begin(name)
-        self._queue = InputQueue()
-        self.streaming = self._queue.streaming
+        self.waiting = InputQueue()
         self.frame_base = 0  # number of frames before the present worker
         self.drops = 0
         self.events = SessionEvents(name, lambda: self.clock.now_unix_s)
@@ -136,10 +135,10 @@ class Session:
             Barred: one of its inputs ended a process.
         """
         self._admit(waiting)
-        if self._queue.count(frames=True) >= self.settings.waiting:
+        if self.waiting.count(frames=True) >= self.settings.waiting:
             raise inputs.Full
         self._arrived(waiting)
-        self._queue.append(waiting)
+        self.waiting.append(waiting)
         self._wake()
 
     def measure(self, waiting: SessionInput) -> None:
@@ -151,12 +150,12 @@ class Session:
         """
         self._admit(waiting)
         too_fast = self._lines.refill(waiting.received_s) < 0.0
-        waiting_now = self._queue.count(frames=False)
+        waiting_now = self.waiting.count(frames=False)
         if too_fast or waiting_now >= self.settings.measurements_waiting:
             raise inputs.Full
         waiting.waited_s = max(0.0, waiting.received_s - self.used_s)
         self.used_s = waiting.received_s
-        self._queue.append(waiting)
+        self.waiting.append(waiting)
         self._wake()
 
     def replace(self, waiting: SessionInput) -> None:
@@ -167,7 +166,7 @@ class Session:
         """
         self._admit(waiting)
         self._arrived(waiting)
-        dropped = self._queue.replace(waiting)
+        dropped = self.waiting.replace(waiting)
         if dropped is not None:
             self.drops += 1
             self._metrics.dropped(self.id)
@@ -184,15 +183,6 @@ class Session:
     def is_fused(self) -> bool:
         """Whether another sensor has sent lines, here or at another service."""
         return self._was_fused or self._others.is_fused
-
-    @property
-    def has_waiting(self) -> bool:
-        """Whether an input waits."""
-        return bool(self._queue)
-
-    def take(self) -> SessionInput | None:
-        """Remove and return the input that arrived first."""
-        return self._queue.take()
 
     def header_of(self, waiting: SessionInput) -> Header:
         """The request to the worker for a frame or sensor lines."""
@@ -211,7 +201,7 @@ class Session:
         now_s = time.monotonic()
         if waiting.shows_last:
             return about | {"kind": "show", "extras": self.watchers.missed_extras(now_s)}
-        self._queue.shows_last = None
+        self.waiting.shows_last = None
         history_px = self.settings.history_image_px if self.past.wants_image(now_s) else 0
         return about | {
             "kind": "frame",
@@ -234,7 +224,7 @@ class Session:
 
     def _show_last(self) -> None:
         """Ask the worker for the last frame once more: watchers missed it."""
-        self._queue.shows_last = SessionInput([], 0.0, 0.0, 0.0, lambda _: None, shows_last=True)
+        self.waiting.shows_last = SessionInput([], 0.0, 0.0, 0.0, lambda _: None, shows_last=True)
         self._wake()
 
     def _wake(self) -> None:
@@ -331,7 +321,7 @@ class Session:
             self.request_now = self.request.model_copy(update=known)
         self._others.forget("its filter ended with the worker process; a new one starts")
         self.frame_base = self.progress.frames
-        self._queue.shows_last = None
+        self.waiting.shows_last = None
         self.watchers.restart()
 
     def checkpoint(self) -> Checkpoint:
@@ -373,10 +363,11 @@ class Session:
 
     def end(self, reason: str, status: int = 410) -> None:
         """Answer everything that waits, or comes later; nothing follows here."""
-        self._queue.close(Answer(status, b"", reason, ends=True))
+        self.waiting.close(Answer(status, b"", reason, ends=True))
         self._histories.leave(self.past)
         self.watchers.end(reason)
         self._metrics.end(self.id)
+        self._metrics = Metrics()  # nobody's: what still comes is not counted
 
     # Information
 

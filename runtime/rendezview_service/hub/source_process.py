@@ -53,7 +53,7 @@ class SourceProcess:
         opened = self._start()
         known = opened["camera"]
         self.name: str = opened["name"]
-        self.camera = None if known is None else Camera(**_camera_keys(known))
+        self.camera = None if known is None else Camera(**known)
         self.live: bool = opened["live"]
         self.notes: list[str] = opened["notes"]
 
@@ -78,13 +78,13 @@ class SourceProcess:
 
     def _receive(self, timeout_s: float | None) -> tuple[Header, bytes] | None:
         """The next message; None: the process has ended, or is ended, because it is silent."""
-        self._connection.settimeout(timeout_s)
         try:
+            self._connection.settimeout(timeout_s)
             return receive(self._connection)
         except TimeoutError:
             self._process.kill()
         except OSError:
-            pass  # closed by another thread
+            pass  # closed by another thread, or not started again
         return None
 
     def _end(self) -> str:
@@ -172,7 +172,7 @@ class SourceProcess:
                 if not self.live and speed > 0.0:
                     if last_s is not None and frame.time_s is not None:
                         pause_s = (frame.time_s - last_s) / speed
-                        due_s = max(due_s + min(max(pause_s, 0.0), _LONGEST_PAUSE_S), 0.0)
+                        due_s += min(max(pause_s, 0.0), _LONGEST_PAUSE_S)
                     last_s = frame.time_s
                     if self._stop.wait(max(0.0, due_s - time.monotonic())):
                         break
@@ -192,10 +192,6 @@ class SourceProcess:
             done.wait(0.5)
 
 
-def _camera_keys(opened: Header) -> Header:
-    return opened | {"distortion": tuple(opened["distortion"])}
-
-
 def main() -> None:
     """Read one source; the service says when to begin."""
     for sent in (signal.SIGINT, signal.SIGTERM):
@@ -206,7 +202,7 @@ def main() -> None:
     os.dup2(quiet, 2)  # decoders write there
     connection = socket.socket(fileno=int(sys.argv[1]))
     given = json.loads(sys.argv[3])
-    camera = None if given is None else Camera(**_camera_keys(given))
+    camera = None if given is None else Camera(**given)
 
     def send(header: Header, content: bytes = b"") -> None:
         connection.sendall(pack(header, content))
@@ -228,7 +224,7 @@ def main() -> None:
 
     threading.Thread(target=until_gone, daemon=True).start()
     try:
-        for frame in source.frames(threading.Event()):
+        for frame in source.frames:
             if isinstance(frame, RendezviewError):
                 send({"kind": "refused", "error": str(frame)})
             else:

@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, optional
 from rendezview_service.client.messages import pose_of_state
 from rendezview_service.hub.health import info_of
 from rendezview_service.hub.rerun_recorder import RerunRecorder
@@ -41,6 +41,7 @@ _CONTOUR_COLOUR = {"r": 0.35, "g": 0.88, "b": 1.0, "a": 1.0}  # as on the page. 
 _RERUN_PLACES = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
 
 Json = dict[str, Any]
+_NEEDS = "a live stream needs"
 
 
 class Viewers:
@@ -67,11 +68,6 @@ class Viewers:
                     self._viewers.append(RerunViewer(host, settings.rerun_port))
                 if settings.ros_endpoint is not None:
                     self._viewers.append(RosViewer(settings.ros_endpoint))
-        except ModuleNotFoundError as error:
-            raise RendezviewError(
-                f"a live stream needs {error.name}: pip install "
-                f"'rendezview[{'zenoh' if error.name in ('zenoh', 'rosbags') else 'viewers'}]'"
-            ) from None
         except (OSError, RuntimeError, subprocess.SubprocessError) as error:
             raise RendezviewError(f"a live stream does not start: {error}") from None
 
@@ -109,9 +105,9 @@ class FoxgloveViewer:
     """A WebSocket for Foxglove: the topics of a log, after the session's name."""
 
     def __init__(self, host: str, port: int) -> None:
-        import foxglove
-        from foxglove import messages
-
+        with optional(_NEEDS, "viewers"):
+            import foxglove
+            from foxglove import messages
         self._send, self._types = foxglove.log, messages
         self._server = foxglove.start_server(name="rendezview", host=host, port=port)
 
@@ -189,13 +185,12 @@ class RerunViewer:
             "stdout": subprocess.DEVNULL,
             "stderr": subprocess.DEVNULL,
         }
-        forbid = subprocess.Popen([*program, "analytics", "disable"], **quiet)
-        self._open.callback(_end, forbid)
-        import rerun as rr  # takes as long as the program does
+        forbid = [*program, "analytics", "disable"]
+        if subprocess.run(forbid, timeout=_SERVER_START_S, **quiet).returncode:
+            raise OSError("Rerun's program fails: is its package whole?")
+        import rerun as rr
 
         self._rr = rr
-        if forbid.wait(_SERVER_START_S):
-            raise OSError("Rerun's program fails: is its package whole?")
         at = "127.0.0.1" if host == "0.0.0.0" else "[::1]" if host == "::" else host
         self.address = f"rerun+http://{at}:{port}/proxy"
         server = subprocess.Popen(
@@ -235,10 +230,10 @@ def _rerun_program() -> Path:
 
     Raises:
         OSError: it is not there.
-        ModuleNotFoundError: the package is not installed.
+        RendezviewError: the package is not installed.
     """
-    import rerun_cli
-
+    with optional(_NEEDS, "viewers"):
+        import rerun_cli
     folder = Path(rerun_cli.__file__).parent
     given = os.environ.get("RERUN_CLI_PATH")  # as the package has it
     places = [Path(given)] if given else [folder / place for place in _RERUN_PLACES]

@@ -61,10 +61,11 @@ class WorkerHandle(asyncio.Protocol):
         self.ready = False
         self._turns: deque[Session] = deque()  # sessions with an input waiting
         self._current: tuple[Session, SessionInput] | None = None
-        self._answers: deque[tuple[Header, asyncio.Future[Header]]] = deque()
+        self._asked = 0  # requests other than inputs, so far
+        self._answers: dict[int, asyncio.Future[Header]] = {}  # to come, by the request's number
         self._timer: Timer | None = None
         self._sent_at_s = self._spent_before_s = 0.0  # of the input, its own processor's clock
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: subprocess.Popen[bytes]  # from the start on
         self._killed = False  # by us: an input took too long
         self._transport: asyncio.Transport | None = None
         self._started: asyncio.Future[None] | None = None
@@ -81,7 +82,6 @@ class WorkerHandle(asyncio.Protocol):
         memory = shared_memory(self._memory_bytes)
         self._memory = mmap.mmap(memory, self._memory_bytes)
         self._unpacker = Unpacker()
-        self._started = loop.create_future()
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         command = [sys.executable, "-m", "rendezview_service.worker.worker"]
         self._process = subprocess.Popen(
@@ -96,6 +96,7 @@ class WorkerHandle(asyncio.Protocol):
             stdin=subprocess.DEVNULL,
             env=environment,
         )
+        self._started = loop.create_future()
         theirs.close()
         os.close(memory)
         ours.setblocking(False)
@@ -116,9 +117,9 @@ class WorkerHandle(asyncio.Protocol):
         if self._transport is None:
             raise WorkerGone
         future: asyncio.Future[Header] = asyncio.get_running_loop().create_future()
-        header = {"session": "", **header}
-        self._answers.append((header, future))
-        self._transport.write(pack(header))
+        self._asked += 1
+        self._answers[self._asked] = future
+        self._transport.write(pack(header | {"number": self._asked}))
         while True:
             began_s, before_s = time.monotonic(), self._processor_s()
             try:
@@ -162,29 +163,27 @@ class WorkerHandle(asyncio.Protocol):
 
     async def join(self, timeout_s: float) -> None:
         """Wait until the process ends; kill it after the timeout."""
-        if self._process is None:
+        if self._started is None:
             return
-        process = self._process
         try:
-            await asyncio.wait_for(asyncio.to_thread(process.wait), timeout_s)
+            await asyncio.wait_for(asyncio.to_thread(self._process.wait), timeout_s)
         except TimeoutError:
             self._kill()
 
     def _kill(self) -> None:
         """End the process. Its connection may outlive it, as long as a disk keeps one thread."""
         log.error("a worker does not answer and is killed")
-        if self._process is not None:
-            self._process.kill()
+        self._process.kill()
         if self._transport is not None:
             self._transport.abort()
 
     def _next(self) -> None:
         while self._current is None and self._turns and self._transport is not None:
             session = self._turns.popleft()
-            waiting = session.take()
+            waiting = session.waiting.take()
             if waiting is None:
                 continue
-            if session.has_waiting:
+            if session.waiting:
                 self._turns.append(session)
             self._current = session, waiting
             request = session.header_of(waiting)
@@ -219,15 +218,13 @@ class WorkerHandle(asyncio.Protocol):
 
     def _exit_code(self) -> int | None:
         """How the process ended; None if it has not."""
-        if self._process is None:
-            return None
         with contextlib.suppress(subprocess.TimeoutExpired):
             return self._process.wait(_END_S)
         return None
 
     def _processor_s(self) -> float:
         """Processor time of the process so far; 0 where the system does not tell."""
-        if self._process is None or sys.platform != "linux":
+        if sys.platform != "linux":
             return 0.0
         try:  # the clock of a process. Source: MAKE_PROCESS_CPUCLOCK of the kernel, kind 2
             return time.clock_gettime((~self._process.pid << 3) | 2)
@@ -238,8 +235,8 @@ class WorkerHandle(asyncio.Protocol):
     def _wants_processor(self) -> bool:
         """Whether the process could run, if it had a processor."""
         try:
-            stat = Path(f"/proc/{0 if self._process is None else self._process.pid}/stat")
-            return stat.read_text().rpartition(")")[2].split()[0] == "R"
+            stat = Path(f"/proc/{self._process.pid}/stat").read_text()
+            return stat.rpartition(")")[2].split()[0] == "R"
         except OSError:
             return False
 
@@ -258,10 +255,10 @@ class WorkerHandle(asyncio.Protocol):
                 self._started.set_result(None)
         elif kind == "progress":
             self.on_progress(header["loops"])
-        elif kind in ("opened", "closed") or (
-            kind == "fault" and header["of"] not in ("frame", "measure", "show")
-        ):
-            self._answered(header)
+        elif header.get("to") is not None:
+            future = self._answers.pop(header["to"], None)
+            if future is not None and not future.done():
+                future.set_result(header)
         elif kind == "recording":
             for session in self.sessions:
                 if session.id == header["session"]:
@@ -283,23 +280,13 @@ class WorkerHandle(asyncio.Protocol):
             if header.get("done", True):
                 self._done()
 
-    def _answered(self, header: Header) -> None:
-        closed = header["kind"] == "closed" or header.get("of") == "close"
-        for k, (asked, future) in enumerate(self._answers):
-            # A log may be completed after the next session of the same name is opened.
-            if asked["session"] == header["session"] and (asked["kind"] == "close") is closed:
-                del self._answers[k]
-                if not future.done():
-                    future.set_result(header)
-                return
-
     def connection_lost(self, error: Exception | None) -> None:
         """The process has ended."""
         self.ready = False
         self._transport = None
         if self._started is not None and not self._started.done():
             self._started.set_exception(WorkerGone())
-        for _, future in self._answers:
+        for future in self._answers.values():
             if not future.done():
                 future.set_exception(WorkerGone())
         self._answers.clear()
@@ -310,8 +297,7 @@ class WorkerHandle(asyncio.Protocol):
             self._current = None
             session.lost(waiting, self._killed or self._exit_code() in _OWN_FAULTS)
         self._turns.clear()
-        if self._process is not None:
-            self._process.poll()
+        self._process.poll()
         self.on_gone(self)
 
 

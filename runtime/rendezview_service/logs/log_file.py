@@ -7,6 +7,7 @@ with the next chunk.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import re
@@ -14,6 +15,8 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, BinaryIO
 
 from mcap.data_stream import ReadDataStream
@@ -45,15 +48,13 @@ _PARSED: dict[int, Any] = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
-    Opcode.MESSAGE: None,
     Opcode.CHUNK: Chunk,
     Opcode.MESSAGE_INDEX: MessageIndex,
     Opcode.ATTACHMENT: Attachment,
     Opcode.METADATA: Metadata,
 }
 # Codes of other records, of this or a later version of MCAP. Source: mcap.dev/spec, "Opcodes".
-_OTHER = (*range(0x0B, 0x0F), *range(0x80, 0x100))
-_LEAST_MESSAGE = 22  # bytes of an empty message. Source: mcap.dev/spec, "Message"
+_OTHER = (Opcode.MESSAGE, *range(0x0B, 0x0F), *range(0x80, 0x100))
 _WINDOW = 1 << 20  # bytes that are searched at once for the next chunk. Source: chosen
 # The start of a chunk: opcode, a length below 4 GiB, times, size and checksum, a compression.
 # Source: mcap.dev/spec, "Chunk".
@@ -102,23 +103,33 @@ def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord
     Raises:
         RendezviewError: the file cannot be read, or is not an MCAP file.
     """
+    with reading(path), open(path, "rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        size = size if most is None else min(size, most)
+        if file.read(len(MAGIC)) != MAGIC:
+            raise RendezviewError(f"{path}: not an MCAP log: name another file")
+        place: int | None = len(MAGIC)
+        while place is not None and place + _HEAD.size <= size:
+            found = _record_at(file, place, size)
+            if found is None:
+                place = next_chunk(file, place + 1, size)
+                continue
+            record, length = found
+            yield record, place, length
+            if isinstance(record, DataEnd):
+                return
+            place += length
+
+
+@contextlib.contextmanager
+def reading(path: StrPath) -> Iterator[None]:
+    """Explain why a log cannot be read.
+
+    Raises:
+        RendezviewError: it is missing, or its disk fails.
+    """
     try:
-        with open(path, "rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            size = size if most is None else min(size, most)
-            if file.read(len(MAGIC)) != MAGIC:
-                raise RendezviewError(f"{path}: not an MCAP log: name another file")
-            place: int | None = len(MAGIC)
-            while place is not None and place + _HEAD.size <= size:
-                found = _record_at(file, place, size)
-                if found is None:
-                    place = next_chunk(file, place + 1, size)
-                    continue
-                record, length = found
-                yield record, place, length
-                if isinstance(record, DataEnd):
-                    return
-                place += length
+        yield
     except FileNotFoundError:
         raise RendezviewError(f"{path}: no such log: check the path") from None
     except OSError as error:
@@ -185,9 +196,6 @@ def _parsed(opcode: int, body: bytes) -> McapRecord | None:
     """A record of data; None for damage. Records that are not needed stay empty."""
     if opcode == Opcode.DATA_END:
         return DataEnd(0) if len(body) == 4 else None
-    if opcode == Opcode.MESSAGE:
-        fits = len(body) >= _LEAST_MESSAGE
-        return Message.read(ReadDataStream(io.BytesIO(body)), len(body)) if fits else None
     kind = _PARSED.get(opcode)
     if kind is None:
         return McapRecord() if opcode in _OTHER else None
@@ -237,6 +245,24 @@ def is_own(path: StrPath) -> bool:
     except OSError:
         return False
     return found is not None and isinstance(found[0], Header) and found[0].library == WRITER
+
+
+def own_notes(path: Path) -> dict[str, str]:
+    """The metadata of one of the service's own logs; those of files as they were are remembered.
+
+    Raises:
+        RendezviewError: it is another file.
+        OSError: it cannot be read.
+    """
+    status = path.stat()
+    return _own_notes(path, status.st_ino, status.st_mtime_ns)
+
+
+@lru_cache(maxsize=4096)
+def _own_notes(path: Path, *_: int) -> dict[str, str]:
+    if not is_own(path):
+        raise RendezviewError(f"{path}: no log of the service: name another file")
+    return head_of(path).notes
 
 
 def is_finished(path: StrPath) -> bool:

@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rendezview.errors import RendezviewError
-from rendezview_service.logs.log_file import head_of, is_finished, is_own
+from rendezview_service.logs.log_file import is_finished, is_own, own_notes
 from rendezview_service.logs.log_index import last_ns
 from rendezview_service.logs.log_lock import folder_lock
 from rendezview_service.logs.log_repair import RECOVERED, locked, mend
@@ -51,22 +51,30 @@ def free_number(base: Path, least: int = 1) -> int:
     return max([least, *(number + 1 for number in taken)])
 
 
-def parts_from(path: Path, notes: dict[str, str]) -> list[Path]:
-    """A log, of these notes, and its later parts in the folder; a later part stands alone."""
-    log, number = notes.get("log"), int(notes.get("part", 1))
-    if log is None:
+Parts = dict[str, dict[int, Path]]  # files by log, and by the number of the part
+
+
+def parts_in(folder: Path) -> Parts:
+    """The service's own files in a folder; of several that are one part, the first by name."""
+    found: Parts = {}
+    for path in sorted(folder.glob(f"*{_SUFFIX}")):
+        with contextlib.suppress(RendezviewError, OSError, ValueError, KeyError):
+            notes = own_notes(path)
+            found.setdefault(notes["log"], {}).setdefault(int(notes.get("part", 1)), path)
+    return found
+
+
+def parts_from(path: Path, notes: dict[str, str], known: Parts | None = None) -> list[Path]:
+    """A log, of these notes, and its later parts in the folder; a later part stands alone.
+
+    Args:
+        known: the files of its folder; None: they are looked for.
+    """
+    log, number = notes.get("log", ""), int(notes.get("part", 1))
+    others = (parts_in(path.parent) if known is None else known).get(log, {})
+    if any(other < number for other in others):
         return [path]
-    found: dict[int, Path] = {}
-    for other in sorted(path.parent.glob(f"*{_SUFFIX}")):
-        if other == path or not is_own(other):
-            continue
-        with contextlib.suppress(RendezviewError, ValueError):
-            noted = head_of(other).notes
-            if noted.get("log") == log:
-                found.setdefault(int(noted.get("part", 1)), other)
-    if any(other < number for other in found):
-        return [path]
-    return [path, *(found[other] for other in sorted(found) if other != number)]
+    return [path, *(others[other] for other in sorted(others) if other != number)]
 
 
 def mend_folder(folder: Path) -> Iterator[dict[str, object]]:

@@ -6,7 +6,7 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO
 
@@ -36,33 +36,16 @@ _STATISTICS = struct.Struct("<BQQHIIIIQQ")
 
 
 @dataclass(slots=True, eq=False)
-class ChunkIndexes:
-    """Chunk indexes in their written form: one per frame, about 130 bytes each."""
-
-    written: bytearray = field(default_factory=bytearray)
-    count: int = 0
-    start_ns: int = 0
-    end_ns: int = 0
-
-    def add(self, index: ChunkIndex) -> None:
-        """Add the index of a chunk."""
-        self.written += _written([index])
-        first = self.count == 0
-        self.start_ns = (
-            index.message_start_time if first else min(self.start_ns, index.message_start_time)
-        )
-        self.end_ns = max(self.end_ns, index.message_end_time)
-        self.count += 1
-
-
-@dataclass(slots=True, eq=False)
 class Scan:
     """The complete part of a log."""
 
     end: int = len(MAGIC)  # offset after the last complete record of data
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: ChunkIndexes = field(default_factory=ChunkIndexes)
+    chunks: bytearray = field(default_factory=bytearray)  # written indexes, 130 bytes a frame
+    chunk_count: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
     attachments: list[AttachmentIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)  # messages by channel
@@ -87,6 +70,16 @@ class Scan:
             )
             self.attachments.append(index)
         self.end = offset + length
+
+    def add_chunk(self, index: ChunkIndex, counts: Mapping[int, int]) -> None:
+        """Add the index of a chunk at `end`, and its messages by channel."""
+        self.chunks += _written([index])
+        first_ns = index.message_start_time
+        self.start_ns = min(self.start_ns, first_ns) if self.chunk_count else first_ns
+        self.end_ns = max(self.end_ns, index.message_end_time)
+        self.chunk_count += 1
+        self.counts.update(counts)
+        self.end += index.chunk_length + index.message_index_length
 
     @property
     def kinds(self) -> dict[int, str]:
@@ -118,7 +111,7 @@ def ending(found: Scan) -> bytes:
         (Opcode.SCHEMA, _written(found.schemas.values())),
         (Opcode.CHANNEL, _written(found.channels.values())),
         (Opcode.STATISTICS, _written([_statistics(found)])),
-        (Opcode.CHUNK_INDEX, found.chunks.written),
+        (Opcode.CHUNK_INDEX, found.chunks),
         (Opcode.ATTACHMENT_INDEX, _written(found.attachments)),
         (Opcode.METADATA_INDEX, _written(found.metadata)),
     ]
@@ -175,10 +168,10 @@ def _statistics(found: Scan) -> Statistics:
         attachment_count=len(found.attachments),
         channel_count=len(found.channels),
         channel_message_counts=dict(found.counts),
-        chunk_count=found.chunks.count,
+        chunk_count=found.chunk_count,
         message_count=sum(found.counts.values()),
-        message_start_time=found.chunks.start_ns,
-        message_end_time=found.chunks.end_ns,
+        message_start_time=found.start_ns,
+        message_end_time=found.end_ns,
         metadata_count=len(found.metadata),
         schema_count=len(found.schemas),
     )

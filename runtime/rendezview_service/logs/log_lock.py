@@ -13,7 +13,7 @@ import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
-from rendezview.io.file_lock import NO_LOCKS, lock
+from rendezview.io.file_lock import lock, lock_if_possible
 
 _FOLDER_LOCK = ".rendezview.lock"
 _HELD = ".held"  # locked while the process lives that made the folder
@@ -47,12 +47,7 @@ class TemporaryFolder:
         new = self.path / f"{_HELD}.new"
         held = os.open(new, os.O_RDWR | os.O_CREAT, 0o600)
         self.remove = weakref.finalize(self, _remove, self.path, held)
-        try:
-            lock(held)
-        except OSError as error:
-            if error.errno not in NO_LOCKS:
-                raise
-        else:
+        if lock_if_possible(held):
             new.rename(new.with_name(_HELD))  # under its name it is locked: nobody takes it
 
 

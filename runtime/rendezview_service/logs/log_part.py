@@ -24,7 +24,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from rendezview.io.file_lock import NO_LOCKS, lock
+from rendezview.io.file_lock import lock_if_possible
 from rendezview_service.logs import log_schemas
 from rendezview_service.logs.log_file import MODEL_ATTACHMENT, SESSION_METADATA, WRITER
 from rendezview_service.logs.log_index import MAGIC, Scan, ending, taken
@@ -82,11 +82,7 @@ class OpenPart:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
         self._file = os.open(path, flags, 0o644)
         try:
-            try:
-                lock(self._file)
-            except OSError as error:
-                if error.errno not in NO_LOCKS:
-                    raise
+            lock_if_possible(self._file)
             _write_all(self._file, beginning)
             status, named = os.fstat(self._file), os.stat(path)
         except OSError:

@@ -67,9 +67,7 @@ class Entry:
         offsets = self.index.message_index_offsets
         placed = {channel: found.end + place for channel, place in offsets.items()}
         index = replace(self.index, chunk_start_offset=found.end, message_index_offsets=placed)
-        found.chunks.add(index)
-        found.counts.update(self.counts)
-        found.end += len(self.content)
+        found.add_chunk(index, self.counts)
         self.end = found.end
 
 

@@ -30,7 +30,7 @@ from mcap.records import (
 from rendezview.errors import RendezviewError
 from rendezview.io.file_lock import lock
 from rendezview.io.files import atomic_write
-from rendezview_service.logs.log_file import content_of, is_finished, records
+from rendezview_service.logs.log_file import content_of, is_finished, reading, records
 from rendezview_service.logs.log_index import MAGIC, Scan, chunk_index, ending, taken
 
 _COPY_BYTES = 1 << 16  # bytes per piece of a copy. Source: chosen
@@ -45,7 +45,6 @@ class LogPart:
 
     path: Path
     size: int | None = None  # bytes that are complete; None: to the end of the file
-    trusted: bool = False  # its chunks are not checked
 
 
 @dataclass(slots=True, eq=False)
@@ -78,49 +77,36 @@ class Joined:
         """Number of bytes of `blocks`."""
         return self.found.end + len(ending(self.found))
 
-    def copy(self, path: Path, start: int, end: int) -> None:
+    def copy(self, path: Path, start: int, length: int) -> None:
         """Add a range of a file."""
         last = self.pieces[-1]
         if isinstance(last, tuple) and last[0] == path and last[2] == start:
-            self.pieces[-1] = (path, last[1], end)
+            self.pieces[-1] = (path, last[1], start + length)
         else:
-            self.pieces.append((path, start, end))
+            self.pieces.append((path, start, start + length))
 
-    def add_chunk(self, chunk: _ChunkRecords, path: Path) -> None:
-        """Add a chunk and its indexes, which are made again if they do not fit."""
-        index, start = chunk.index, chunk.index.chunk_start_offset
-        index.chunk_start_offset = self.found.end
-        place = self.found.end + index.chunk_length
-        self.copy(path, start, start + index.chunk_length)
-        wanted = chunk.found if chunk.inside is None else chunk.inside
-        if chunk.inside is None or chunk.found == chunk.inside:
-            self.copy(path, start + index.chunk_length, chunk.end)
-            lengths = chunk.lengths
+    def add_chunk(self, path: Path, index: ChunkIndex, entries: Entries) -> None:
+        """Add a chunk and the indexes of its messages, which are made again if they do not fit."""
+        place, length = index.chunk_start_offset, index.chunk_length
+        blobs = [_index_record(channel, places) for channel, places in entries.items()]
+        made = b"".join(blobs)
+        self.copy(path, place, length)
+        with open(path, "rb") as file:
+            file.seek(place + length)
+            fits = file.read(len(made)) == made
+        if fits:
+            self.copy(path, place + length, len(made))
         else:
-            blobs = [_index_record(channel, entries) for channel, entries in wanted.items()]
-            self.pieces.extend(blobs)
-            lengths = dict(zip(wanted, map(len, blobs), strict=True))
-        for channel, length in lengths.items():
-            index.message_index_offsets[channel] = place
-            place += length
-        index.message_index_length = sum(lengths.values())
-        self.found.chunks.add(index)
-        self.found.counts.update({channel: len(entries) for channel, entries in wanted.items()})
-        self.found.end = place
+            self.pieces.append(made)
+        index.chunk_start_offset, index.message_index_length = self.found.end, len(made)
+        end = self.found.end + length
+        for channel, blob in zip(entries, blobs, strict=True):
+            index.message_index_offsets[channel] = end
+            end += len(blob)
+        self.found.add_chunk(index, {channel: len(places) for channel, places in entries.items()})
 
 
 Entries = dict[int, list[tuple[int, int]]]  # log time and offset in the chunk, by channel
-
-
-@dataclass(slots=True, eq=False)
-class _ChunkRecords:
-    """A chunk, the indexes that follow it, and those that should."""
-
-    index: ChunkIndex
-    inside: Entries | None  # None: the chunk was not looked into
-    end: int
-    found: Entries = field(default_factory=dict)
-    lengths: dict[int, int] = field(default_factory=dict)
 
 
 def join(parts: Sequence[LogPart]) -> Joined:
@@ -137,34 +123,22 @@ def join(parts: Sequence[LogPart]) -> Joined:
 
 def _add_part(joined: Joined, part: LogPart, first: bool) -> None:
     expected = len(MAGIC)  # offset of the next record if nothing is damaged
-    chunk: _ChunkRecords | None = None
     damaged = 0
     for record, offset, length in records(part.path, part.size):
         damaged += offset - expected
         expected = offset + length
-        if chunk is not None and isinstance(record, MessageIndex) and offset == chunk.end:
-            chunk.found[record.channel_id] = record.records
-            chunk.lengths[record.channel_id] = length
-            chunk.end = expected
-            continue
-        if chunk is not None:
-            joined.add_chunk(chunk, part.path)
-            chunk = None
         if isinstance(record, Chunk):
-            inside = None if part.trusted else _entries(record)
-            if inside is None and not part.trusted:
+            entries = _entries(record)
+            if entries is None:
                 damaged += length
-                continue
-            chunk = _ChunkRecords(chunk_index(record, offset, length), inside, expected)
+            else:
+                joined.add_chunk(part.path, chunk_index(record, offset, length), entries)
         elif isinstance(record, DataEnd):
             joined.damaged_bytes += damaged
             return
         elif not isinstance(record, MessageIndex) and (first or not _known(record, joined.found)):
-            joined.copy(part.path, offset, expected)
+            joined.copy(part.path, offset, length)
             joined.found.add(record, joined.found.end, length)
-    # A chunk that is trusted and has no index yet is still being written.
-    if chunk is not None and not (part.trusted and not chunk.found):
-        joined.add_chunk(chunk, part.path)
     joined.damaged_bytes += damaged
     size = part.path.stat().st_size if part.size is None else part.size
     joined.cut_bytes += max(0, size - expected)
@@ -229,14 +203,12 @@ def mend(path: Path) -> Mended | None:
             return None
         joined = join([LogPart(path)])
         place = copy if joined.damaged_bytes else path
-        try:
+        with reading(path):  # a fault of writing is explained by `atomic_write`
             if is_finished(path) and not joined.damaged_bytes:
                 return None
             with atomic_write(place) as file:
                 for block in joined.blocks():
                     file.write(block)
-        except OSError as error:  # one of writing is explained by `atomic_write`
-            raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
     return Mended(place, joined.cut_bytes, joined.damaged_bytes)
 
 
@@ -247,12 +219,8 @@ def locked(path: Path) -> Iterator[None]:
     Raises:
         RendezviewError: a service writes it, or it cannot be opened.
     """
-    try:
+    with reading(path):
         file = os.open(path, os.O_RDONLY)
-    except FileNotFoundError:
-        raise RendezviewError(f"{path}: no such log: check the path") from None
-    except OSError as error:
-        raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
     try:
         try:
             ours = lock(file)

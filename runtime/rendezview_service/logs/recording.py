@@ -55,7 +55,7 @@ class LogWriter:
         camera: Camera,
         metadata: Mapping[str, str],
         model: bytes | None,
-        options: Settings | None = None,
+        options: Settings,
     ) -> None:
         """Start a log, or its next part.
 
@@ -65,7 +65,7 @@ class LogWriter:
             model: the model file, attached to each part.
             options: what is recorded, how long and large a part is, and when it is forced to disk.
         """
-        self.options = options or Settings()
+        self.options = options
         self._base = path
         self._camera, self._never_syncs = camera, self.options.sync == "never"
         self._metadata = {"log": secrets.token_hex(8)} | dict(metadata)

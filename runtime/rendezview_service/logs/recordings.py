@@ -6,6 +6,7 @@ the browser as they are; nothing is decoded here but raw grey levels, which cann
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import threading
 from functools import cached_property, lru_cache
@@ -19,8 +20,8 @@ from mcap.records import Chunk
 
 from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance import ViewModel
-from rendezview_service.logs.log_file import head_of, is_own, messages, next_chunk, record_at
-from rendezview_service.logs.log_folder import parts_from
+from rendezview_service.logs.log_file import head_of, messages, next_chunk, own_notes, record_at
+from rendezview_service.logs.log_folder import parts_from, parts_in
 from rendezview_service.logs.log_index import MAGIC
 from rendezview_service.logs.log_repair import RECOVERED
 from rendezview_service.logs.replay import Log, LoggedFrame, frames_of, model_of, read_log
@@ -145,14 +146,16 @@ class Recordings:
 
     def list(self) -> list[Recorded]:
         """The first parts of all logs, the newest first."""
-        found = []
-        for path in sorted(self._folder.glob("*.mcap")) if self._folder else []:
-            try:
-                if is_own(path) and head_of(path).notes.get("part", "1") == "1":
-                    found.append(summary(path))
-            except (RendezviewError, OSError, ValueError):
-                continue  # another program's, or one that is being removed
-        return sorted(found, key=lambda one: -(one.began_unix_s or 0.0))
+        if self._folder is None:
+            return []
+        found, known = [], parts_in(self._folder)
+        for path in self._folder.glob("*.mcap"):
+            # Another program's, one that is being removed, or of a damaged head.
+            with contextlib.suppress(RendezviewError, OSError, ValueError, LookupError):
+                notes = own_notes(path)
+                if notes.get("part", "1") == "1":
+                    found.append(summary(path, notes, parts_from(path, notes, known)))
+        return sorted(found, key=lambda one: (-(one.began_unix_s or 0.0), one.name))
 
     def get(self, name: str) -> Recording | None:
         """A log by its name; None if there is none."""
@@ -162,14 +165,12 @@ class Recordings:
         return self._opened(path, path.stat().st_size)
 
 
-def summary(path: Path) -> Recorded:
-    """A log as the list has it.
+def summary(path: Path, notes: dict[str, str], parts: list[Path]) -> Recorded:
+    """A log of such notes as the list has it.
 
     Raises:
-        RendezviewError: it cannot be read.
+        OSError: it cannot be read.
     """
-    notes = head_of(path).notes
-    parts = parts_from(path, notes)
     extents = [_extent(part, part.stat().st_size) for part in parts]
     counts, times = [e[0] for e in extents], [t for e in extents if e[0] for t in e[1:]]
     request = SessionRequest.model_validate_json(notes["request"])

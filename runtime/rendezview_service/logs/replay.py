@@ -281,7 +281,8 @@ class _Run:
         request = log.request_of(notes)
         assert request is not None
         first = int(notes.get("first_frame", 0))
-        return cls(SessionTracker.of_notes(notes, request, model), first, first)
+        name = notes.get("session", "replay")
+        return cls(SessionTracker(name, model, request, notes), first, first)
 
 
 def _measure_again(tracker: SessionTracker, line: LoggedMeasurement, so_far: Comparison) -> None:

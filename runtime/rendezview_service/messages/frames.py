@@ -18,10 +18,8 @@ from rendezview.io.sequences.decoding import JPEG, PNG, decode_grey
 from rendezview.io.sequences.frame import GreyImage
 
 _MOST_SEGMENTS = 1000  # of a JPEG before its size is known. Source: a chosen limit
-_BARE_MARKERS = (
-    0x01,
-    *range(0xD0, 0xDA),
-)  # JPEG markers without a length. Source: ITU-T T.81 table B.1
+# JPEG markers without a length; those of a frame header. Source: ITU-T T.81 table B.1.
+_BARE_MARKERS = (0x01, *range(0xD0, 0xDA))
 # Source: ITU-T T.81 table B.1.
 _SIZE_MARKERS = tuple(m for m in range(0xC0, 0xD0) if m not in (0xC4, 0xC8, 0xCC))
 

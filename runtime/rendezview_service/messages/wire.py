@@ -38,10 +38,8 @@ class Unpacker:
             end = _HEAD.size + text + content
             if len(self._buffer) < end:
                 break
-            view = memoryview(self._buffer)
-            header = from_json(view[_HEAD.size : _HEAD.size + text].tobytes())
-            found.append((header, bytes(view[_HEAD.size + text : end])))
-            view.release()
+            header = from_json(self._buffer[_HEAD.size : _HEAD.size + text])
+            found.append((header, bytes(self._buffer[_HEAD.size + text : end])))
             del self._buffer[:end]
         return found
 

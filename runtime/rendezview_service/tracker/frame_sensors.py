@@ -36,24 +36,20 @@ class FrameSensors:
             RendezviewError: the reflectors make no pattern.
         """
         asked, known = request.sensors, request.fusion or FusionRequest()
-        self._ring: DockingRing | None = None
+        self.names: list[str] = []  # of the sensors that run
+        self._ring: tuple[RingSensor, DockingRing] | None = None
         self._reflectors: ReflectorSensor | None = None
         self._pairs = False
         self._lit: tuple[int, float, GreyImage] | None = None  # waits for its dark frame
         if asked is not None and asked.ring:
-            self._ring = context_of(known).ring
-            assert self._ring is not None
-            circles = self._ring.circles
-            self._ring_sensor = RingSensor(camera, self._ring.radius_m, circles=circles)
+            ring = context_of(known).ring
+            assert ring is not None
+            self._ring = RingSensor(camera, ring.radius_m, circles=ring.circles), ring
+            self.names.append(RING)
         if asked is not None and asked.reflectors != "off":
             self._reflectors = ReflectorSensor(camera, patterns_of(_target(known)))
             self._pairs = asked.reflectors == "pairs"
-
-    @property
-    def names(self) -> list[str]:
-        """Of the sensors that run."""
-        running = (RING, self._ring), (REFLECTORS, self._reflectors)
-        return [name for name, sensor in running if sensor is not None]
+            self.names.append(REFLECTORS)
 
     def look(
         self, image: GreyImage, time_s: float, number: int, known: Json, fusing: SessionFilter
@@ -69,26 +65,19 @@ class FrameSensors:
         """
         readings: Json = {}
         if self._reflectors is not None:
-            readings[REFLECTORS] = self._reflect(image, time_s, number, fusing)
+            readings[REFLECTORS] = self._reflect(self._reflectors, image, time_s, number, fusing)
         if self._ring is not None:
-            readings[RING] = self._find_ring(image, time_s, known, fusing)
+            sensor, ring = self._ring
+            observation = sensor.update(time_s, image, _prior(known, ring))
+            verdict = fusing.add(RING, "ring", observation.measurement(RING, ring=ring))
+            readings[RING] = ring_record(observation) | {"verdict": verdict}
         return readings
 
-    def _find_ring(
-        self, image: GreyImage, time_s: float, known: Json, fusing: SessionFilter
-    ) -> Json:
-        assert self._ring is not None
-        prior = _prior(known, self._ring)
-        observation = self._ring_sensor.update(time_s, image, prior)
-        measurement = observation.measurement(RING, ring=self._ring)
-        verdict = fusing.add(RING, "ring", measurement)
-        return ring_record(observation) | {"verdict": verdict}
-
     def _reflect(
-        self, image: GreyImage, time_s: float, number: int, fusing: SessionFilter
-    ) -> Json | None:
+        self, sensor: ReflectorSensor, image: GreyImage, time_s: float, number: int,
+        fusing: SessionFilter,
+    ) -> Json | None:  # fmt: skip
         """None for a lit frame that waits for its dark one."""
-        assert self._reflectors is not None
         frames = LitDark(image)
         if self._pairs:
             lit, self._lit = self._lit, None
@@ -99,7 +88,7 @@ class FrameSensors:
                 return None  # the lit one was dropped
             _, time_s, bright = lit
             frames = LitDark(bright, image)
-        observation = self._reflectors.update(time_s, frames)
+        observation = sensor.update(time_s, frames)
         verdict = fusing.add(REFLECTORS, "pose", observation.measurement(REFLECTORS))
         record: Json = json_value(observation.record())
         del record["stage_ms"]

@@ -102,8 +102,6 @@ class OtherSensors:
         """
         found = [self._health(CAMERA, "camera", now_s, frames, tracked, drops, reason)]
         for name, arrivals in self._arrivals.items():
-            if name == CAMERA:
-                continue
             known = self._by_filter.get(name)
             silent_s = now_s - arrivals.times_s[-1]
             why = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
@@ -54,8 +55,7 @@ def camera_of(message: CameraMessage) -> Camera:
         RendezviewError: the number of distortion coefficients is impossible.
     """
     try:
-        keys = message.model_dump(exclude={"checked"})
-        return Camera(**(keys | {"distortion": tuple(message.distortion)}))
+        return Camera(**message.model_dump(exclude={"checked"}))
     except ValueError as error:
         raise RendezviewError(f"camera: {error}") from None
 
@@ -75,7 +75,8 @@ def session_notes(
     Args:
         model: its file, named by its hash.
         more: ``model_file``, its own name; ``first_frame``, the number of the first frame;
-            ``forgotten`` and ``handover``, as in `SessionTracker`; and others.
+            ``forgotten``: ``yes`` if the session had a filter whose process ended; ``handover``,
+            the last `Fused` state of that one, JSON, null without a pose; and others.
     """
     return {
         "session": session,
@@ -100,19 +101,17 @@ class SessionTracker:
         session: str,
         model: ViewModel,
         request: SessionRequest,
+        notes: Mapping[str, str] | None = None,
         most_sensors: int | None = None,
-        forgotten: bool = False,
         recognizer: Recognizer | None = None,
-        handover: StateDict | None = None,
     ) -> None:
         """The tracker that a request describes; the request has a camera.
 
         Args:
+            notes: its `session_notes`; with the same ones a replay repeats its run.
             most_sensors: beside the camera; None: any number.
-            forgotten: the session had a filter whose process ended.
             recognizer: of the model and the request's camera and trees, which several sessions
                 may share; None: a new one.
-            handover: the last `Fused` state of that filter; None: it had no pose.
 
         Raises:
             RendezviewError: the camera, the region, a sensor or the path is wrong.
@@ -135,11 +134,12 @@ class SessionTracker:
             recognizer, prior, integrity=integrity, prior_posterior=request.prior_posterior
         )
         self._nodes = model.geodesic.nodes.tolist()
-        self._sensors = FrameSensors(request, self.camera)
+        self.sensors = FrameSensors(request, self.camera)
         fuses = request.sensors is not None and bool(request.sensors.fusion)
-        self.filter = SessionFilter(
-            request.fusion, most_sensors, forgotten, self._sensors.names, fuses, model.beam_mesh()
-        )
+        notes = notes or {}
+        about = notes.get("forgotten") == "yes", self.sensors.names, fuses, model.beam_mesh()
+        self.filter = SessionFilter(request.fusion, most_sensors, *about)
+        handover = json.loads(notes.get("handover", "null"))
         if handover is not None:
             self.filter.resume(handover)
         fits = None if request.sensors is None else request.sensors.trajectory
@@ -150,21 +150,6 @@ class SessionTracker:
         self.frames = 0  # tracked so far
         self.last_s = -math.inf  # of the last frame; -inf: none yet
         self._last_pose_s: float | None = None
-
-    @classmethod
-    def of_notes(
-        cls,
-        notes: dict[str, str],
-        request: SessionRequest,
-        model: ViewModel,
-        most_sensors: int | None = None,
-        recognizer: Recognizer | None = None,
-    ) -> SessionTracker:
-        """The tracker of a session by its `session_notes`; a replay makes the same one."""
-        forgotten = notes.get("forgotten") == "yes"
-        handover = json.loads(notes.get("handover", "null"))
-        name = notes.get("session", "replay")
-        return cls(name, model, request, most_sensors, forgotten, recognizer, handover)
 
     def track(
         self,
@@ -217,9 +202,9 @@ class SessionTracker:
 
         fused = self.filter.track(observation)
         lap("filter")
-        if self._sensors.names:
+        if self.sensors.names:
             number = self.frames + drops
-            state |= self._sensors.look(image, time_s, number, fused, self.filter)
+            state |= self.sensors.look(image, time_s, number, fused, self.filter)
             fused = self.filter.state_at(time_s)
             lap("sensors")
         if self.filter.fuses:
@@ -231,11 +216,6 @@ class SessionTracker:
         state["approach"] = self._approach.state(time_s, state["motion"], covariance)
         self.frames += 1
         return state, observation
-
-    @property
-    def own_sensors(self) -> list[str]:
-        """Names of the sensors that it reads in its frames."""
-        return self._sensors.names
 
     def _state(
         self,

@@ -71,7 +71,7 @@ class WorkerProcess:
         self._memory = memoryview(memory)
         self._models = WorkerModels(self._tell)
         self._sessions: dict[str, _WorkerSession] = {}
-        self._ending: list[tuple[str, LogWriter]] = []  # of sessions that were closed
+        self._ending: list[tuple[Header, LogWriter]] = []  # requests to close, and logs
         self._reported_s = self._looked_s = 0.0
 
     def run(self) -> None:
@@ -97,9 +97,9 @@ class WorkerProcess:
 
     def _look_at_logs(self) -> None:
         """Report logs that are complete, and disks that fail while no frame comes."""
-        for name, writer in [one for one in self._ending if one[1].is_ended]:
-            self._ending.remove((name, writer))
-            self._send_closed(name, writer)
+        for request, writer in [one for one in self._ending if one[1].is_ended]:
+            self._ending.remove((request, writer))
+            self._done(request)
         now_s = time.monotonic()
         if now_s - self._looked_s < _LOOK_S:
             return
@@ -118,17 +118,17 @@ class WorkerProcess:
             elif request["kind"] == "measure":
                 self._measure(request)
             elif request["kind"] == "open":
-                self._send({"kind": "opened", "session": request["session"], **self._open(request)})
+                self._done(request, **self._open(request))
             elif request["kind"] == "warm":
                 self._models.load_loops(sensors=request["sensors"])
-                self._send({"kind": "opened", "session": "", "compiled": self._models.compiled})
+                self._done(request, compiled=self._models.compiled)
             elif request["kind"] == "read":
                 self._models.model(Path(request["model_path"]))
-                self._send({"kind": "opened", "session": ""})
+                self._done(request)
             elif request["kind"] == "prepare":
                 self._models.prepare([Sight.of(one) for one in request["sights"]])
                 self._drop_unused()
-                self._send({"kind": "opened", "session": ""})
+                self._done(request)
             elif request["kind"] == "close":
                 self._close(request)
             elif request["kind"] == "quit":
@@ -154,7 +154,8 @@ class WorkerProcess:
         self._models.load_loops(sensors=asked.sensors is not None and asked.sensors.any)
         try:
             model, recognizer = self._models.model(sight.model), self._models.recognizer(sight)
-            tracker = SessionTracker.of_notes(notes, asked, model, options.sensors, recognizer)
+            name = request["session"]
+            tracker = SessionTracker(name, model, asked, notes, options.sensors, recognizer)
             writer = None
             if request["log_path"] is not None:
                 whole = options.record_model and options.record_images
@@ -162,7 +163,7 @@ class WorkerProcess:
                 place = Path(request["log_path"])
                 writer = LogWriter(place, tracker.camera, notes, content, options)
             session = _WorkerSession(tracker, writer, sight)
-            self._sessions[request["session"]] = session
+            self._sessions[name] = session
         finally:
             self._drop_unused()
         return _report(session)
@@ -198,7 +199,7 @@ class WorkerProcess:
         }
         if tracker.filter.fuses:
             answer["sensors"] = tracker.filter.health()
-            answer["own"] = tracker.own_sensors
+            answer["own"] = tracker.sensors.names
         self._send(answer | _report(session), text)
         session.last = image, state, observation
         if more:
@@ -275,23 +276,21 @@ class WorkerProcess:
         session = self._sessions.pop(request["session"], None)
         if session is not None and session.log is not None:
             session.log.end()
-            self._ending.append((request["session"], session.log))
+            self._ending.append((request, session.log))
         else:
-            self._send_closed(request["session"], None)
+            self._done(request)
         del session  # its memory is free before the next line
         self._drop_unused()
 
-    def _send_closed(self, session: str, writer: LogWriter | None) -> None:
-        recording = None if writer is None else writer.status.model_dump(mode="json")
-        self._send({"kind": "closed", "session": session, "recording": recording})
+    def _done(self, request: Header, **more: Any) -> None:
+        """Answer a request other than an input."""
+        self._send({"kind": "done", "to": request["number"], **more})
 
     def _drop_unused(self) -> None:
         self._models.keep({session.sight for session in self._sessions.values()})
 
     def _send(self, header: Header, content: bytes = b"") -> None:
-        with contextlib.suppress(
-            ConnectionError
-        ):  # the next `receive` sees that the service is gone
+        with contextlib.suppress(ConnectionError):  # the next `receive` finds the service gone
             self._connection.sendall(pack(header, content))
 
 
@@ -326,8 +325,7 @@ def jpeg(image: GreyImage, width: int) -> bytes:
 
 
 def _fault(request: Header, error: str) -> Header:
-    session = request.get("session")
-    return {"kind": "fault", "of": request["kind"], "session": session, "error": error}
+    return {"kind": "fault", "to": request.get("number"), "error": error}
 
 
 def _report(session: _WorkerSession) -> Header:

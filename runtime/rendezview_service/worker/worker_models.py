@@ -7,9 +7,9 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import NamedTuple
 
-from numba.core.event import Event, Listener, install_listener
+from numba.core.event import install_listener
 
-from rendezview.cli.compiling import load_ahead
+from rendezview.cli.compiling import Compiling, load_ahead
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview_service.messages.messages import CameraMessage
@@ -104,22 +104,6 @@ def _give_back() -> None:
         trim(0)
 
 
-class _Counted(Listener):
-    """Counts the loops that are compiled."""
-
-    def __init__(self, tell: Callable[[int], None]) -> None:
-        self.count = 0
-        self._tell = tell
-
-    def on_start(self, event: Event) -> None:
-        """A loop is being compiled."""
-
-    def on_end(self, event: Event) -> None:
-        """A loop is compiled."""
-        self.count += 1
-        self._tell(self.count)
-
-
 def warm_up(groups: tuple[str, ...], tell: Callable[[int], None] = lambda count: None) -> int:
     """Load groups of loops from the cache; the number of those that it lacked and were compiled.
 
@@ -129,7 +113,13 @@ def warm_up(groups: tuple[str, ...], tell: Callable[[int], None] = lambda count:
     Args:
         tell: receives the number of loops compiled so far, after each.
     """
-    counted = _Counted(tell)
-    with install_listener("numba:compile", counted):
+    compiled = 0
+
+    def done() -> None:
+        nonlocal compiled
+        compiled += 1
+        tell(compiled)
+
+    with install_listener("numba:compile", Compiling(done=done)):
         load_ahead(*groups)
-    return counted.count
+    return compiled
