@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.zbuffer import Float32s, Int32s, draw_chosen, empty_buffers
@@ -40,23 +39,8 @@ class ShownFaces:
     def near(self, direction: Array, around: int) -> npt.NDArray[np.intp]:
         """The faces that are visible from one of the nodes around a direction (3,), ascending."""
         nearest = np.argpartition(-(self.nodes @ direction), around)[:around]
-        return _set_bits(self.bits, nearest)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _set_bits(bits: npt.NDArray[np.uint8], rows: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """The numbers of the bits that are set in any of some rows, ascending, lowest bit first."""
-    numbers = np.empty(8 * bits.shape[1], dtype=np.intp)
-    count = 0
-    for k in range(bits.shape[1]):
-        byte = np.uint8(0)
-        for row in rows:
-            byte |= bits[row, k]
-        for bit in range(8 if byte else 0):
-            if byte >> bit & 1:
-                numbers[count] = 8 * k + bit
-                count += 1
-    return numbers[:count]
+        together = np.bitwise_or.reduce(self.bits[nearest], axis=0)
+        return np.flatnonzero(np.unpackbits(together, bitorder="little"))
 
 
 def bits_of(owner: Int32s, faces: int) -> npt.NDArray[np.uint8]:

@@ -133,7 +133,6 @@ def shadowed_silhouettes(
     }
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def _shown(
     nearness: Float32s, owner: Int32s, focal: float, middle: float, range_m: float,
     rotation: Array, normals: Array,
@@ -142,29 +141,13 @@ def _shown(
 
     Places are seen from the view centre, and both are in the target's axes.
     """
-    count = 0
-    for i in range(owner.shape[0]):
-        for j in range(owner.shape[1]):
-            count += owner[i, j] >= 0
-    pixels = np.empty((count, 2), np.int32)
-    places, facing = np.empty((count, 3)), np.empty((count, 3))
-    n = 0
-    for i in range(owner.shape[0]):
-        for j in range(owner.shape[1]):
-            face = owner[i, j]
-            if face < 0:
-                continue
-            z = 1.0 / nearness[i, j]
-            x, y = z * (j - middle) / focal, z * (i - middle) / focal
-            z -= range_m
-            a, b, c = normals[face, 0], normals[face, 1], normals[face, 2]
-            pixels[n, 0], pixels[n, 1] = i, j
-            for k in range(3):
-                r0, r1, r2 = rotation[0, k], rotation[1, k], rotation[2, k]
-                places[n, k] = r0 * x + r1 * y + r2 * z
-                facing[n, k] = r0 * a + r1 * b + r2 * c
-            n += 1
-    return pixels, places, facing
+    row, column = np.nonzero(owner >= 0)
+    z = 1.0 / nearness[row, column].astype(np.float64)
+    x, y, z = z * (column - middle) / focal, z * (row - middle) / focal, z - range_m
+    a, b, c = normals[owner[row, column]].T
+    places = np.stack([r[0] * x + r[1] * y + r[2] * z for r in rotation.T], axis=1)
+    facing = np.stack([r[0] * a + r[1] * b + r[2] * c for r in rotation.T], axis=1)
+    return np.stack([row, column], axis=1).astype(np.int32), places, facing
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
