@@ -15,12 +15,7 @@ import numpy.typing as npt
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.zbuffer import Float32s, Int32s, draw_chosen, empty_buffers
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.render.projection import (
-    Mask,
-    Window,
-    project_vertices,
-    project_with_nearness,
-)
+from rendezview_ground.render.projection import Mask, Window, project_vertices
 from rendezview_ground.render.rasterizer import fill_silhouette
 
 # Nodes nearest to a direction, whose faces are drawn. Source: of 130,000 pixels of `hubble`, 800 px
@@ -92,7 +87,7 @@ class ShownRenderer:
         Raises:
             RendezviewError: a part of the target lies behind the camera's plane.
         """
-        on_plane = project_with_nearness(self._vertices, camera_from_target, window)
+        on_plane = project_vertices(self._vertices, camera_from_target, window, 3)
         nearness, owner = self._buffers(window.height, window.width)
         draw_chosen(on_plane, self._faces, self._near(camera_from_target), nearness, owner)
         return nearness, owner
