@@ -27,6 +27,7 @@ from rendezview_ground.evaluate.pictures.palette import (
     TRUTH,
     dress,
     dress_legend,
+    logarithmic,
     new_figure,
 )
 
@@ -130,7 +131,7 @@ def track_picture(track: Track, title: str) -> Figure:
         dress(grid[3], y="1 σ of attitude\nper axis, °")
         _curve(grid[3], track.x, np.degrees(track.attitude_sigma_rad), GREEN, "--")
         for axes in grid[2:4]:
-            _logarithmic(axes)
+            logarithmic(axes, "y")
     _status_strip(grid[-1], track.x, track.statuses, track.x_label)
     return figure
 
@@ -219,7 +220,7 @@ def measurement_picture(records: list[dict[str, Any]]) -> Figure | None:
                     label=f"{name}: {len(some)} {'taken' if accepted else 'rejected'}",
                 )  # fmt: skip
     axes.axhline(1.0, color=INK, linewidth=1.0, linestyle=":")
-    _logarithmic(axes)
+    logarithmic(axes, "y")
     dress_legend(axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9))
     return figure
 
@@ -230,20 +231,11 @@ def _chosen_circle(circles: list[dict[str, Any]]) -> dict[str, Any] | None:
 
 def _panels(count: int, title: str) -> tuple[Figure, list[Axes]]:
     """``count`` panels and a strip for the status below them, one axis along."""
-    figure = new_figure(_WIDTH_IN, _PANEL_IN * count + _STRIP_IN + 0.5)
+    figure = new_figure(_WIDTH_IN, _PANEL_IN * count + _STRIP_IN + 0.5, title)
     grid = figure.subplots(
         count + 1, 1, sharex=True, height_ratios=[_PANEL_IN] * count + [0.45 * _STRIP_IN]
     )
-    figure.suptitle(title, color=INK, fontsize=12, x=0.01, ha="left")
     return figure, list(grid)
-
-
-def _logarithmic(axes: Axes) -> None:
-    """A logarithmic axis with plain numbers at 1, 2 and 5."""
-    axes.set_yscale("log")
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else "")
-    axes.tick_params(axis="y", which="minor", labelsize=8)
 
 
 def _curve(axes: Axes, x: Array, y: Array, colour: str, line: str = "-") -> None:
