@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
-from rendezview.io.files import make_folder, read_toml
+from rendezview.io.files import checked, describe, make_folder, read_toml
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview_ground.learn.job import provenance, train
 from rendezview_ground.learn.jobs.shard_executor import ClusterError, ShardExecutor
@@ -77,13 +77,7 @@ def read_catalogue(path: Path) -> list[Entry]:
     Raises:
         RendezviewError: no such file, unknown keys or options, or two models with one name.
     """
-    content = read_toml(path, "a catalogue file")
-    try:
-        file = TypeAdapter(_File).validate_python(content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise RendezviewError(f"{path}: {place}: {first['msg']}") from None
+    file = checked(TypeAdapter(_File), read_toml(path, "a catalogue file"), str(path))
     entries = list(_entries(file, path))
     seen: set[str] = set()
     for entry in entries:
@@ -120,9 +114,7 @@ def _options(given: dict[str, Any], where: str) -> TrainingOptions:
     try:
         return TypeAdapter(TrainingOptions).validate_python(given)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise RendezviewError(f"{where}: {place}: {first['msg']}") from None
+        raise RendezviewError(f"{where}: {describe(error)}") from None
     except RendezviewError as error:
         raise RendezviewError(f"{where}: {error}") from None
 

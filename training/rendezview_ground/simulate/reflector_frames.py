@@ -17,7 +17,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview_ground.limits import POSITIVE, check
-from rendezview_ground.render.directions import perpendicular
+from rendezview_ground.mesh.directions import perpendicular
 
 Grey = npt.NDArray[np.uint8]
 Float32s = npt.NDArray[np.float32]

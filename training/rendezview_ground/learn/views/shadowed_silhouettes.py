@@ -19,9 +19,9 @@ from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
 from rendezview_ground.learn.options import ViewGeometry
 from rendezview_ground.learn.views.drawn_view import draw_view
 from rendezview_ground.learn.views.views import plane_rays
+from rendezview_ground.mesh.directions import axes_towards
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.crossings import face_normals
-from rendezview_ground.render.directions import axes_towards
 from rendezview_ground.render.projection import SurfaceRenderer
 
 _SUN_ORDER = 1  # of the sphere of Sun directions: 42 of them, 32° apart
@@ -43,8 +43,8 @@ class SunMaps:
 
     suns: Array  # (S, 3)
     axes: Array  # (S, 3, 3) rows right, down, sunward
-    corner: Array  # (S, 3) on those axes: place of sample (0, 0) at nearness 0
-    texel_m: Array  # (S,)
+    corner: Array  # (3,) on those axes: place of sample (0, 0) at nearness 0
+    texel_m: float
     nearness: npt.NDArray[np.float32]  # (S, M, M)
 
 
@@ -64,9 +64,8 @@ def sun_maps(mesh: Mesh, geometry: ViewGeometry) -> SunMaps:
         draw_parallel(np.ascontiguousarray(on_map), faces, near, owner)
         axes.append(basis)
         nearness.append(near)
-    count = len(suns)
-    corner = np.tile([-radius, -radius, -1.01 * radius], (count, 1))
-    return SunMaps(suns, np.stack(axes), corner, np.full(count, texel), np.stack(nearness))
+    corner = np.array([-radius, -radius, -1.01 * radius])
+    return SunMaps(suns, np.stack(axes), corner, texel, np.stack(nearness))
 
 
 def shadowed_silhouettes(
@@ -99,8 +98,8 @@ def shadowed_silhouettes(
     mask = np.empty((_PICTURE_PX, _PICTURE_PX), dtype=np.uint8)
     for sun in chosen:
         lit = _light(
-            pixels, places, facing, maps.suns[sun], maps.axes[sun], maps.corner[sun],
-            maps.texel_m[sun], maps.nearness[sun], mask,
+            pixels, places, facing, maps.suns[sun], maps.axes[sun], maps.corner, maps.texel_m,
+            maps.nearness[sun], mask,
         )  # fmt: skip
         if lit < _LEAST_SHARE * len(places):
             continue
