@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from experiments.training.random_skies import random_sky
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.zbuffer import Float32s, Int32s, draw_perspective, empty_buffers
@@ -24,7 +25,6 @@ from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.crossings import face_normals
 from rendezview_ground.simulate.cloudy_skies import cloudy_sky
 from rendezview_ground.simulate.hard_light import HardLightOptions, log_uniform, photograph
-from rendezview_ground.simulate.random_skies import random_sky
 from rendezview_ground.simulate.scene import sun_at_phase
 from rendezview_ground.simulate.shading import ShadingOptions, render
 
