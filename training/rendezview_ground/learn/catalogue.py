@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import threading
 from collections.abc import Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
@@ -18,8 +17,7 @@ from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import checked, describe, make_folder, read_toml
-from rendezview.sensors.appearance.model.view_model import ViewModel
-from rendezview_ground.learn.job import provenance, train
+from rendezview_ground.learn.job import kept_model, provenance, train
 from rendezview_ground.learn.jobs.shard_executor import ClusterError, ShardExecutor
 from rendezview_ground.learn.jobs.stages import Progress
 from rendezview_ground.learn.options import OLD_NAMES, TrainingOptions
@@ -154,7 +152,7 @@ def train_catalogue(
             found = find_target(entry.target)
             mesh = load_mesh(found.mesh_path, entry.unit or found.unit)
             camera = load_camera(entry.camera) if entry.camera else None
-            if _is_done(path, entry.name, provenance(mesh, entry.options, camera)):
+            if kept_model(path, entry.name, provenance(mesh, entry.options, camera)):
                 there.append(entry.name)
                 return
             train(
@@ -195,16 +193,6 @@ def train_catalogue(
         tuple(sorted(there, key=order.__getitem__)),
         refused,
     )
-
-
-def _is_done(path: Path, name: str, made: dict[str, Any]) -> bool:
-    if not path.is_file():
-        return False
-    try:
-        model = ViewModel.load(path)
-    except RendezviewError:
-        return False  # damaged: trained again
-    return model.name == name and model.provenance == json.loads(json.dumps(made))
 
 
 class _Stopped(Exception):

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.colours import Rgb, grey, linear_from_srgb
 from rendezview_ground.mesh.materials import read_materials
+from rendezview_ground.mesh.mesh_file import MeshFile
 from rendezview_ground.mesh.notes import counted
 from rendezview_ground.mesh.polygon import cut_note, cut_polygons
 from rendezview_ground.mesh.text import COMMA_NOTE, decoded, is_text, with_points
@@ -43,8 +43,16 @@ class _Content:
     free_form: int = 0
 
 
-def read_obj(path: Path) -> tuple[Array, NDArray[np.int64], Rgb, list[str]]:
-    """Vertices (V, 3) in the unit of the file, faces (F, 3), their colours, and notes."""
+def read_obj(path: Path, node: str | None) -> MeshFile:
+    """The triangles of a file.
+
+    Raises:
+        RendezviewError: a node is named, or a line that cannot be read, with its number.
+    """
+    if node is not None:
+        raise RendezviewError(
+            f"{path}#{node}: OBJ files have no nodes here: export the part alone, or as GLB"
+        )
     data = path.read_bytes()
     if not is_text(data):
         raise RendezviewError(
@@ -72,7 +80,8 @@ def read_obj(path: Path) -> tuple[Array, NDArray[np.int64], Rgb, list[str]]:
     faces, names = corners[cuts], [content.polygon_material[p] for p in owner]
     notes += _ignored(content)
     rgb = _material_rgb(path, content, names, corner_uv[cuts], notes)
-    return vertices, faces, _vertex_rgb(content, faces, rgb, notes), notes
+    rgb = _vertex_rgb(content, faces, rgb, notes)
+    return MeshFile(vertices, faces, rgb, None, tuple(notes))
 
 
 def _parse(path: Path, text: str) -> _Content:

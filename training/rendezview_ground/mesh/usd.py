@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.colours import Rgb, grey
+from rendezview_ground.mesh.mesh_file import MeshFile, Part, joined
 from rendezview_ground.mesh.notes import counted
 from rendezview_ground.mesh.polygon import cut_note, cut_polygons
 from rendezview_ground.mesh.scenes import no_such_node
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-Part = tuple[Array, NDArray[np.int64], Rgb]
 
 
-def read_usd(path: Path, node: str | None) -> tuple[list[Part], tuple[float, str], list[str]]:
-    """The meshes of a stage, metres per unit with its name, and notes.
+def read_usd(path: Path, node: str | None) -> MeshFile:
+    """The meshes of a stage as one.
 
     Args:
         path: the file.
@@ -69,7 +69,7 @@ def read_usd(path: Path, node: str | None) -> tuple[list[Part], tuple[float, str
         notes.append(f"{counted(others, 'body')} without triangles (spheres, curves …) ignored.")
     if len(parts) > 1:
         notes.append(f"{len(parts)} bodies joined into one.")
-    return parts, unit, notes
+    return joined(parts, unit, notes)
 
 
 def _shown(stage: Any, node: str | None, path: Path) -> Iterator[Any]:
