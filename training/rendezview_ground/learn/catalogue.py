@@ -142,9 +142,7 @@ def train_catalogue(
     """
     make_folder(folder)
     count = _Count(len(entries), progress)
-    trained: list[str] = []
-    there: list[str] = []
-    refused: dict[str, str] = {}
+    trained, there, refused = set[str](), set[str](), dict[str, str]()
 
     def one(entry: Entry) -> None:
         path = folder / f"{entry.name}.rvm"
@@ -153,7 +151,7 @@ def train_catalogue(
             mesh = load_mesh(found.mesh_path, entry.unit or found.unit)
             camera = load_camera(entry.camera) if entry.camera else None
             if kept_model(path, entry.name, provenance(mesh, entry.options, camera)):
-                there.append(entry.name)
+                there.add(entry.name)
                 return
             train(
                 mesh,
@@ -166,7 +164,7 @@ def train_catalogue(
                 executor=executor,
                 progress=count.shards(),
             )
-            trained.append(entry.name)
+            trained.add(entry.name)
         except ClusterError:
             raise
         except RendezviewError as error:
@@ -187,10 +185,10 @@ def train_catalogue(
             count.stop.set()
             pool.shutdown(wait=True, cancel_futures=True)
             failed[0].result()
-    order = {entry.name: k for k, entry in enumerate(entries)}
+    names = [entry.name for entry in entries]
     return Outcome(
-        tuple(sorted(trained, key=order.__getitem__)),
-        tuple(sorted(there, key=order.__getitem__)),
+        tuple(name for name in names if name in trained),
+        tuple(name for name in names if name in there),
         refused,
     )
 

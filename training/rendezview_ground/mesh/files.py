@@ -72,7 +72,7 @@ def read_mesh_file(path: Path, node: str | None = None) -> MeshFile:
 
 def _read_gltf(path: Path, node: str | None) -> MeshFile:
     plain, notes = plain_gltf(path)
-    found = _read_with_trimesh(path, node, None if plain is None else (plain, "glb"))
+    found = _read_with_trimesh(path, node, None if plain is None else (plain, "gltf"))
     return replace(found, notes=(*notes, *found.notes))
 
 

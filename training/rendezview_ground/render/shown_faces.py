@@ -6,7 +6,6 @@ the time of a view.
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,14 +58,6 @@ class ShownRenderer:
         self._shown = shown
         self._centre_m = centre_m
         self._around = around
-        self._local = threading.local()
-
-    def __getstate__(self) -> dict[str, object]:
-        return {name: value for name, value in vars(self).items() if name != "_local"}
-
-    def __setstate__(self, state: dict[str, object]) -> None:
-        vars(self).update(state)
-        self._local = threading.local()
 
     def draw(self, camera_from_target: Pose, window: Window) -> Mask:
         """(height, width) mask, 255 on the target.
@@ -82,13 +73,11 @@ class ShownRenderer:
     def draw_surfaces(self, camera_from_target: Pose, window: Window) -> tuple[Float32s, Int32s]:
         """(height, width) nearness in 1/m, 0 in the sky; and the face that is seen, −1 in the sky.
 
-        Both are overwritten by the next call of the same thread.
-
         Raises:
             RendezviewError: a part of the target lies behind the camera's plane.
         """
         on_plane = project_vertices(self._vertices, camera_from_target, window, 3)
-        nearness, owner = self._buffers(window.height, window.width)
+        nearness, owner = empty_buffers(window.height, window.width)
         draw_chosen(on_plane, self._faces, self._near(camera_from_target), nearness, owner)
         return nearness, owner
 
@@ -96,13 +85,3 @@ class ShownRenderer:
         pose = camera_from_target
         direction = -(pose.rotation.T @ pose.translation_m) - self._centre_m
         return self._shown.near(direction, self._around)
-
-    def _buffers(self, height: int, width: int) -> tuple[Float32s, Int32s]:
-        """Empty buffers, the same for every view of that size: new ones cost page faults."""
-        kept: tuple[Float32s, Int32s] | None = getattr(self._local, "buffers", None)
-        if kept is None or kept[0].shape != (height, width):
-            kept = self._local.buffers = empty_buffers(height, width)
-        else:
-            kept[0].fill(0.0)
-            kept[1].fill(-1)
-        return kept
