@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import optional
 from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.colours import Rgb, grey
 from rendezview_ground.mesh.mesh_file import MeshFile, Part, joined
@@ -34,13 +34,8 @@ def read_usd(path: Path, node: str | None) -> MeshFile:
     Raises:
         RendezviewError: the library is not installed, or there is no such prim.
     """
-    try:
+    with optional(f"{path}: USD files need", "usd"):
         from pxr import Usd, UsdGeom
-    except ImportError:
-        raise RendezviewError(
-            f"{path}: USD files need another package: pip install 'rendezview[usd]', or export "
-            "the model as GLB, OBJ or STL"
-        ) from None
     stage = Usd.Stage.Open(str(path))
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     stated = stage.HasAuthoredMetadata(UsdGeom.Tokens.metersPerUnit)

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import explained
 from rendezview.geometry.pose import Array, Pose
 from rendezview_ground.evaluate.pictures.palette import (
     ACTIVE,
@@ -31,6 +31,7 @@ from rendezview_ground.evaluate.pictures.palette import (
     new_figure,
 )
 
+_OTHER_LOG = (KeyError, TypeError, ValueError, IndexError)  # where a line is of another log
 _GOOD = ("ok", "tracking")
 # Colour and hatch of a status, most frequent first: readable without colour.
 _STATUS_LOOKS = ((PROBLEM, "///"), (TRUTH, "..."), (PURPLE, "xxx"), (MUTED, "---"))
@@ -89,7 +90,7 @@ def track_of_records(records: list[dict[str, Any]], where: str) -> Track:
     Raises:
         RendezviewError: a line is no line of a log with poses.
     """
-    try:
+    with explained(f"{where}: not a log of poses (", ")", _OTHER_LOG):
         poses = [
             None
             if r["pose"] is None
@@ -102,8 +103,6 @@ def track_of_records(records: list[dict[str, Any]], where: str) -> Track:
                 str(r.get("status", "no pose" if r["pose"] is None else "ok")) for r in records
             ],
         )  # fmt: skip
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise RendezviewError(f"{where}: not a log of poses ({error!r})") from None
 
 
 def times_of(records: list[dict[str, Any]]) -> tuple[list[float], str]:
@@ -142,7 +141,7 @@ def ring_picture(records: list[dict[str, Any]], where: str) -> Figure:
     Raises:
         RendezviewError: a line is not of `rendezview ring`.
     """
-    try:
+    with explained(f"{where}: not a log of `rendezview ring` (", ")", _OTHER_LOG):
         x, label = times_of(records)
         chosen = [_chosen_circle(r["poses"]) for r in records]
         distance = [math.nan if c is None else float(np.linalg.norm(c["centre_m"])) for c in chosen]
@@ -154,8 +153,6 @@ def ring_picture(records: list[dict[str, Any]], where: str) -> Figure:
         size = [e if isinstance(e, float) else max(e["semi_axes_px"]) for e in best]
         counts = [len(r["ellipses"]) for r in records]
         statuses = [str(r["status"]) for r in records]
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise RendezviewError(f"{where}: not a log of `rendezview ring` ({error!r})") from None
     posed = any(c is not None for c in chosen)
     figure, grid = _panels(4 if posed else 2, "Docking ring")
     dress(grid[-3], y="half width of\nthe ellipse, px")
@@ -180,10 +177,8 @@ def range_picture(records: list[dict[str, Any]], where: str) -> Figure:
         RendezviewError: a range is not a number.
     """
     x, label = times_of(records)
-    try:
+    with explained(f"{where}: not a log of a ranger (", ")", _OTHER_LOG):
         ranges = [math.nan if r["range_m"] is None else float(r["range_m"]) for r in records]
-    except (KeyError, TypeError, ValueError) as error:
-        raise RendezviewError(f"{where}: not a log of a ranger ({error!r})") from None
     figure, grid = _panels(1, "Laser ranger")
     dress(grid[0], y="range, m")
     _curve(grid[0], np.array(x), np.array(ranges), ESTIMATE)
