@@ -15,11 +15,10 @@ import cv2
 import numpy as np
 import pytest
 
-from experiments.training import sketch_network
+from experiments.training import sketch_frames, sketch_network
+from experiments.training.sketch_frames import CraftDrawing, draw_craft
 from rendezview.sensors.appearance.edges.network import SIDE_PX
 from rendezview.sensors.appearance.model.sketches import COVER, MAPS
-from rendezview_ground.simulate import sketch_frames
-from rendezview_ground.simulate.sketch_frames import CraftDrawing, draw_craft
 
 
 def test_without_pytorch_it_says_what_to_install(

@@ -18,15 +18,15 @@ import numpy.typing as npt
 from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
+from experiments.training import sketch_frames
+from experiments.training.cluttered_rooms import INDOORS, crowded, room
+from experiments.training.random_objects import random_object
+from experiments.training.random_textures import random_texture
 from rendezview.geometry.zbuffer import Float32s
 from rendezview.sensors.appearance.edges.network import SIDE_PX, channels_of
 from rendezview.sensors.appearance.model.sketches import MAPS
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.simulate import sketch_frames
-from rendezview_ground.simulate.cluttered_rooms import INDOORS, crowded, room
 from rendezview_ground.simulate.random_craft import any_craft
-from rendezview_ground.simulate.random_objects import random_object
-from rendezview_ground.simulate.random_textures import random_texture
 
 LARGE = 2  # times SIDE_PX: the side of larger pictures, as those of a closer pass
 LARGE_SHARE = 0.35  # of the batches

@@ -20,6 +20,7 @@ from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Sequence, open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
 from rendezview.sensors.appearance.outline.reading import OutlineReading
+from rendezview.sensors.appearance.overlay import draw_observation
 from rendezview.sensors.observation import Status
 from rendezview_ground.evaluate import evaluate, frame_overlay, png, write_report
 from rendezview_ground.evaluate.evaluation import Evaluation
@@ -123,19 +124,30 @@ def test_an_overlay_shows_the_frame_with_its_outline(run: Run) -> None:
     image = frame.read()
     corner = picture[402:480:4, 2:80:4, 0].astype(int) - image[100:, :20]
     assert np.abs(corner).max() <= 2
-    plain = replace(observation, outline=OutlineReading())
+    plain = replace(observation, pose=None, outline=OutlineReading())
     without = drawn(frame_overlay(image, plain, frame.camera, run.model))
-    assert has_colour(picture, ON_NODE_RGB)
-    assert not has_colour(without, ON_NODE_RGB)
+    assert has_colour(picture[:480], ON_NODE_RGB)
+    assert not has_colour(without[:480], ON_NODE_RGB)
+    found = drawn(frame_overlay(image, replace(observation, pose=None), frame.camera, run.model))
+    assert has_colour(found[:480], ON_NODE_RGB)  # of the silhouette
 
 
-def test_an_overlay_without_a_pose_says_why(run: Run) -> None:
-    frame = run.sequence.frames[3]
-    figure = frame_overlay(frame.read(), run.observations[3], frame.camera, run.model)
-    drawn(figure)
-    words = " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
-    assert "No pose: border" in words
-    assert "The silhouette touches the border" in words
+@pytest.mark.parametrize("k", [0, 3])
+def test_an_overlay_is_the_drawn_observation_with_an_edge_where_it_is_a_problem(
+    run: Run, k: int
+) -> None:
+    frame, observation = run.sequence.frames[k], run.observations[k]
+    drawing = draw_observation(
+        frame.read(), observation, frame.camera, run.model, title="frame   off by 3°"
+    )
+    for bad in (False, True):
+        figure = frame_overlay(
+            frame.read(), observation, frame.camera, run.model, title="frame", note="off by 3°",
+            bad=bad,
+        )  # fmt: skip
+        picture = drawn(figure)
+        assert np.array_equal(picture[:, 8:], drawing[:, 8:, ::-1])
+        assert has_colour(picture[:400, :6], (255, 112, 67)) == (bad or k == 3)
 
 
 def test_the_sphere_outlines_the_nodes_that_are_on(run: Run) -> None:

@@ -177,7 +177,7 @@ def test_samples_are_rolled_as_the_nodes_own_camera_would_have_them(samples):
 
 def test_trees_learned_in_parts_are_those_learned_at_once(samples):
     whole = learn_trees(samples, PAPER, range(10))
-    parts = TreeSet.joined([learn_trees(samples, PAPER, range(k, k + 5)) for k in (0, 5)])
+    parts = TreeSet.joined([learn_trees(samples, PAPER, range(k, k + 5)).arrays() for k in (0, 5)])
     for f in dataclasses.fields(whole.forest):
         a, b = getattr(whole.forest, f.name), getattr(parts.forest, f.name)
         assert a.dtype == b.dtype

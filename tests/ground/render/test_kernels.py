@@ -226,8 +226,7 @@ def test_points_are_visible_where_their_face_owns_a_pixel_around(bumpy_mesh, vie
     geometry = view_geometry(bumpy_mesh, OPTIONS, None)
     points, faces = candidate_points(bumpy_mesh, geometry, OPTIONS)
     places = points @ view.rotation.T + np.array([0.0, 0.0, geometry.sphere_radius_m])
-    visible = np.zeros(len(points), dtype=np.bool_)
-    _look_up(places, faces, view.focal, view.middle, view.owner, visible)
+    visible = _look_up(places, faces, view.focal, view.middle, view.owner)
     pixels = (places[:, :2] / places[:, 2:] * view.focal + view.middle + 0.5).astype(int)
     plain = [
         np.any(view.owner[row - 1 : row + 2, column - 1 : column + 2] == face)

@@ -66,6 +66,9 @@ def test_without_a_pose_the_reason_is_drawn_and_no_edges(refining_model):
         picture = draw_observation(image, none, CAMERA, refining_model, title="frame 3")
         assert not near(picture[30:480], (0, 159, 230)).any()
         assert near(picture[480:], (67, 112, 255)).sum() > 100
+        other = replace(none, reason="the silhouette touches the border")
+        again = draw_observation(image, other, CAMERA, refining_model, title="frame 3")
+        assert not np.array_equal(picture[480:], again[480:])
 
 
 def test_lengths_have_the_unit_that_suits_them():

@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ FRAMES_PER_SHARD = 16  # about a second of work
 # What is known beside the frame: nothing; a pose to 5°; the Sun; a frame a few degrees before.
 LOOKS = ("first", "tracked", "sun", "second")
 WRONG_RAD = math.radians(5.0)  # attitude error above which a pose is wrong
-_STATUSES = list(Status)
+_NUMBERS = ("confidence", "rotation_rad", "translation", "nees", "sigma_rad")  # of an answer
 _MARGIN = 1.08  # factor on the bounding sphere, so that it stays off the border
 _PRIOR_RAD = math.radians(5.0)  # largest attitude error of a prior
 _PRIOR_RANGE, _PRIOR_BEARING = 0.03, 0.01  # of the range; largest errors of a prior
@@ -77,6 +77,11 @@ class Conditions:
     sun_phase_rad: Array  # (K,) angle Sun, target, camera
     earth: npt.NDArray[np.bool_]  # (K,) whether the Earth is behind
 
+    @classmethod
+    def of(cls, records: Sequence[dict[str, Any]]) -> Conditions:
+        """From one line of each frame."""
+        return cls(**{f.name: np.array([r[f.name] for r in records]) for f in fields(cls)})
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answers:
@@ -88,6 +93,12 @@ class Answers:
     translation: Array  # (K,) of the view centre, as a share of its distance
     nees: Array  # (K,) normalised squared error; its mean is 6 if the covariance is right
     sigma_rad: Array  # (K,) of the attitude, that the pose claims: root of the trace
+
+    @classmethod
+    def of(cls, records: Sequence[dict[str, Any]]) -> Answers:
+        """From the lines of one look."""
+        numbers = {name: np.array([r[name] for r in records], dtype=float) for name in _NUMBERS}
+        return cls(status=[Status(r["status"]) for r in records], **numbers)
 
     @property
     def given(self) -> npt.NDArray[np.bool_]:
@@ -169,24 +180,21 @@ def assess(
     parts = [(p,) for p in shares(options.frames, FRAMES_PER_SHARD)]
     shared = (model, mesh, camera, options)
     done = shards.run("frames", _look_at, shared, parts, executor, progress)
-    table = {name: np.concatenate([a[name] for a in done], axis=1) for name in done[0]}
-    seen = table.pop("seen")
-    conditions = Conditions(seen[:3].T, seen[3], seen[4], seen[5] > 0.0)
-    answers = {}
-    for k, look in enumerate(LOOKS):
-        columns = {name: column[k] for name, column in table.items()}
-        status = [_STATUSES[i] for i in columns.pop("status")]
-        answers[look] = Answers(status=status, **columns)
-    atomic_write_text(path, "".join(_lines(conditions, answers)))
+    lines = [str(line) for shard in done for line in shard["lines"]]
+    atomic_write_text(path, "".join(line + "\n" for line in lines))
     shards.remove()
-    return conditions, answers
+    records = [json.loads(line) for line in lines]
+    answers = {
+        look: Answers.of([record for record in records if record["look"] == look]) for look in LOOKS
+    }
+    return Conditions.of(records[:: len(LOOKS)]), answers
 
 
 def _look_at(
     model: ViewModel, mesh: Mesh, camera: Camera, options: AssessmentOptions, frames: range
 ) -> Arrays:
     recognizer = Recognizer(model, camera)
-    records, seen = [], []
+    lines = []
     for k in frames:
         rng = np.random.default_rng([options.seed, k])
         scene = _Scene.drawn(model, camera, options, rng)
@@ -200,12 +208,11 @@ def _look_at(
             recognizer.recognize(image, sun_camera=scene.sun),
             tracker.update(1.0, image),
         )
-        records.append([_answer(look, scene.pose, model) for look in looks])
-        seen.append(scene.conditions(model))
-    table = np.array(records).transpose(2, 1, 0)  # value, look, frame
-    names = ("status", "confidence", "rotation_rad", "translation", "nees", "sigma_rad")
-    arrays: Arrays = dict(zip(names, table, strict=True))
-    return arrays | {"status": table[0].astype(np.uint8), "seen": np.transpose(seen)}
+        shown = scene.conditions(model)
+        for name, observation in zip(LOOKS, looks, strict=True):
+            record = {"frame": k, "look": name, "status": str(observation.status)} | shown
+            lines.append(json.dumps(record | _answer(observation, scene.pose, model)))
+    return {"lines": np.array(lines)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,42 +264,28 @@ class _Scene:
         move = _STEP_RANGE * self.pose.apply(model.centre_m)
         return extrapolate(self.pose, np.append(turn, move), 1.0, model.centre_m)
 
-    def conditions(self, model: ViewModel) -> list[float]:
-        """Direction, range, phase, Earth: a column of `Conditions`."""
+    def conditions(self, model: ViewModel) -> dict[str, Any]:
+        """The values of `Conditions`."""
         centre = self.pose.apply(model.centre_m)
         range_m = float(np.linalg.norm(centre))
-        direction = -self.pose.rotation.T @ centre / range_m
-        return [*direction, range_m, self.phase_rad, float(self.options.earth is not None)]
+        return {
+            "direction": (-self.pose.rotation.T @ centre / range_m).tolist(),
+            "range_m": range_m,
+            "sun_phase_rad": self.phase_rad,
+            "earth": self.options.earth is not None,
+        }
 
 
-def _answer(observation: AppearanceObservation, truth: Pose, model: ViewModel) -> list[float]:
-    """Status, confidence, errors of rotation and translation, normalised error squared, σ."""
-    status = float(_STATUSES.index(observation.status))
-    confidence = math.nan if observation.confidence is None else observation.confidence
+def _answer(
+    observation: AppearanceObservation, truth: Pose, model: ViewModel
+) -> dict[str, float | None]:
+    """The values of `Answers` without the status; None where there are none."""
     error = pose_error(observation, truth, model)
     if error is None or observation.covariance is None:
-        return [status, confidence, math.nan, math.nan, math.nan, math.nan]
+        return dict.fromkeys(_NUMBERS) | {"confidence": observation.confidence}
     sigma_rad = math.sqrt(float(np.trace(observation.covariance[:3, :3])))
-    return [status, confidence, error.rotation_rad, error.translation, error.nees, sigma_rad]
-
-
-def _lines(seen: Conditions, answers: dict[str, Answers]) -> list[str]:
-    lines = []
-    for k in range(len(seen.range_m)):
-        shown = {
-            "direction": seen.direction[k].tolist(),
-            "range_m": float(seen.range_m[k]),
-            "sun_phase_rad": float(seen.sun_phase_rad[k]),
-            "earth": bool(seen.earth[k]),
-        }
-        for look, answer in answers.items():
-            record: dict[str, Any] = {"frame": k, "look": look, "status": str(answer.status[k])}
-            record |= shown
-            for name in ("confidence", "rotation_rad", "translation", "nees", "sigma_rad"):
-                value = float(getattr(answer, name)[k])
-                record[name] = None if math.isnan(value) else value
-            lines.append(json.dumps(record) + "\n")
-    return lines
+    return {"confidence": observation.confidence, **dataclasses.asdict(error),
+            "sigma_rad": sigma_rad}  # fmt: skip
 
 
 def _inputs(
@@ -308,4 +301,5 @@ def _inputs(
         "camera": dataclasses.asdict(camera),
         "options": {k: v for k, v in dataclasses.asdict(options).items() if k != "frames"},
         "frames": options.frames,
+        "shards": "lines",
     }

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 from scipy.spatial.transform import Rotation
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.pose import Pose, nearest_rotation, rotation_angle
 from rendezview.geometry.symmetry import Symmetry, common_point, discrete_turns
 from rendezview.io.files import checked, read_json
@@ -74,12 +74,8 @@ def bop_model(mesh_path: Path) -> BopModel | None:
         matrix = np.reshape(values, (4, 4))
         if np.allclose(matrix, np.eye(4)):
             continue  # some files list it
-        try:
+        with explained(f"{info_path}: {obj_id}.symmetries_discrete: ", ": correct the file"):
             discrete.append(Pose(nearest_rotation(matrix[:3, :3]), matrix[:3, 3] / 1000.0))
-        except ValueError as error:
-            raise RendezviewError(
-                f"{info_path}: {obj_id}.symmetries_discrete: {error}: correct the file"
-            ) from error
     continuous: list[Pose] = []
     symmetries: list[Symmetry] = []
     for entry in info.symmetries_continuous:

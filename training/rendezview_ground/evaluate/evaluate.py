@@ -8,7 +8,7 @@ from collections.abc import Sequence as Rows
 
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Sequence
@@ -75,7 +75,9 @@ def evaluate(
         found, truth = best.get(im_id), frame.camera_from_target
         errors = surfaces = None
         if found is not None and truth is not None:
-            try:
+            with explained(
+                f"{sequence.source}: im_id {im_id}: ", ": correct the truth or the target"
+            ):
                 errors = pose_errors(
                     truth,
                     found.camera_from_target,
@@ -83,10 +85,6 @@ def evaluate(
                     centre_m=centre_m,
                     speed_plus=speed_plus,
                 )
-            except ValueError as error:
-                raise RendezviewError(
-                    f"{sequence.source}: im_id {im_id}: {error}: correct the truth or the target"
-                ) from error
             if surface is not None:
                 estimate, camera = found.camera_from_target, frame.camera
                 surfaces = surface_errors(truth, estimate, surface, camera.matrix, camera.width)

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from collections.abc import Sequence as Rows
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
-from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, nearest_alike
-from rendezview.io.files import read_text
+from rendezview.io.pose_log import read_poses
 from rendezview.io.sequences import Sequence
 
 _Judgement = TypeVar("_Judgement")
@@ -35,21 +31,13 @@ def of_logged_poses(
         RendezviewError: the log cannot be read, or is none of ``track``.
     """
     truths = {frame.im_id: frame.camera_from_target for frame in sequence}
-    judged = []
-    for number, line in enumerate(read_text(log, "log (JSON lines)").splitlines(), start=1):
-        try:
-            entry = json.loads(line)
-            truth, found = truths.get(entry["im_id"]), entry["pose"]
-            if truth is None or found is None:
-                continue
-            pose = Pose.from_quat_wxyz(found["quat_wxyz"], found["translation_m"])
-            error = nearest_alike(truth, pose, symmetries).delta_from(pose)
-            judgement = judge(entry, error)
-        except (ValueError, KeyError, TypeError, np.linalg.LinAlgError) as fault:
-            raise RendezviewError(
-                f"{log}: line {number} is not of a log of track ({fault}): give the file of "
-                "track --log"
-            ) from None
-        if judgement is not None:
-            judged.append(judgement)
-    return judged
+
+    def of_line(entry: dict[str, Any]) -> _Judgement | None:
+        truth, found = truths.get(entry["im_id"]), entry["pose"]
+        if truth is None or found is None:
+            return None
+        pose = Pose.from_quat_wxyz(found["quat_wxyz"], found["translation_m"])
+        return judge(entry, nearest_alike(truth, pose, symmetries).delta_from(pose))
+
+    found = read_poses(log, of_line, "`rendezview track`")
+    return [judgement for judgement in found if judgement is not None]

@@ -125,9 +125,9 @@ frames of {escape(sequence.source.name)}</p>
 {_table(evaluation)}
 {_section("Videos", "pair", films)}
 <h2>Frames</h2>
-<p class="quiet key"><i style="color:{ACTIVE}">Outline</i>: silhouette. Axes: the target's X, Y, Z
-at its view centre. Cross: bearing. A <i style="color:{PROBLEM}">red edge</i> marks a frame without
-a pose or with a wrong pose.</p>
+<p class="quiet key"><i style="color:{ACTIVE}">Outline</i> and inner edges: of the model at the
+pose, or the silhouette found. Axes: the target's X, Y, Z at its view centre; ellipse: its 1 σ. A
+<i style="color:{PROBLEM}">red edge</i> marks a frame without a pose or with a wrong pose.</p>
 <div class="strip">{strip}</div>
 {_section("All sensors", "wide", more)}
 <h2>Recognition</h2>

@@ -72,7 +72,6 @@ def frame_row(
         except RendezviewError:
             if observation.pose is not None:
                 raise
-            image = np.zeros((frame.camera.height, frame.camera.width), dtype=np.uint8)
         figure = frame_overlay(
             image, observation, frame.camera, model, title=title, note=note, bad=k in wrong
         )

@@ -40,6 +40,9 @@ from rendezview_ground.evaluate.pictures.trajectory_pictures import path_picture
 from rendezview_service.viewers.runs import moments
 
 _SCENE_FILES = ("scene_camera.json", "scene_gt.json")
+_NODE_COLUMNS = (
+    "node", "x", "y", "z", "depth", "leaves", "training_accuracy", "held_out_accuracy", "area_m2",
+)  # fmt: skip
 _SHEET = (4, 3)  # frames across and down
 _CELL_PX = 320  # px; width of a frame on the sheet
 
@@ -98,19 +101,7 @@ def _save(figure: Figure, path: Path) -> Path:
 def _show_model(model: ViewModel, folder: Path) -> list[Path]:
     table = io.StringIO()
     writer = csv.writer(table)
-    writer.writerow(
-        [
-            "node",
-            "x",
-            "y",
-            "z",
-            "depth",
-            "leaves",
-            "training_accuracy",
-            "held_out_accuracy",
-            "area_m2",
-        ]
-    )
+    writer.writerow(_NODE_COLUMNS)
     for k, direction in enumerate(model.geodesic.nodes):
         held_out = model.held_out_accuracy[k]
         writer.writerow(

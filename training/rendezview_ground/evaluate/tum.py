@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import StrPath, read_text
 from rendezview.io.results import ResultRow
@@ -25,14 +25,10 @@ def results_of_tum(path: StrPath, sequence: Sequence) -> list[ResultRow]:
         cells = line.split("#")[0].replace(",", " ").split()
         if not cells:
             continue
-        try:
+        where = f"{path}: line {number}: not `time x y z qx qy qz qw` ("
+        with explained(where, "): correct or remove the line", (ValueError, TypeError)):
             time_s, *place_m, x, y, z, w = (float(cell) for cell in cells)
             timed.append((time_s, Pose.from_quat_wxyz([w, x, y, z], place_m).inverse()))
-        except (ValueError, TypeError) as error:
-            raise RendezviewError(
-                f"{path}: line {number}: not `time x y z qx qy qz qw` ({error}): correct or "
-                "remove the line"
-            ) from error
     times = np.array([time_s for time_s, _ in timed])
     rows = []
     for frame in sequence:

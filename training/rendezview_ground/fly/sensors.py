@@ -31,7 +31,7 @@ from rendezview_ground.fly.dynamics import Truth
 from rendezview_ground.fly.faults import Fault
 from rendezview_ground.fly.guidance import Known
 from rendezview_ground.fly.setup import CAMERA, Setup
-from rendezview_ground.render.directions import axes_towards
+from rendezview_ground.mesh.directions import axes_towards
 
 _STREAM = 3  # of the seed
 # Of the frames whose claims are lower than the table's. Source: by construction, to 2 %

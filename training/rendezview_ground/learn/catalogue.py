@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import threading
 from collections.abc import Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
@@ -17,9 +16,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
-from rendezview.io.files import make_folder, read_toml
-from rendezview.sensors.appearance.model.view_model import ViewModel
-from rendezview_ground.learn.job import provenance, train
+from rendezview.io.files import checked, describe, make_folder, read_toml
+from rendezview_ground.learn.job import kept_model, provenance, train
 from rendezview_ground.learn.jobs.shard_executor import ClusterError, ShardExecutor
 from rendezview_ground.learn.jobs.stages import Progress
 from rendezview_ground.learn.options import OLD_NAMES, TrainingOptions
@@ -77,13 +75,7 @@ def read_catalogue(path: Path) -> list[Entry]:
     Raises:
         RendezviewError: no such file, unknown keys or options, or two models with one name.
     """
-    content = read_toml(path, "a catalogue file")
-    try:
-        file = TypeAdapter(_File).validate_python(content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise RendezviewError(f"{path}: {place}: {first['msg']}") from None
+    file = checked(TypeAdapter(_File), read_toml(path, "a catalogue file"), str(path))
     entries = list(_entries(file, path))
     seen: set[str] = set()
     for entry in entries:
@@ -120,9 +112,7 @@ def _options(given: dict[str, Any], where: str) -> TrainingOptions:
     try:
         return TypeAdapter(TrainingOptions).validate_python(given)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise RendezviewError(f"{where}: {place}: {first['msg']}") from None
+        raise RendezviewError(f"{where}: {describe(error)}") from None
     except RendezviewError as error:
         raise RendezviewError(f"{where}: {error}") from None
 
@@ -152,9 +142,7 @@ def train_catalogue(
     """
     make_folder(folder)
     count = _Count(len(entries), progress)
-    trained: list[str] = []
-    there: list[str] = []
-    refused: dict[str, str] = {}
+    trained, there, refused = set[str](), set[str](), dict[str, str]()
 
     def one(entry: Entry) -> None:
         path = folder / f"{entry.name}.rvm"
@@ -162,8 +150,8 @@ def train_catalogue(
             found = find_target(entry.target)
             mesh = load_mesh(found.mesh_path, entry.unit or found.unit)
             camera = load_camera(entry.camera) if entry.camera else None
-            if _is_done(path, entry.name, provenance(mesh, entry.options, camera)):
-                there.append(entry.name)
+            if kept_model(path, entry.name, provenance(mesh, entry.options, camera)):
+                there.add(entry.name)
                 return
             train(
                 mesh,
@@ -176,7 +164,7 @@ def train_catalogue(
                 executor=executor,
                 progress=count.shards(),
             )
-            trained.append(entry.name)
+            trained.add(entry.name)
         except ClusterError:
             raise
         except RendezviewError as error:
@@ -197,22 +185,12 @@ def train_catalogue(
             count.stop.set()
             pool.shutdown(wait=True, cancel_futures=True)
             failed[0].result()
-    order = {entry.name: k for k, entry in enumerate(entries)}
+    names = [entry.name for entry in entries]
     return Outcome(
-        tuple(sorted(trained, key=order.__getitem__)),
-        tuple(sorted(there, key=order.__getitem__)),
+        tuple(name for name in names if name in trained),
+        tuple(name for name in names if name in there),
         refused,
     )
-
-
-def _is_done(path: Path, name: str, made: dict[str, Any]) -> bool:
-    if not path.is_file():
-        return False
-    try:
-        model = ViewModel.load(path)
-    except RendezviewError:
-        return False  # damaged: trained again
-    return model.name == name and model.provenance == json.loads(json.dumps(made))
 
 
 class _Stopped(Exception):

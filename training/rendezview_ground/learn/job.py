@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib.util
+import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -207,6 +208,18 @@ _UNMEASURED = HeldOut(
     bearing_rad=0.005,
     residual=200.0,
 )
+
+
+def kept_model(path: Path, name: str, made: dict[str, Any]) -> ViewModel | None:
+    """The model of an earlier run of the same inputs (``provenance``); None if there is none."""
+    if not path.is_file():
+        return None
+    try:
+        model = ViewModel.load(path)
+    except RendezviewError:
+        return None  # damaged: trained again
+    same = model.name == name and model.provenance == json.loads(json.dumps(made))
+    return model if same else None
 
 
 def _code_sha256() -> str:

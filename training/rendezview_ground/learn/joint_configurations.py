@@ -10,8 +10,7 @@ from typing import Any
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.joint import Joint
-from rendezview.sensors.appearance.model.view_model import ViewModel
-from rendezview_ground.learn.job import Trained, provenance, train
+from rendezview_ground.learn.job import Trained, kept_model, provenance, train
 from rendezview_ground.learn.jobs.stages import Progress
 from rendezview_ground.learn.options import TrainingOptions, view_geometry
 from rendezview_ground.mesh.joints import (
@@ -65,7 +64,8 @@ def train_configurations(
             if progress is not None:
                 progress(f"{stage} {number}/{len(angles)}", done, of)
 
-        kept = _kept(file, configuration, arguments)
+        made = provenance(configuration, options or TrainingOptions(), camera)
+        kept = kept_model(file, arguments["name"], made)
         if kept is None:
             trained = train(configuration, file, bounding_sphere=sphere, progress=tell, **arguments)
             first, kept = first or trained, trained.model
@@ -77,18 +77,3 @@ def train_configurations(
         geometry = view_geometry(mesh, options or TrainingOptions(), camera, sphere)
         return Trained(model, None, geometry)
     return replace(first, model=model)
-
-
-def _kept(file: Path, mesh: Mesh, arguments: dict[str, Any]) -> ViewModel | None:
-    """The configuration of an earlier run with the same inputs; None if there is none."""
-    if not file.is_file():
-        return None
-    try:
-        model = ViewModel.load(file)
-    except RendezviewError:
-        return None
-    wanted = provenance(
-        mesh, arguments.get("options") or TrainingOptions(), arguments.get("camera")
-    )
-    same = all(model.provenance.get(key) == wanted[key] for key in ("mesh_sha256", "options"))
-    return model if same else None

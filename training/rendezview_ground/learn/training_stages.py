@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,10 +23,9 @@ from rendezview.sensors.appearance.model.shape import Shape
 from rendezview.sensors.appearance.model.signature import Readings
 from rendezview.sensors.appearance.model.sketches import ViewSketches
 from rendezview.sensors.appearance.model.surface import Surface
-from rendezview.sensors.appearance.model.trees import Forest
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview_ground.learn.jobs.shard_executor import ShardExecutor, Shared, Task
-from rendezview_ground.learn.jobs.stages import Arrays, Progress, Shards, shares
+from rendezview_ground.learn.jobs.stages import Arrays, Join, Progress, Shards, shares, together
 from rendezview_ground.learn.options import TrainingOptions, ViewGeometry
 from rendezview_ground.learn.trees.calibrate import prior_errors, recognition_errors
 from rendezview_ground.learn.trees.forest import ForestSamples, joined, learn_forest
@@ -33,11 +34,7 @@ from rendezview_ground.learn.views.carried_shape import carried_shape
 from rendezview_ground.learn.views.contours import contour_points
 from rendezview_ground.learn.views.near_spheres import near_spheres
 from rendezview_ground.learn.views.perturbed_views import perturbed_views
-from rendezview_ground.learn.views.shadowed_silhouettes import (
-    SunMaps,
-    shadowed_silhouettes,
-    sun_maps,
-)
+from rendezview_ground.learn.views.shadowed_silhouettes import shadowed_silhouettes, sun_maps
 from rendezview_ground.learn.views.sketch_maps import sketched_view
 from rendezview_ground.learn.views.surface_palette import surface_palette
 from rendezview_ground.learn.views.surface_points import (
@@ -77,21 +74,19 @@ class TrainingStages:
     shown: SurfaceRenderer | None = None  # of the faces that show
     edges_shown: SurfaceRenderer | None = None  # of these and more, for contours
 
+    @property
+    def directions(self) -> Array:
+        """(V, 3) from which the views of the lattice are drawn."""
+        return Geodesic.of_order(self.options.order + 1).nodes
+
     def lattice(self) -> tuple[ViewSet, Array, Readings | None]:
         """Clean views at the sphere radius, slopes of their area with range, and far readings."""
-        directions = Geodesic.of_order(self.options.order + 1).nodes
-        near = self._views(
-            "lattice",
-            clean_views,
-            [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)],
-        )
+        directions = self.directions
+        parts = [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)]
+        near = self._views("lattice", clean_views, parts)
         if self.options.perturbed_views == 0:  # the paper assumes weak perspective
             return near, np.zeros(len(near)), None
-        far = self._views(
-            "perspective",
-            far_views,
-            [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)],
-        )
+        far = self._views("perspective", far_views, parts)
         return near, lattice_slopes(near, far, self.geometry), far.readings
 
     def perturbed(self, stage: str, stream: int, count: int) -> ViewSet | None:
@@ -106,10 +101,9 @@ class TrainingStages:
         radii = self.options.contour_radii
         if self.options.contour_points == 0:
             return None
-        directions = Geodesic.of_order(self.options.order + 1).nodes
         shells_m = np.array(radii) * self.geometry.sphere_radius_m
         renderer = self.edges_shown or self.surfaces
-        return self._contours("contours", self.geometry, directions, shells_m, renderer)
+        return self._contours("contours", self.geometry, self.directions, shells_m, renderer)
 
     def near(
         self, whole: Mesh, port: DockingRing | None, camera: Camera | None
@@ -145,14 +139,12 @@ class TrainingStages:
         renderer: SurfaceRenderer | None,
     ) -> Contours:
         """Contour points of views from directions (V, 3) at each distance."""
-        shared = (self.mesh, self.beside, geometry, self.options, renderer)
-        parts = [
-            (directions[p.start : p.stop], range_m)
-            for range_m in shells_m
-            for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
-        ]
-        shards = self._run(stage, _contour_arrays, shared, parts)
-        views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
+        draw = partial(
+            contour_points, self.mesh, self.beside, geometry, options=self.options,
+            renderer=renderer,
+        )  # fmt: skip
+        each = [(direction, range_m) for range_m in shells_m for direction in directions]
+        views = self._drawn(stage, draw, each)
         palette, views["strip"] = surface_palette(views.pop("surfaces"))
         shape = (len(shells_m), len(directions))
         return Contours(
@@ -165,15 +157,12 @@ class TrainingStages:
         """Silhouettes of the sunlit parts of every view of the lattice, for every Sun direction."""
         if not self.options.shadowed_silhouettes:
             return None
-        directions = Geodesic.of_order(self.options.order + 1).nodes
         maps = sun_maps(self.mesh, self.geometry)
-        shared = (self.mesh, maps, self.geometry, self.shown or self.surfaces)
-        parts = [
-            (directions[p.start : p.stop], p.start)
-            for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
-        ]
-        shards = self._run("shadows", _silhouette_arrays, shared, parts)
-        views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
+        draw = partial(
+            shadowed_silhouettes, self.mesh, maps, self.geometry,
+            renderer=self.shown or self.surfaces,
+        )  # fmt: skip
+        views = self._drawn("shadows", draw, list(enumerate(self.directions)), np.concatenate)
         return ShadowedSilhouettes(suns=maps.suns, **views)
 
     def surface(self) -> tuple[Surface | None, TrainingStages]:
@@ -184,41 +173,38 @@ class TrainingStages:
         options = self.options
         shading = 0 not in (options.surface_points, options.contour_points)
         count = 2 + (len(options.contour_radii) if options.contour_points else 0)
-        count *= len(Geodesic.of_order(options.order + 1).nodes)
+        count *= len(self.directions)
         directions = Geodesic.of_order(SURFACE_ORDER).nodes
         many = count + options.perturbed_views > _VIEWS_PER_LIST * len(directions)
         lists = many and options.renderer is Renderer.NUMBA
         if not (shading or lists):
             return None, self
         points, faces = candidate_points(self.mesh, self.geometry, options)
-        shared = (self.mesh, self.geometry, points, faces, options, self.surfaces, lists)
-        parts = [
-            (directions[p.start : p.stop],) for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
-        ]
-        shards = self._run("surface", _surface_arrays, shared, parts)
+        draw = partial(
+            _surface_view, self.mesh, self.geometry, points, faces, options, self.surfaces, lists
+        )
+        seen = self._drawn("surface", draw, [(direction,) for direction in directions])
         stages, surface = self, None
         if lists:
-            bits = np.concatenate([a["faces"] for a in shards])
-            shown = ShownFaces(directions, bits, len(self.mesh.faces))
+            shown = ShownFaces(directions, seen["faces"], len(self.mesh.faces))
             renderer = ShownRenderer(self.mesh, shown, self.geometry.centre_m)
             more = ShownRenderer(self.mesh, shown, self.geometry.centre_m, MANY_AROUND)
             stages = dataclasses.replace(self, renderer=renderer, shown=renderer, edges_shown=more)
         if shading:
-            visible = np.concatenate([a["visible"] for a in shards])
-            surface = chosen_surface(self.mesh, self.geometry, points, faces, visible, options)
+            surface = chosen_surface(
+                self.mesh, self.geometry, points, faces, seen["visible"], options
+            )
         return surface, stages
 
     def sketches(self) -> ViewSketches | None:
         """Every node's view as the sketch network would draw it."""
         if not self.options.sketches or self.options.contour_points == 0:
             return None
+        draw = partial(
+            sketched_view, self.mesh, self.geometry, renderer=self.shown or self.surfaces
+        )
         directions = Geodesic.of_order(self.options.order).nodes
-        parts = [
-            (directions[p.start : p.stop],) for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
-        ]
-        shared = (self.mesh, self.geometry, self.shown or self.surfaces)
-        shards = self._run("sketches", _sketch_arrays, shared, parts)
-        return ViewSketches(**{n: np.concatenate([a[n] for a in shards]) for n in shards[0]})
+        return ViewSketches(**self._drawn("sketches", draw, [(d,) for d in directions]))
 
     def shape(self) -> Shape | None:
         """The mesh that the craft carries, and its look-alikes; None with joints."""
@@ -233,8 +219,7 @@ class TrainingStages:
         """Trees of all nodes."""
         nodes = len(Geodesic.of_order(self.options.order).nodes)
         parts = [(p,) for p in shares(nodes, _NODES_PER_SHARD)]
-        shards = self._run("trees", _tree_arrays, (samples, self.options), parts)
-        return TreeSet.joined([_tree_set(a) for a in shards])
+        return TreeSet.joined(self._run("trees", _tree_arrays, (samples, self.options), parts))
 
     def score_forest(
         self, lattice: ViewSet, perturbed: ViewSet | None, lit: ShadowedSilhouettes | None
@@ -259,6 +244,17 @@ class TrainingStages:
         shards = self._run(stage, _view_arrays, shared, parts)
         return ViewSet.joined([ViewSet(**a) for a in shards])
 
+    def _drawn(
+        self,
+        stage: str,
+        draw: Callable[..., Arrays],
+        views: list[tuple[Any, ...]],
+        join: Join = np.stack,
+    ) -> Arrays:
+        """What ``draw`` makes of the arguments of each view, one view after the other."""
+        parts = [(views[p.start : p.stop],) for p in shares(len(views), _SLOW_VIEWS_PER_SHARD)]
+        return together(self._run(stage, _drawn_views, (draw, join), parts))
+
     def _run(
         self, stage: str, task: Task, shared: Shared, parts: list[tuple[Any, ...]]
     ) -> list[Arrays]:
@@ -266,41 +262,18 @@ class TrainingStages:
 
 
 def _view_arrays(draw: Any, *arguments: Any) -> Arrays:
-    views = draw(*arguments)
-    return {f.name: getattr(views, f.name) for f in dataclasses.fields(ViewSet)}
+    return _fields(draw(*arguments))
 
 
-def _contour_arrays(
-    mesh: Mesh,
-    beside: npt.NDArray[np.int32],
-    geometry: ViewGeometry,
-    options: TrainingOptions,
-    surfaces: SurfaceRenderer | None,
-    directions: Array,
-    range_m: float,
-) -> Arrays:
-    views = [
-        contour_points(mesh, beside, geometry, d, range_m, options, surfaces) for d in directions
-    ]
-    return {name: np.stack([view[name] for view in views]) for name in views[0]}
+def _fields(one: ViewSet | Shape) -> Arrays:
+    return {f.name: getattr(one, f.name) for f in dataclasses.fields(one)}
 
 
-def _silhouette_arrays(
-    mesh: Mesh,
-    maps: SunMaps,
-    geometry: ViewGeometry,
-    surfaces: SurfaceRenderer | None,
-    directions: Array,
-    first: int,
-) -> Arrays:
-    views = [
-        shadowed_silhouettes(mesh, maps, geometry, first + k, d, surfaces)
-        for k, d in enumerate(directions)
-    ]
-    return {name: np.concatenate([view[name] for view in views]) for name in views[0]}
+def _drawn_views(draw: Callable[..., Arrays], join: Join, views: list[tuple[Any, ...]]) -> Arrays:
+    return together([draw(*view) for view in views], join)
 
 
-def _surface_arrays(
+def _surface_view(
     mesh: Mesh,
     geometry: ViewGeometry,
     points: Array,
@@ -308,46 +281,23 @@ def _surface_arrays(
     options: TrainingOptions,
     surfaces: SurfaceRenderer | None,
     lists: bool,
-    directions: Array,
+    direction: Array,
 ) -> Arrays:
-    visible, shown = [], []
-    for direction in directions:
-        points_bits, afar = visible_points(
-            mesh, geometry, points, faces, direction, options, surfaces
-        )
-        visible.append(points_bits)
-        if lists:
-            near = shown_from_near(mesh, geometry, direction, options)
-            shown.append(near | bits_of(afar, len(mesh.faces)))
-    return {"visible": np.stack(visible)} | ({"faces": np.stack(shown)} if lists else {})
-
-
-def _sketch_arrays(
-    mesh: Mesh, geometry: ViewGeometry, surfaces: SurfaceRenderer | None, directions: Array
-) -> Arrays:
-    views = [sketched_view(mesh, geometry, direction, surfaces) for direction in directions]
-    return {name: np.stack([view[name] for view in views]) for name in views[0]}
+    """Which points are visible from a direction, and which faces if these are listed."""
+    visible, afar = visible_points(mesh, geometry, points, faces, direction, options, surfaces)
+    if not lists:
+        return {"visible": visible}
+    near = shown_from_near(mesh, geometry, direction, options)
+    return {"visible": visible, "faces": near | bits_of(afar, len(mesh.faces))}
 
 
 def _shape_arrays(mesh: Mesh, geometry: ViewGeometry, seed: int) -> Arrays:
-    shape = carried_shape(mesh, geometry, seed)
-    return {f.name: getattr(shape, f.name) for f in dataclasses.fields(Shape)}
+    return _fields(carried_shape(mesh, geometry, seed))
 
 
 def _tree_arrays(samples: Samples, options: TrainingOptions, nodes: range) -> Arrays:
-    trees = learn_trees(samples, options, nodes)
-    arrays: Arrays = {f.name: getattr(trees.forest, f.name) for f in dataclasses.fields(Forest)}
-    return arrays | {
-        "leaf_on": trees.leaf_on,
-        "leaf_off": trees.leaf_off,
-        "training_accuracy": trees.training_accuracy,
-    }
+    return learn_trees(samples, options, nodes).arrays()
 
 
 def _error_arrays(model: ViewModel, held_out: ViewSet, priors: Array, rows: slice) -> Arrays:
     return {"errors": recognition_errors(model, held_out, priors, rows)}
-
-
-def _tree_set(arrays: Arrays) -> TreeSet:
-    forest = Forest(**{f.name: arrays[f.name] for f in dataclasses.fields(Forest)})
-    return TreeSet(forest, arrays["leaf_on"], arrays["leaf_off"], arrays["training_accuracy"])

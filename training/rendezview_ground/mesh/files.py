@@ -10,14 +10,13 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from logging.handlers import BufferingHandler
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.colours import Rgb, grey, visual_face_rgb
 from rendezview_ground.mesh.containers import (
     check_3mf,
@@ -27,7 +26,7 @@ from rendezview_ground.mesh.containers import (
     refers_to_texture,
 )
 from rendezview_ground.mesh.gltf import GLTF_SUFFIXES, plain_gltf
-from rendezview_ground.mesh.mesh_file import MeshFile, joined
+from rendezview_ground.mesh.mesh_file import MeshFile, Part, joined
 from rendezview_ground.mesh.notes import counted
 from rendezview_ground.mesh.obj import read_obj
 from rendezview_ground.mesh.scenes import nodes_below, step_note, triangulate_step
@@ -40,6 +39,7 @@ STEP_SUFFIXES = (".step", ".stp")
 _TEXTURE_TROUBLE = re.compile(r"pillow|image|texture|bumpmap", re.IGNORECASE)
 _HEADER = 65_536  # bytes in which that of a PLY or OFF file ends
 _LOGGERS = ("trimesh", "collada")
+_MOST_RECORDS = 1_000_000  # of a log, which is emptied then. Source: a bound only
 
 
 def read_mesh_file(path: Path, node: str | None = None) -> MeshFile:
@@ -70,22 +70,9 @@ def read_mesh_file(path: Path, node: str | None = None) -> MeshFile:
         ) from error
 
 
-def _read_obj(path: Path, node: str | None) -> MeshFile:
-    if node is not None:
-        raise RendezviewError(
-            f"{path}#{node}: OBJ files have no nodes here: export the part alone, or as GLB"
-        )
-    vertices, faces, rgb, notes = read_obj(path)
-    return MeshFile(vertices, faces, rgb, None, tuple(notes))
-
-
-def _read_usd(path: Path, node: str | None) -> MeshFile:
-    return joined(*read_usd(path, node))
-
-
 def _read_gltf(path: Path, node: str | None) -> MeshFile:
     plain, notes = plain_gltf(path)
-    found = _read_with_trimesh(path, node, None if plain is None else (plain, "glb"))
+    found = _read_with_trimesh(path, node, None if plain is None else (plain, "gltf"))
     return replace(found, notes=(*notes, *found.notes))
 
 
@@ -155,7 +142,7 @@ def _read_with_trimesh(
     notes = _texture_notes(path, messages)
     lost_texture = any(note.startswith("Textures") for note in notes)
     colours = _special_colours(path, scene, notes)
-    parts: list[tuple[Array, NDArray[np.int64], Rgb]] = []
+    parts: list[Part] = []
     others = grey_faces = 0
     chosen = nodes_below(scene.graph, node, path)
     for part in scene.graph.nodes_geometry:
@@ -227,20 +214,13 @@ def _has_pillow() -> bool:
     return True
 
 
-class _Recorder(logging.Handler):
-    def __init__(self) -> None:
-        super().__init__(logging.DEBUG)
-        self.messages: list[tuple[int, str]] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        first_line = (record.getMessage().splitlines() or [""])[0]
-        self.messages.append((record.levelno, first_line))
-
-
 @contextlib.contextmanager
 def _quiet() -> Iterator[list[tuple[int, str]]]:
-    """Record the library's logs and warnings, and keep its output off the terminal."""
-    recorder = _Recorder()
+    """Record the library's logs and warnings, and keep its output off the terminal.
+
+    What is yielded is filled at the end: level and first line of each.
+    """
+    recorder, messages = BufferingHandler(_MOST_RECORDS), list[tuple[int, str]]()
     loggers = [logging.getLogger(name) for name in _LOGGERS]
     before = [(logger.level, logger.propagate, list(logger.handlers)) for logger in loggers]
     try:
@@ -254,26 +234,30 @@ def _quiet() -> Iterator[list[tuple[int, str]]]:
             contextlib.redirect_stderr(io.StringIO()),
         ):
             warnings.simplefilter("always")
-            yield recorder.messages
+            yield messages
     finally:
         for logger, (level, propagate, handlers) in zip(loggers, before, strict=True):
             logger.setLevel(level)
             logger.propagate = propagate
             logger.handlers = handlers
-    for warning in caught:
-        if not issubclass(warning.category, (DeprecationWarning, ResourceWarning)):
-            recorder.messages.append((logging.WARNING, str(warning.message)))
+    said = [(record.levelno, record.getMessage()) for record in recorder.buffer]
+    said += [
+        (logging.WARNING, str(warning.message))
+        for warning in caught
+        if not issubclass(warning.category, (DeprecationWarning, ResourceWarning))
+    ]
+    messages += [(level, text.partition("\n")[0]) for level, text in said]
 
 
 # Reader of each suffix. A new format is a file with a reader, and its line here.
 READERS: dict[str, Callable[[Path, str | None], MeshFile]] = {
     ".stl": read_stl,
-    ".obj": _read_obj,
+    ".obj": read_obj,
     ".ply": _read_ply,
     ".off": _read_off,
     **dict.fromkeys(GLTF_SUFFIXES, _read_gltf),
     ".3mf": _read_with_trimesh,
     ".dae": _read_dae,
     **dict.fromkeys(STEP_SUFFIXES, _read_with_trimesh),
-    **dict.fromkeys(USD_SUFFIXES, _read_usd),
+    **dict.fromkeys(USD_SUFFIXES, read_usd),
 }

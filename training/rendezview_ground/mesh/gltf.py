@@ -11,16 +11,17 @@ from urllib.parse import unquote
 
 from rendezview.errors import RendezviewError
 from rendezview_ground.mesh.gltf_buffers import Buffers
-from rendezview_ground.mesh.gltf_plain import JSON_CHUNK, is_plain, not_honoured, plain_glb
+from rendezview_ground.mesh.gltf_plain import is_plain, not_honoured, plain_file
 
 GLTF_SUFFIXES = (".glb", ".gltf")
 # Source: glTF 2.0, 4.4 "GLB file format": magic, version, length; then length and type of a chunk
 _GLB_HEADER = struct.Struct("<4sIIII")
+_JSON_CHUNK = 0x4E4F534A  # its type. Source: glTF 2.0, 4.4.3
 _CHUNK_BYTES = 8  # before a chunk's content. Source: glTF 2.0, 4.4.3
 
 
 def plain_gltf(path: Path) -> tuple[bytes | None, list[str]]:
-    """A file that the reader does not fully know, as GLB that it knows, and notes on it.
+    """A file that the reader does not fully know, as glTF that it knows, and notes on it.
 
     None for a file that is read as it is. What is damaged in other ways is left to the reader.
 
@@ -57,7 +58,7 @@ def plain_gltf(path: Path) -> tuple[bytes | None, list[str]]:
         marked = stream.read(3) == codecs.BOM_UTF8
     if not _entries(header, "meshes") or (is_plain(header, _primitives(header)) and not marked):
         return None, []
-    return plain_glb(header, Buffers(path, header, place))
+    return plain_file(header, Buffers(path, header, place))
 
 
 def _header(path: Path) -> tuple[dict[str, Any], int]:
@@ -72,7 +73,7 @@ def _header(path: Path) -> tuple[dict[str, Any], int]:
             magic, version, _, length, kind = _GLB_HEADER.unpack(start)
             if magic == b"glTF" and version == 1:
                 return {"asset": {"version": "1.0"}}, 0
-            if magic != b"glTF" or kind != JSON_CHUNK:
+            if magic != b"glTF" or kind != _JSON_CHUNK:
                 return {}, 0
             text = stream.read(length)
         place = stream.tell() + _CHUNK_BYTES

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -10,7 +11,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import optional
 
 # Source: glTF 2.0, 3.6.2.2, component types
 KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -83,10 +84,8 @@ class Buffers:
 
     def draco(self, primitive: dict[str, Any]) -> dict[str, Numbers]:
         """The attributes of a Draco primitive by name, and its ``indices``."""
-        try:
+        with self._package(DRACO):
             import DracoPy
-        except ImportError:
-            raise self._refused(DRACO, "DracoPy") from None
         packed = primitive["extensions"][DRACO]
         found = DracoPy.decode(self.view(packed["bufferView"]))
         names = {number: name for name, number in packed["attributes"].items()}
@@ -99,10 +98,8 @@ class Buffers:
         return arrays
 
     def _meshopt(self, packed: dict[str, Any], content: bytes) -> bytes:
-        try:
+        with self._package(MESHOPT[0]):
             import meshoptimizer
-        except ImportError:
-            raise self._refused(MESHOPT[0], "meshoptimizer") from None
         count, stride = packed["count"], packed["byteStride"]
         if packed["mode"] == "ATTRIBUTES":
             kind = np.dtype((np.void, stride))
@@ -119,11 +116,9 @@ class Buffers:
         }[packed["mode"]]
         return bytes(np.asarray(decode(count, 4, content)).astype(f"<u{stride}").tobytes())
 
-    def _refused(self, extension: str, package: str) -> RendezviewError:
-        return RendezviewError(
-            f"{self._path}: its geometry is compressed ({extension}), which needs {package}: "
-            "pip install 'rendezview[gltf]', or export it without compression"
-        )
+    def _package(self, extension: str) -> AbstractContextManager[None]:
+        """Of the package that unpacks an extension."""
+        return optional(f"{self._path}: its geometry is compressed ({extension}): it needs", "gltf")
 
 
 def _fractions(values: Numbers, accessor: dict[str, Any]) -> Numbers:

@@ -5,10 +5,10 @@ Each function replaces one feature of the standard. A file without any of them i
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import re
-import struct
 from typing import Any
 
 import numpy as np
@@ -26,10 +26,8 @@ _HONOURED = (
 )  # fmt: skip
 _TRIANGLES, _FAN = 4, 6  # Source: glTF 2.0, 3.7.2.1, modes of a primitive
 _READ = ("POSITION", "TEXCOORD_0", "COLOR_0")
-_GLB = 0x46546C67, 2  # Source: glTF 2.0, 4.4, magic and version
 _CODES = {np.dtype(kind): code for code, kind in KINDS.items()}
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
-JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942  # Source: glTF 2.0, 4.4.3
 
 
 def not_honoured(header: dict[str, Any]) -> list[str]:
@@ -50,15 +48,15 @@ def is_plain(header: dict[str, Any], primitives: list[dict[str, Any]]) -> bool:
     )
 
 
-def plain_glb(header: dict[str, Any], buffers: Buffers) -> tuple[bytes, list[str]]:
-    """The file as GLB, without the features above, and notes on what was left out."""
+def plain_file(header: dict[str, Any], buffers: Buffers) -> tuple[bytes, list[str]]:
+    """The file as one glTF text, without the features above, and notes on what was left out."""
     notes = _drop_empty(header)
     copies = _repeat(header, buffers)
     if copies:
         notes.append(f"{counted(copies, 'instance')} of its nodes drawn.")
     for material in header.get("materials", []):
         _take_gloss(material)
-    out = _Glb()
+    out = _Content()
     for mesh in header.get("meshes", []):
         for primitive in mesh["primitives"]:
             _take_primitive(header, buffers, primitive, out)
@@ -68,8 +66,8 @@ def plain_glb(header: dict[str, Any], buffers: Buffers) -> tuple[bytes, list[str
     return out.written(header), notes
 
 
-class _Glb:
-    """A GLB file that is put together."""
+class _Content:
+    """The content of a file that is put together."""
 
     def __init__(self) -> None:
         self.accessors: list[dict[str, Any]] = []
@@ -104,16 +102,13 @@ class _Glb:
         left_out = ("animations", "skins", "extensionsRequired", "extensionsUsed")
         plain = {key: value for key, value in header.items() if key not in left_out}
         plain |= {"accessors": self.accessors, "bufferViews": self.views}
-        plain["buffers"] = [{"byteLength": len(self.content)}]
-        text = json.dumps(plain).encode()
-        text += b" " * (-len(text) % 4)
-        total = 28 + len(text) + len(self.content)
-        head = struct.pack("<5I", *_GLB, total, len(text), JSON_CHUNK)
-        return head + text + struct.pack("<2I", len(self.content), _BINARY_CHUNK) + self.content
+        inside = "data:application/octet-stream;base64," + base64.b64encode(self.content).decode()
+        plain["buffers"] = [{"byteLength": len(self.content), "uri": inside}]
+        return json.dumps(plain).encode()
 
 
 def _take_primitive(
-    header: dict[str, Any], buffers: Buffers, primitive: dict[str, Any], out: _Glb
+    header: dict[str, Any], buffers: Buffers, primitive: dict[str, Any], out: _Content
 ) -> None:
     """Give a primitive new accessors, with the values as they are meant."""
     attributes = primitive["attributes"]

@@ -102,18 +102,10 @@ def _subdivided(mesh: Mesh, radius_m: float) -> tuple[Mesh, NDArray[np.intp]]:
     )
     keys = np.round(vertices_m / (_SAME_PLACE * radius_m)).astype(np.int64)
     _, first, same = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    joined: NDArray[np.int32] = same.reshape(-1)[faces].astype(np.int32)
+    joined = same.reshape(-1)[faces]
     whole = (np.diff(np.sort(joined, axis=1), axis=1) > 0).all(axis=1)
     source = source[whole]
-    fine = replace(
-        mesh,
-        vertices_m=np.ascontiguousarray(vertices_m[first]),
-        faces=np.ascontiguousarray(joined[whole]),
-        face_rgb=np.ascontiguousarray(mesh.face_rgb[source]),
-        face_part=None if mesh.face_part is None else mesh.face_part[source],
-        face_trust=None if mesh.face_trust is None else mesh.face_trust[source],
-    )
-    return fine, source
+    return mesh.with_faces(vertices_m[first], joined[whole], source), source
 
 
 def outwards(mesh: Mesh) -> tuple[Array, Array]:

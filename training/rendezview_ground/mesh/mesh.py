@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +59,19 @@ class Mesh:
     # (F,) how far the craft is as the mesh has it, 0 to 1; None: all of it
     face_trust: NDArray[np.float32] | None = None
     doubts: tuple[str, ...] = ()  # those of the notes that ask whether the mesh is meant so
+
+    def with_faces(
+        self, vertices_m: Array, faces: NDArray[np.integer], source: NDArray[np.integer]
+    ) -> Mesh:
+        """Other vertices and faces (F, 3), each with what this mesh says of its face ``source``."""
+        return replace(
+            self,
+            vertices_m=np.ascontiguousarray(vertices_m),
+            faces=np.ascontiguousarray(faces, dtype=np.int32),
+            face_rgb=np.ascontiguousarray(self.face_rgb[source]),
+            face_part=None if self.face_part is None else self.face_part[source],
+            face_trust=None if self.face_trust is None else self.face_trust[source],
+        )
 
     @property
     def bounding_sphere(self) -> tuple[Array, float]:

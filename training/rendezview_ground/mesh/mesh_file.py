@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.colours import Rgb, grey
 
+Part = tuple[Array, NDArray[np.int64], Rgb]  # vertices (V, 3), faces (F, 3), colours (F, 3)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshFile:
@@ -22,12 +24,8 @@ class MeshFile:
     notes: tuple[str, ...]
 
 
-def joined(
-    parts: list[tuple[Array, NDArray[np.int64], Rgb]],
-    unit: tuple[float, str] | None,
-    notes: list[str],
-) -> MeshFile:
-    """One mesh of parts, each vertices (V, 3), faces (F, 3) and colours (F, 3)."""
+def joined(parts: list[Part], unit: tuple[float, str] | None, notes: list[str]) -> MeshFile:
+    """One mesh of parts."""
     if not parts:
         empty = np.zeros((0, 3))
         return MeshFile(empty, empty.astype(np.int64), grey(0), unit, tuple(notes))

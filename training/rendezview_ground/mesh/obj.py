@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.colours import Rgb, grey, linear_from_srgb
 from rendezview_ground.mesh.materials import read_materials
+from rendezview_ground.mesh.mesh_file import MeshFile
 from rendezview_ground.mesh.notes import counted
-from rendezview_ground.mesh.polygon import triangulate
+from rendezview_ground.mesh.polygon import cut_note, cut_polygons
 from rendezview_ground.mesh.text import COMMA_NOTE, decoded, is_text, with_points
 
 _LINES_AND_POINTS = frozenset({"l", "p"})
@@ -32,8 +32,9 @@ class _Content:
     positions: list[list[float]] = field(default_factory=list)
     colours: dict[int, list[float]] = field(default_factory=dict)  # by vertex
     texture_uv: list[list[float]] = field(default_factory=list)
-    polygons: list[list[int]] = field(default_factory=list)  # vertex of each corner
-    polygon_uv: list[list[int]] = field(default_factory=list)  # −1: none
+    corners: list[int] = field(default_factory=list)  # vertices, one polygon after the other
+    corner_uv: list[int] = field(default_factory=list)  # −1: none
+    polygon_size: list[int] = field(default_factory=list)
     polygon_line: list[int] = field(default_factory=list)
     polygon_material: list[str] = field(default_factory=list)
     libraries: list[str] = field(default_factory=list)
@@ -42,8 +43,16 @@ class _Content:
     free_form: int = 0
 
 
-def read_obj(path: Path) -> tuple[Array, NDArray[np.int64], Rgb, list[str]]:
-    """Vertices (V, 3) in the unit of the file, faces (F, 3), their colours, and notes."""
+def read_obj(path: Path, node: str | None) -> MeshFile:
+    """The triangles of a file.
+
+    Raises:
+        RendezviewError: a node is named, or a line that cannot be read, with its number.
+    """
+    if node is not None:
+        raise RendezviewError(
+            f"{path}#{node}: OBJ files have no nodes here: export the part alone, or as GLB"
+        )
     data = path.read_bytes()
     if not is_text(data):
         raise RendezviewError(
@@ -54,34 +63,25 @@ def read_obj(path: Path) -> tuple[Array, NDArray[np.int64], Rgb, list[str]]:
     content = _parse(path, text)
     notes = [COMMA_NOTE] if commas else []
     vertices = np.array(content.positions, dtype=np.float64).reshape(-1, 3)
-    _check_indices(path, content)
-    triangles: list[tuple[int, int, int]] = []  # corners within their polygon
-    owner: list[int] = []
-    concave = 0
-    for index, polygon in enumerate(content.polygons):
-        if len(polygon) == 3:
-            triangles.append((0, 1, 2))
-            owner.append(index)
-            continue
-        cut, was_concave = triangulate(vertices[polygon])
-        concave += was_concave
-        triangles.extend(cut)
-        owner.extend([index] * len(cut))
-    if len(triangles) != len(content.polygons):
-        many = sum(len(polygon) > 3 for polygon in content.polygons)
-        notes.append(
-            f"{counted(many, 'polygon')} with more than three corners cut into triangles, "
-            f"{concave} of them concave."
+    sizes, corners, corner_uv = (
+        np.array(some, dtype=np.int64)
+        for some in (content.polygon_size, content.corners, content.corner_uv)
+    )
+    lost = np.flatnonzero((corners < 0) | (corners >= len(vertices)))
+    if len(lost):
+        line = np.repeat(content.polygon_line, sizes)[lost[0]]
+        raise RendezviewError(
+            f"{path}, line {line}: the face uses a vertex that is not there "
+            f"(the file has {len(vertices)}). The file is damaged or cut short: export it again."
         )
-    corners = [
-        [content.polygons[p][k] for k in cut] for cut, p in zip(triangles, owner, strict=True)
-    ]
-    uv = [[content.polygon_uv[p][k] for k in cut] for cut, p in zip(triangles, owner, strict=True)]
-    names = [content.polygon_material[p] for p in owner]
-    faces = np.array(corners, dtype=np.int64).reshape(-1, 3)
+    cuts, owner, concave = cut_polygons(vertices, sizes, corners)
+    if many := int(np.count_nonzero(sizes > 3)):
+        notes.append(cut_note(many, concave))
+    faces, names = corners[cuts], [content.polygon_material[p] for p in owner]
     notes += _ignored(content)
-    rgb = _material_rgb(path, content, names, np.array(uv, dtype=np.int64).reshape(-1, 3), notes)
-    return vertices, faces, _vertex_rgb(content, faces, rgb, notes), notes
+    rgb = _material_rgb(path, content, names, corner_uv[cuts], notes)
+    rgb = _vertex_rgb(content, faces, rgb, notes)
+    return MeshFile(vertices, faces, rgb, None, tuple(notes))
 
 
 def _parse(path: Path, text: str) -> _Content:
@@ -128,29 +128,17 @@ def _take_vertex(content: _Content, values: list[str]) -> None:
 
 def _take_polygon(content: _Content, corners: list[str]) -> None:
     """``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; negative indices count back from this line."""
-    vertex: list[int] = []
-    texture: list[int] = []
     for corner in corners:
         parts = corner.split("/")
-        vertex.append(_from_zero(int(parts[0]), len(content.positions)))
+        content.corners.append(_from_zero(int(parts[0]), len(content.positions)))
         has_uv = len(parts) > 1 and parts[1] != ""
-        texture.append(_from_zero(int(parts[1]), len(content.texture_uv)) if has_uv else -1)
-    content.polygons.append(vertex)
-    content.polygon_uv.append(texture)
+        uv = _from_zero(int(parts[1]), len(content.texture_uv)) if has_uv else -1
+        content.corner_uv.append(uv)
+    content.polygon_size.append(len(corners))
 
 
 def _from_zero(index: int, so_far: int) -> int:
     return index - 1 if index >= 0 else max(so_far + index, -1)
-
-
-def _check_indices(path: Path, content: _Content) -> None:
-    count = len(content.positions)
-    for polygon, line in zip(content.polygons, content.polygon_line, strict=True):
-        if min(polygon) < 0 or max(polygon) >= count:
-            raise RendezviewError(
-                f"{path}, line {line}: the face uses a vertex that is not there "
-                f"(the file has {count}). The file is damaged or cut short: export it again."
-            )
 
 
 def _ignored(content: _Content) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.pose import Array
 from rendezview.io.parts import TrustedPart
 from rendezview.io.target import Target
@@ -80,10 +80,8 @@ def with_blankets(
     if not covered:
         return mesh
     blankets = [(_own(mesh, target, part, unit), part.insulation_m) for part in covered]
-    try:
+    with explained(f"{target.name}: insulation_m of [[parts]]: "):
         return blanketed(mesh, blankets, rng)
-    except ValueError as error:
-        raise RendezviewError(f"{target.name}: insulation_m of [[parts]]: {error}") from error
 
 
 def _own(mesh: Mesh, target: Target, part: TrustedPart, unit: str | None) -> NDArray[np.bool_]:

@@ -3,10 +3,48 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rendezview.geometry.pose import Array
+from rendezview_ground.mesh.notes import counted
 
 Triangle = tuple[int, int, int]
+
+
+def cut_polygons(
+    points: Array, sizes: NDArray[np.int64], corners: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Triangles of polygons, in their order.
+
+    Args:
+        points: (V, 3).
+        sizes: (P,) corners of each polygon; negative: it is a hole, and left out.
+        corners: (C,) their points, one polygon after the other.
+
+    Returns:
+        (T, 3) places in ``corners``, (T,) the polygon of each, and how many are concave.
+    """
+    starts = np.cumsum(np.abs(sizes)) - np.abs(sizes)
+    simple = np.flatnonzero(sizes == 3)
+    cuts, owners = [starts[simple][:, None] + np.arange(3)], [simple]
+    concave = 0
+    for k in np.flatnonzero(sizes > 3):
+        own = np.arange(starts[k], starts[k] + sizes[k])
+        cut, hollow = triangulate(points[corners[own]])
+        concave += hollow
+        cuts.append(own[np.array(cut)])
+        owners.append(np.full(len(cut), k))
+    polygon = np.concatenate(owners)
+    order = np.argsort(polygon, kind="stable")
+    return np.concatenate(cuts)[order], polygon[order], concave
+
+
+def cut_note(polygons: int, concave: int) -> str:
+    """What became of polygons with more than three corners."""
+    return (
+        f"{counted(polygons, 'polygon')} with more than three corners cut into triangles, "
+        f"{concave} of them concave."
+    )
 
 
 def triangulate(corners: Array) -> tuple[list[Triangle], bool]:

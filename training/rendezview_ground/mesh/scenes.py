@@ -12,7 +12,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, optional
 from rendezview_ground.mesh.notes import counted
 
 _CHORD_MM = 0.5  # of triangles from the true surface of a STEP part. Source: below 0.01 % of 10 m
@@ -58,13 +58,8 @@ def triangulate_step(path: Path, output: Path) -> int:
     Raises:
         RendezviewError: the reader is not installed, or cannot read the file.
     """
-    try:
+    with optional(f"{path}: STEP files need", "step"):
         import cascadio
-    except ImportError:
-        raise RendezviewError(
-            f"{path}: STEP files need another package: pip install 'rendezview[step]', or export "
-            "the model as STL, OBJ or GLB"
-        ) from None
     with _quiet_descriptors():
         status = cascadio.step_to_glb(
             str(path), str(output), tol_linear=_CHORD_MM, tol_angular=_ANGLE_RAD,

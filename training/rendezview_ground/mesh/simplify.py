@@ -8,8 +8,6 @@ farther than the tolerance from a plane that it replaces.
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pyfqmr
 from numpy.typing import NDArray
@@ -62,14 +60,7 @@ def simplified(mesh: Mesh, tolerance_m: float, many: int | None = None) -> Mesh:
     # Vertices of two groups at one place are one again: a crease between them is found as before.
     places, number = np.unique(np.concatenate(vertices), axis=0, return_inverse=True)
     joined = number.reshape(-1)[np.concatenate(faces)]
-    return dataclasses.replace(
-        mesh,
-        vertices_m=places,
-        faces=joined.astype(np.int32),
-        face_rgb=mesh.face_rgb[of_face],
-        face_part=None if mesh.face_part is None else mesh.face_part[of_face],
-        face_trust=None if mesh.face_trust is None else mesh.face_trust[of_face],
-    )
+    return mesh.with_faces(places, joined, of_face)
 
 
 def _groups(mesh: Mesh) -> NDArray[np.intp]:

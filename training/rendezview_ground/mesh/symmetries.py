@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array, minimal_rotation, rotation_angle
 from rendezview.geometry.symmetry import Symmetry, common_point, discrete_turns
+from rendezview_ground.mesh.directions import axes_towards, perpendicular
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.mesh.turned_surface import TurnedSurface
 
@@ -112,13 +113,6 @@ def _is_continuous(surface: TurnedSurface, axis: Array) -> bool:
     return all(_holds(surface, _turn(axis, angle)) for angle in _CONTINUOUS_RAD)
 
 
-def _across(axis: Array) -> tuple[Array, Array]:
-    """Two unit vectors (3,) across an axis and each other."""
-    one = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    one /= np.linalg.norm(one)
-    return one, np.cross(axis, one)
-
-
 def _forwards(vector: Array) -> Array:
     """The unit vector (3,) along an axis whose largest component is positive."""
     vector = vector / np.linalg.norm(vector)
@@ -127,7 +121,7 @@ def _forwards(vector: Array) -> Array:
 
 def _continuous(surface: TurnedSurface, axis: Array) -> tuple[Symmetry, ...]:
     """Any turn about an axis, with what else the body then has: another such axis, or a flip."""
-    across, _ = _across(axis)
+    across = perpendicular(axis)
     found = [Symmetry("continuous", _forwards(axis), None)]
     if _is_continuous(surface, across):
         found.append(Symmetry("continuous", _forwards(across), None))
@@ -140,7 +134,7 @@ def _about(surface: TurnedSurface, axis: Array) -> list[Array]:
     """Turns (3, 3) about an axis that may hold, and half turns about axes across it."""
     turns = np.array([_turn(axis, 2.0 * np.pi / order) for order in range(2, _MOST_FOLD + 1)])
     found = list(turns[surface.distances(turns, _POINTS[1]) < _SCAN_AWAY])
-    one, other = _across(axis)
+    one, other, _ = axes_towards(axis)
     steps = np.arange(0.0, np.pi, _ACROSS_RAD)
     half_turns = [_turn(np.cos(a) * one + np.sin(a) * other, np.pi) for a in steps]
     away = surface.distances(np.array(half_turns), _POINTS[1])

@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import optional
 from rendezview.geometry.pose import Array
 from rendezview_ground.mesh.colours import Rgb, grey
+from rendezview_ground.mesh.mesh_file import MeshFile, Part, joined
 from rendezview_ground.mesh.notes import counted
-from rendezview_ground.mesh.polygon import triangulate
+from rendezview_ground.mesh.polygon import cut_note, cut_polygons
 from rendezview_ground.mesh.scenes import no_such_node
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-Part = tuple[Array, NDArray[np.int64], Rgb]
 
 
-def read_usd(path: Path, node: str | None) -> tuple[list[Part], tuple[float, str], list[str]]:
-    """The meshes of a stage, metres per unit with its name, and notes.
+def read_usd(path: Path, node: str | None) -> MeshFile:
+    """The meshes of a stage as one.
 
     Args:
         path: the file.
@@ -34,13 +34,8 @@ def read_usd(path: Path, node: str | None) -> tuple[list[Part], tuple[float, str
     Raises:
         RendezviewError: the library is not installed, or there is no such prim.
     """
-    try:
+    with optional(f"{path}: USD files need", "usd"):
         from pxr import Usd, UsdGeom
-    except ImportError:
-        raise RendezviewError(
-            f"{path}: USD files need another package: pip install 'rendezview[usd]', or export "
-            "the model as GLB, OBJ or STL"
-        ) from None
     stage = Usd.Stage.Open(str(path))
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     stated = stage.HasAuthoredMetadata(UsdGeom.Tokens.metersPerUnit)
@@ -62,17 +57,14 @@ def read_usd(path: Path, node: str | None) -> tuple[list[Part], tuple[float, str
         polygons, concave = polygons + many, concave + hollow
         cages += mesh.GetSubdivisionSchemeAttr().Get() != UsdGeom.Tokens.none
     if polygons:
-        notes.append(
-            f"{counted(polygons, 'polygon')} with more than three corners cut into triangles, "
-            f"{concave} of them concave."
-        )
+        notes.append(cut_note(polygons, concave))
     if cages:
         notes.append(f"{counted(cages, 'subdivision surface')} read as the control cage.")
     if others:
         notes.append(f"{counted(others, 'body')} without triangles (spheres, curves …) ignored.")
     if len(parts) > 1:
         notes.append(f"{len(parts)} bodies joined into one.")
-    return parts, unit, notes
+    return joined(parts, unit, notes)
 
 
 def _shown(stage: Any, node: str | None, path: Path) -> Iterator[Any]:
@@ -111,34 +103,12 @@ def _mesh(mesh: Any, world_from_row: Array, time: Any) -> tuple[Part, int, int] 
     if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
         raise ValueError(f"{mesh.GetPath()}: a face uses a vertex that is not there")
     sizes[np.array(mesh.GetHoleIndicesAttr().Get(time) or (), dtype=np.int64)] *= -1
-    starts = np.concatenate([[0], np.cumsum(np.abs(sizes))[:-1]])
-    cuts, owners, concave = _cut(points, starts, sizes, corners)
+    cuts, owners, concave = cut_polygons(points, sizes, corners)
     faces = corners[cuts]
     rgb = _face_rgb(mesh, len(sizes), time)[owners]
     # USD multiplies rows by matrices: p' = p M.
     placed = points @ world_from_row[:3, :3] + world_from_row[3, :3]
     return (placed, faces, rgb), int(np.count_nonzero(sizes > 3)), concave
-
-
-def _cut(
-    points: Array, starts: NDArray[np.int64], sizes: NDArray[np.int64], corners: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Corners (T, 3) of triangles, the polygon of each, and how many polygons are concave.
-
-    Polygons of a negative size are holes.
-    """
-    simple = np.flatnonzero(sizes == 3)
-    cuts, owners = [starts[simple][:, None] + np.arange(3)], [simple]
-    concave = 0
-    for k in np.flatnonzero(sizes > 3):
-        own = np.arange(starts[k], starts[k] + sizes[k])
-        cut, hollow = triangulate(points[corners[own]])
-        concave += hollow
-        cuts.append(own[np.array(cut)])
-        owners.append(np.full(len(cut), k))
-    order = np.concatenate(owners)
-    sorted_ones = np.argsort(order, kind="stable")
-    return np.concatenate(cuts)[sorted_ones], order[sorted_ones], concave
 
 
 def _face_rgb(mesh: Any, count: int, time: Any) -> Rgb:

@@ -19,8 +19,6 @@ from rendezview_ground.mesh.mesh import Mesh
 STEP_RADII = 0.02  # target radii; a surface that much deeper is another surface
 _CREASE_COSINE = np.cos(np.deg2rad(30.0))  # facets that meet at a greater angle form a crease
 _FAINT_COLOUR = 0.12  # albedo; facets that differ by more form a crease, too
-# Source: by construction
-_ROWS = 131072  # pixels; first size of the table, which grows when it is full
 _OUTLINE, _STEP, _CREASE = 0, 1, 2  # kinds of edges: against the sky, in depth, in normal or albedo
 # Columns of a crossing: u v, point (3), tangent (3), then
 KIND, LENGTH = 8, 9  # kind of the edge; length of the outline that it represents, px
@@ -215,12 +213,8 @@ def edge_pixels(
     """
     look = np.column_stack([normals, albedo]).astype(np.float32)
     marks = np.zeros(owner.shape, dtype=np.bool_)
-    rows = np.empty((_ROWS, 4), dtype=np.int32)
-    while True:
-        count = _borders(owner, rows)
-        if count <= len(rows):
-            break
-        rows = np.empty((count, 4), dtype=np.int32)
+    rows = np.empty((2 * owner.size, 4), dtype=np.int32)  # memory that is not filled costs none
+    count = _borders(owner, rows)
     count = _kept_edges(
         vertices, faces, normals, look, focal, middle, nearness, owner, step, rows[:count], marks
     )
@@ -229,33 +223,17 @@ def edge_pixels(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _borders(owner: Int32s, rows: Int32s) -> int:
-    """List the pixels (x, y, 0) beside another face on the right, (x, y, 1) below.
-
-    Returns:
-        How many there are, even where ``rows`` cannot hold them.
-    """
-    height, width = owner.shape
-    changes = np.zeros((width + 7) // 8 * 8, np.uint8)
-    eights, inner = changes.view(np.uint64), changes[1 : width - 1]
+    """List the pixels (x, y, 0) beside another face on the right, (x, y, 1) below; how many."""
     count = 0
-    for y in range(1, height - 1):
-        row, under = owner[y], owner[y + 1]
-        here, right, below = row[1 : width - 1], row[2:], under[1 : width - 1]
-        for x in range(len(inner)):
-            inner[x] = np.uint8(here[x] != right[x]) | np.uint8(here[x] != below[x])
-        for k in range(len(eights)):
-            if eights[k] == 0:
+    for y in range(1, owner.shape[0] - 1):
+        here, under = owner[y], owner[y + 1]
+        for x in range(1, owner.shape[1] - 1):
+            right, below = here[x] != here[x + 1], here[x] != under[x]
+            if not (right or below):
                 continue
-            for x in range(8 * k, 8 * k + 8):
-                if changes[x] == 0:
-                    continue
-                for down in range(2):
-                    other = under[x] if down else row[x + 1]
-                    if other == row[x]:
-                        continue
-                    if count < rows.shape[0]:
-                        rows[count, 0], rows[count, 1], rows[count, 2] = x, y, down
-                    count += 1
+            for down in range(1 - right, 1 + below):
+                rows[count, 0], rows[count, 1], rows[count, 2] = x, y, down
+                count += 1
     return count
 
 

@@ -50,30 +50,19 @@ class SurfaceRenderer(Protocol):
         """
 
 
-def project_vertices(vertices_m: Array, camera_from_target: Pose, window: Window) -> Array:
-    """Project vertices (V, 3) to (V, 2) pixels of the window.
+def project_vertices(
+    vertices_m: Array, camera_from_target: Pose, window: Window, columns: int = 2
+) -> Array:
+    """Project vertices (V, 3) to (V, 2) pixels of the window; of 3 columns the last is 1/z, 1/m.
 
     Raises:
         RendezviewError: a vertex lies at or behind the camera's plane.
     """
-    return _projected(vertices_m, camera_from_target, window, 2)
-
-
-def project_with_nearness(vertices_m: Array, camera_from_target: Pose, window: Window) -> Array:
-    """Project vertices (V, 3) to (V, 3): pixels of the window, and nearness in 1/m.
-
-    Raises:
-        RendezviewError: a vertex lies at or behind the camera's plane.
-    """
-    return _projected(vertices_m, camera_from_target, window, 3)
-
-
-def _projected(vertices_m: Array, pose: Pose, window: Window, columns: int) -> Array:
     points_px = np.empty((len(vertices_m), columns))
     least = _project(
         vertices_m,
-        pose.rotation,
-        pose.translation_m,
+        camera_from_target.rotation,
+        camera_from_target.translation_m,
         window.focal_px,
         window.cx,
         window.cy,

@@ -1,20 +1,18 @@
-"""A process that draws one mesh with pyrender: ``python -m`` and the name of this module.
+"""Draws one mesh with pyrender, in a process of its own.
 
 OpenGL keeps one current context per thread and its libraries keep more state per process, so every
-drawing thread of `PyrenderRenderer` has a process of this kind to itself. Requests come on the
-standard input and answers leave on the standard output, both pickled. Nothing of rendezview but
-this file is needed here.
+drawing thread of `PyrenderRenderer` has a process to itself. Nothing of rendezview but this file is
+needed there.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
-import pickle
 import signal
-import sys
-from dataclasses import dataclass
-from typing import Any, BinaryIO
+import threading
+import time
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,21 +25,6 @@ _OSMESA = {
     "OSMESA_CONTEXT_MAJOR_VERSION": 0x36,
     "OSMESA_CONTEXT_MINOR_VERSION": 0x37,
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """One view to draw."""
-
-    target_from_camera: npt.NDArray[np.float64]  # (4, 4), OpenGL's camera: y up, z backwards
-    width: int
-    height: int
-    focal_px: float
-    cx: float  # px from the centre of the top-left pixel
-    cy: float
-    near_m: float
-    far_m: float
-    faces: bool  # whether the face of each pixel is wanted, too
 
 
 class _Drawer:
@@ -65,24 +48,29 @@ class _Drawer:
         self._renderer = pyrender.OffscreenRenderer(64, 64)
 
     def draw(
-        self, request: Request
+        self,
+        target_from_camera: npt.NDArray[np.float64],
+        size: tuple[int, int],
+        focal_px: float,
+        middle_px: tuple[float, float],
+        depths_m: tuple[float, float],
+        faces: bool,
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32] | None]:
-        """(height, width) depth in metres, 0 in the sky, and the number of the face, −1."""
+        """See `draw`."""
         pyrender = self._pyrender
         camera = pyrender.IntrinsicsCamera(
-            request.focal_px,
-            request.focal_px,
-            request.cx + 0.5,  # OpenGL counts from the pixel's corner
-            request.cy + 0.5,
-            znear=request.near_m,
-            zfar=request.far_m,
+            focal_px,
+            focal_px,
+            middle_px[0] + 0.5,  # OpenGL counts from the pixel's corner
+            middle_px[1] + 0.5,
+            znear=depths_m[0],
+            zfar=depths_m[1],
         )
-        node = self._scene.add(camera, pose=request.target_from_camera)
+        node = self._scene.add(camera, pose=target_from_camera)
         try:
-            self._renderer.viewport_width = request.width
-            self._renderer.viewport_height = request.height
+            self._renderer.viewport_width, self._renderer.viewport_height = size
             flags = pyrender.RenderFlags.SKIP_CULL_FACES
-            if not request.faces:
+            if not faces:
                 depth = self._renderer.render(
                     self._scene, flags=flags | pyrender.RenderFlags.DEPTH_ONLY
                 )
@@ -139,42 +127,35 @@ def _complete_osmesa() -> None:
     osmesa.OSMesaPlatform.supports_framebuffers = lambda _: True
 
 
-def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Answer until the requests end: first the mesh, then views."""
-
-    def answer(kind: str, value: Any) -> None:
-        pickle.dump((kind, value), answers, protocol=pickle.HIGHEST_PROTOCOL)
-        answers.flush()
-
-    try:
-        drawer = _Drawer(*pickle.load(requests))
-        from OpenGL.GL import GL_RENDERER, GL_VERSION, glGetString
-
-        names = [glGetString(name).decode() for name in (GL_RENDERER, GL_VERSION)]
-    except Exception as error:
-        answer("error", f"{type(error).__name__}: {error}")
-        return
-    answer("ready", ", OpenGL ".join(names))
-    while True:
-        try:
-            request = pickle.load(requests)
-        except EOFError:
-            return
-        try:
-            drawn = drawer.draw(request)
-        except Exception as error:
-            answer("error", f"{type(error).__name__}: {error}")
-        else:
-            answer("drawn", drawn)
+_drawers: list[_Drawer] = []  # of this process, one
 
 
-def main() -> None:
-    """Serve one parent, whose end of the pipe ends this process, not its Ctrl-C."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what libraries print is no answer
-    _serve(sys.stdin.buffer, answers)
+def start(vertices_m: Any, faces: Any) -> str:
+    """Prepare this process for a mesh; the renderer and the version of OpenGL."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    nowhere = os.open(os.devnull, os.O_WRONLY)  # for what libraries print
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+    _drawers.append(_Drawer(vertices_m, faces))
+    from OpenGL.GL import GL_RENDERER, GL_VERSION, glGetString
+
+    return ", OpenGL ".join(glGetString(name).decode() for name in (GL_RENDERER, GL_VERSION))
 
 
-if __name__ == "__main__":
-    main()
+def _end_with(parent: int) -> None:
+    """End this process within a second after its parent, even if that is killed."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)
+
+
+def draw(*view: Any) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32] | None]:
+    """(height, width) depth in metres, 0 in the sky, and the number of the face, −1.
+
+    Args:
+        view: target_from_camera (4, 4) of OpenGL's camera (y up, z backwards); width and height;
+            focal length, px; middle, px from the centre of the top-left pixel; depths of the
+            clipping planes, m; and whether faces are wanted, too.
+    """
+    return _drawers[0].draw(*view)

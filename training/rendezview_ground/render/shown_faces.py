@@ -6,22 +6,15 @@ the time of a view.
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.zbuffer import Float32s, Int32s, draw_chosen, empty_buffers
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.render.projection import (
-    Mask,
-    Window,
-    project_vertices,
-    project_with_nearness,
-)
+from rendezview_ground.render.projection import Mask, Window, project_vertices
 from rendezview_ground.render.rasterizer import fill_silhouette
 
 # Nodes nearest to a direction, whose faces are drawn. Source: of 130,000 pixels of `hubble`, 800 px
@@ -40,23 +33,8 @@ class ShownFaces:
     def near(self, direction: Array, around: int) -> npt.NDArray[np.intp]:
         """The faces that are visible from one of the nodes around a direction (3,), ascending."""
         nearest = np.argpartition(-(self.nodes @ direction), around)[:around]
-        return _set_bits(self.bits, nearest)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _set_bits(bits: npt.NDArray[np.uint8], rows: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """The numbers of the bits that are set in any of some rows, ascending, lowest bit first."""
-    numbers = np.empty(8 * bits.shape[1], dtype=np.intp)
-    count = 0
-    for k in range(bits.shape[1]):
-        byte = np.uint8(0)
-        for row in rows:
-            byte |= bits[row, k]
-        for bit in range(8 if byte else 0):
-            if byte >> bit & 1:
-                numbers[count] = 8 * k + bit
-                count += 1
-    return numbers[:count]
+        together = np.bitwise_or.reduce(self.bits[nearest], axis=0)
+        return np.flatnonzero(np.unpackbits(together, bitorder="little"))
 
 
 def bits_of(owner: Int32s, faces: int) -> npt.NDArray[np.uint8]:
@@ -80,14 +58,6 @@ class ShownRenderer:
         self._shown = shown
         self._centre_m = centre_m
         self._around = around
-        self._local = threading.local()
-
-    def __getstate__(self) -> dict[str, object]:
-        return {name: value for name, value in vars(self).items() if name != "_local"}
-
-    def __setstate__(self, state: dict[str, object]) -> None:
-        vars(self).update(state)
-        self._local = threading.local()
 
     def draw(self, camera_from_target: Pose, window: Window) -> Mask:
         """(height, width) mask, 255 on the target.
@@ -103,13 +73,11 @@ class ShownRenderer:
     def draw_surfaces(self, camera_from_target: Pose, window: Window) -> tuple[Float32s, Int32s]:
         """(height, width) nearness in 1/m, 0 in the sky; and the face that is seen, −1 in the sky.
 
-        Both are overwritten by the next call of the same thread.
-
         Raises:
             RendezviewError: a part of the target lies behind the camera's plane.
         """
-        on_plane = project_with_nearness(self._vertices, camera_from_target, window)
-        nearness, owner = self._buffers(window.height, window.width)
+        on_plane = project_vertices(self._vertices, camera_from_target, window, 3)
+        nearness, owner = empty_buffers(window.height, window.width)
         draw_chosen(on_plane, self._faces, self._near(camera_from_target), nearness, owner)
         return nearness, owner
 
@@ -117,13 +85,3 @@ class ShownRenderer:
         pose = camera_from_target
         direction = -(pose.rotation.T @ pose.translation_m) - self._centre_m
         return self._shown.near(direction, self._around)
-
-    def _buffers(self, height: int, width: int) -> tuple[Float32s, Int32s]:
-        """Empty buffers, the same for every view of that size: new ones cost page faults."""
-        kept: tuple[Float32s, Int32s] | None = getattr(self._local, "buffers", None)
-        if kept is None or kept[0].shape != (height, width):
-            kept = self._local.buffers = empty_buffers(height, width)
-        else:
-            kept[0].fill(0.0)
-            kept[1].fill(-1)
-        return kept

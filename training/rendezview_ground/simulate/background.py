@@ -17,6 +17,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.geometry.zbuffer import Float32s
 from rendezview_ground.limits import POSITIVE, check
+from rendezview_ground.mesh.directions import perpendicular
 from rendezview_ground.simulate.distortion import pixel_rays
 
 # Of the ground below: one turn per orbit of 92.6 min. Source: a circular orbit of 400 km
@@ -113,9 +114,7 @@ def earth_radiance(
 
 def ground_rotation(direction: Array, angle_rad: float) -> Array:
     """(3, 3) rotation of the ground below by an angle, about an axis across ``direction``."""
-    axis = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-    rotvec = angle_rad * axis / np.linalg.norm(axis)
-    return np.asarray(Rotation.from_rotvec(rotvec).as_matrix())
+    return np.asarray(Rotation.from_rotvec(angle_rad * perpendicular(direction)).as_matrix())
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

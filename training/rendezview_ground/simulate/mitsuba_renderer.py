@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, optional
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.zbuffer import Float32s
@@ -76,13 +76,8 @@ def render_mitsuba(
 
 
 def _mitsuba() -> Any:
-    try:
+    with optional("frames of the independent renderer need", "mitsuba"):
         import mitsuba
-    except ImportError:
-        raise RendezviewError(
-            "Mitsuba is not installed: pip install 'rendezview[mitsuba]', or use the default "
-            "renderer"
-        ) from None
     mitsuba.set_variant("scalar_rgb")
     return mitsuba
 

@@ -17,7 +17,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview_ground.limits import POSITIVE, check
-from rendezview_ground.render.directions import perpendicular
+from rendezview_ground.mesh.directions import perpendicular
+from rendezview_ground.simulate.sensor import SensorOptions, expose
 
 Grey = npt.NDArray[np.uint8]
 Float32s = npt.NDArray[np.float32]
@@ -118,7 +119,10 @@ def render_pair(
                 grey += item.background
             _paint_clutter(grey, item.spots, number)
         _paint_all(grey, camera, pattern, camera_from_target, options, gain, hidden, number == 1)
-        pictures.append(_detect(grey, options, rng))
+        sensor = SensorOptions(
+            blur_sigma_px=0.0, noise_sigma_grey=options.noise_sigma_grey, black_level_grey=0.0
+        )  # the spots are blurred, and the black level is there
+        pictures.append(expose(grey, 1.0, sensor, rng))
     return pictures[0], pictures[1]
 
 
@@ -271,12 +275,3 @@ def _paint_clutter(grey: Float32s, spots: Array, number: int) -> None:
         c, s = math.cos(angle), math.sin(angle)
         u, v = (c * dx + s * dy) / along, (c * dy - s * dx) / across
         grey[y0 : y1 + 1, x0 : x1 + 1] += (peak * np.exp(-0.5 * (u * u + v * v))).astype(np.float32)
-
-
-def _detect(grey: Float32s, options: ReflectorFrameOptions, rng: np.random.Generator) -> Grey:
-    """Read noise, saturation, 8 bits."""
-    if options.noise_sigma_grey > 0.0:
-        grey = grey + np.float32(options.noise_sigma_grey) * rng.standard_normal(
-            grey.shape, dtype=np.float32
-        )
-    return np.asarray(np.clip(np.rint(grey), 0.0, 255.0), dtype=np.uint8)

@@ -17,7 +17,7 @@ from numba import njit
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
-from rendezview_ground.render.directions import perpendicular
+from rendezview_ground.mesh.directions import perpendicular
 from rendezview_ground.simulate.distortion import pixel_rays
 from rendezview_ground.simulate.sensor import SensorOptions, expose
 

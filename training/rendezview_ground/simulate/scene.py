@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from joblib import Parallel, delayed
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.zbuffer import Float32s
@@ -90,10 +90,8 @@ class SceneOptions:
         for name in ("sun_direction_sky", "earth_direction_sky"):
             value = getattr(self, name)
             if value is not None:
-                try:
+                with explained(""):
                     unit(value, name)
-                except ValueError as error:
-                    raise RendezviewError(str(error)) from error
 
     def camera_from_sky(self, camera_from_target: Pose) -> Array:
         """(3, 3) rotation from the sky frame to the camera's."""

@@ -20,7 +20,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.zbuffer import Float32s, draw_perspective, empty_buffers
 from rendezview_ground.limits import POSITIVE, check
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.mesh.triangles import crosses
+from rendezview_ground.render.crossings import face_normals
 from rendezview_ground.simulate.distortion import widened
 from rendezview_ground.simulate.lighting import shade_samples
 from rendezview_ground.simulate.shadows import ShadowMap, shadow_map
@@ -125,13 +125,7 @@ def _render_pinhole(
     cx, cy = n * (camera.cx - left + 0.5) - 0.5, n * (camera.cy - top + 0.5) - 0.5
     draw_perspective(vertices, faces, fx, fy, cx, cy, options.near_m, nearness, owner)
 
-    corners = vertices[faces]
-    normals = crosses(corners)
-    lengths = np.linalg.norm(normals, axis=1)
-    normals /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
-    away = np.einsum("fi,fi->f", normals, corners[:, 0]) > 0.0
-    normals[away] *= -1.0
-    albedo = mesh.face_albedo
+    normals, albedo = face_normals(vertices, faces), mesh.face_albedo
     sun_cosine = np.maximum(normals @ sun, 0.0)
     glow = np.full(len(faces), options.ambient)
     if earth is not None:  # light of a hemisphere around the Earth, in proportion to its daylight

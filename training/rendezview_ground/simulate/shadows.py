@@ -10,7 +10,7 @@ from numba import njit
 
 from rendezview.geometry.pose import Array
 from rendezview.geometry.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
-from rendezview_ground.render.directions import axes_towards
+from rendezview_ground.mesh.directions import axes_towards
 
 _MARGIN_TEXELS = 2.0  # texels around the map, so that every lookup finds its neighbours
 

@@ -92,7 +92,7 @@ def draw_observation(
         image: (height, width) grey levels of the camera; None: could not be read.
         observation: of this frame. Without a pose, the reason is shown.
         camera: that took it.
-        model: of the target; without contour points, no edges are drawn.
+        model: of the target; without contour points, or a pose, the silhouette found is drawn.
         title: text for the top left corner, such as the frame's number and time.
 
     Returns:
@@ -110,6 +110,10 @@ def draw_observation(
     canvas = _Canvas(picture, scale, width)
     clip = _Canvas(picture[:height], scale, width)  # a view: nothing is drawn into the bar
     factor = None
+    found = observation.silhouette
+    if found is not None and (observation.pose is None or model.contours is None):
+        for outline in found.outlines_px:
+            clip.line(np.vstack([outline, outline[:1]]), _OUTLINE, 2.4, halo=False)
     if observation.pose is not None:
         _edges(clip, observation, observation.pose, camera, model)
         factor = _ellipse(clip, observation, camera, model)

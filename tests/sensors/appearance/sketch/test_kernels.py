@@ -37,7 +37,8 @@ from rendezview.sensors.appearance.edges.sketch import (
 )
 from rendezview.sensors.appearance.judge.explained import explained_share
 from rendezview.sensors.appearance.model.contours import CREASE, NO_POINT, OUTLINE
-from rendezview_ground.learn.views.sketch_maps import SAMPLES, facing_normals, sketch_maps
+from rendezview_ground.learn.views.sketch_maps import SAMPLES, sketch_maps
+from rendezview_ground.render.crossings import face_normals
 
 STAGES = np.array([[10.0, 5.0, 6.0, 1.0, 0.5], [4.0, 2.0, 6.0, 1.0, 0.5]])
 
@@ -55,7 +56,7 @@ def ideal(bumpy_mesh, refining_model, camera):
     f = camera.fx * scale * n
     c = (camera.cx + 0.5) * scale * n - 0.5
     draw_perspective(vertices, bumpy_mesh.faces, f, f, c, c, 0.01, near, owner)
-    normals = facing_normals(vertices, bumpy_mesh.faces)
+    normals = face_normals(vertices, bumpy_mesh.faces).astype(np.float32)
     drawn = sketch_maps(near, owner, normals, refining_model.target_radius_m)
     soft = [cv2.GaussianBlur(m, (0, 0), 0.7) for m in drawn]
     shift = 0.5 * scale - 0.5

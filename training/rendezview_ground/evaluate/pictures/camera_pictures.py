@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import Axes3D
 
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.beacons import Rig
@@ -89,9 +88,7 @@ def _field_deg(camera: Camera) -> float:
 def rig_picture(rig: Rig) -> Figure:
     """The cameras of a rig in space, each with its axis and its field of view."""
     figure = new_figure(7.6, 6.4)
-    axes = figure.add_subplot(projection="3d")
-    assert isinstance(axes, Axes3D)
-    space_axes(axes)
+    axes = space_axes(figure)
     places = np.array([c.camera_from_rig.inverse().translation_m for c in rig.cameras])
     apart = float(np.ptp(places, axis=0).max()) if len(places) > 1 else 0.2
     reach = 0.6 * max(apart, 1e-3)

@@ -32,6 +32,7 @@ from rendezview_ground.evaluate.pictures.palette import (
     MUTED,
     dress,
     legend_below,
+    logarithmic,
     new_figure,
 )
 
@@ -108,13 +109,9 @@ def contact_picture(contact: Contact) -> Figure:
             label=label, markersize=5.0, linewidth=1.4,
         )  # fmt: skip
     axes.plot(contact.range_m, 1e3 * contact.sigma_m, "--", color=MUTED, label="σ of the state")
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    logarithmic(axes, "x", "235")
+    logarithmic(axes, "y")
     axes.invert_xaxis()
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "235" else "")
-    axes.tick_params(axis="x", which="minor", labelsize=8)
     legend_below(figure, axes, columns=4)
     return figure
 

@@ -36,8 +36,7 @@ def doctor_picture(diagnosis: Diagnosis, title: str) -> Figure:
     """Four views of the mesh; orange: open edges, blue: mixed winding, red: suspicious bodies."""
     mesh = diagnosis.mesh
     geometry = view_geometry(mesh, TrainingOptions(), None)
-    figure = new_figure(9.6, 10.2)
-    figure.suptitle(title, color=INK, fontsize=12, x=0.01, ha="left")
+    figure = new_figure(9.6, 10.2, title)
     for axes, direction, words in zip(
         figure.subplots(2, 2).ravel(), _DIRECTIONS, _FROM, strict=True
     ):

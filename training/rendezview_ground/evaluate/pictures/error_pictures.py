@@ -14,7 +14,6 @@ from rendezview_ground.evaluate.pictures.palette import (
     ACTIVE,
     ESTIMATE,
     GREEN,
-    INK,
     MUTED,
     PURPLE,
     TRUTH,
@@ -39,7 +38,7 @@ def share_picture(evaluations: Mapping[str, Evaluation]) -> Figure:
 
     Frames without a pose are below no value, so a curve ends at the share of frames with a pose.
     """
-    figure = new_figure(10.4, 3.9)
+    figure = new_figure(10.4, 3.9, "Share of the frames with an error below …")
     grid = figure.subplots(1, len(_PANELS), sharey=True)
     for axes, (name, factor, label, shown) in zip(grid, _PANELS, strict=True):
         dress(axes, x=label, y="share of all frames, %" if axes is grid[0] else "")
@@ -49,9 +48,6 @@ def share_picture(evaluations: Mapping[str, Evaluation]) -> Figure:
         axes.set(xscale="log", xlim=shown, ylim=(0.0, 101.0))
         axes.axhline(50.0, color=MUTED, linewidth=0.8, linestyle=":")
     legend_below(figure, grid[0])
-    figure.suptitle(
-        "Share of the frames with an error below …", color=INK, fontsize=12, x=0.01, ha="left"
-    )
     return figure
 
 

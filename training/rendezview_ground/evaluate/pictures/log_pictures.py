@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from rendezview.errors import RendezviewError
+from rendezview.errors import explained
 from rendezview.geometry.pose import Array, Pose
 from rendezview_ground.evaluate.pictures.palette import (
     ACTIVE,
@@ -27,9 +27,11 @@ from rendezview_ground.evaluate.pictures.palette import (
     TRUTH,
     dress,
     dress_legend,
+    logarithmic,
     new_figure,
 )
 
+_OTHER_LOG = (KeyError, TypeError, ValueError, IndexError)  # where a line is of another log
 _GOOD = ("ok", "tracking")
 # Colour and hatch of a status, most frequent first: readable without colour.
 _STATUS_LOOKS = ((PROBLEM, "///"), (TRUTH, "..."), (PURPLE, "xxx"), (MUTED, "---"))
@@ -88,7 +90,7 @@ def track_of_records(records: list[dict[str, Any]], where: str) -> Track:
     Raises:
         RendezviewError: a line is no line of a log with poses.
     """
-    try:
+    with explained(f"{where}: not a log of poses (", ")", _OTHER_LOG):
         poses = [
             None
             if r["pose"] is None
@@ -101,8 +103,6 @@ def track_of_records(records: list[dict[str, Any]], where: str) -> Track:
                 str(r.get("status", "no pose" if r["pose"] is None else "ok")) for r in records
             ],
         )  # fmt: skip
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise RendezviewError(f"{where}: not a log of poses ({error!r})") from None
 
 
 def times_of(records: list[dict[str, Any]]) -> tuple[list[float], str]:
@@ -130,7 +130,7 @@ def track_picture(track: Track, title: str) -> Figure:
         dress(grid[3], y="1 σ of attitude\nper axis, °")
         _curve(grid[3], track.x, np.degrees(track.attitude_sigma_rad), GREEN, "--")
         for axes in grid[2:4]:
-            _logarithmic(axes)
+            logarithmic(axes, "y")
     _status_strip(grid[-1], track.x, track.statuses, track.x_label)
     return figure
 
@@ -141,7 +141,7 @@ def ring_picture(records: list[dict[str, Any]], where: str) -> Figure:
     Raises:
         RendezviewError: a line is not of `rendezview ring`.
     """
-    try:
+    with explained(f"{where}: not a log of `rendezview ring` (", ")", _OTHER_LOG):
         x, label = times_of(records)
         chosen = [_chosen_circle(r["poses"]) for r in records]
         distance = [math.nan if c is None else float(np.linalg.norm(c["centre_m"])) for c in chosen]
@@ -153,8 +153,6 @@ def ring_picture(records: list[dict[str, Any]], where: str) -> Figure:
         size = [e if isinstance(e, float) else max(e["semi_axes_px"]) for e in best]
         counts = [len(r["ellipses"]) for r in records]
         statuses = [str(r["status"]) for r in records]
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise RendezviewError(f"{where}: not a log of `rendezview ring` ({error!r})") from None
     posed = any(c is not None for c in chosen)
     figure, grid = _panels(4 if posed else 2, "Docking ring")
     dress(grid[-3], y="half width of\nthe ellipse, px")
@@ -179,10 +177,8 @@ def range_picture(records: list[dict[str, Any]], where: str) -> Figure:
         RendezviewError: a range is not a number.
     """
     x, label = times_of(records)
-    try:
+    with explained(f"{where}: not a log of a ranger (", ")", _OTHER_LOG):
         ranges = [math.nan if r["range_m"] is None else float(r["range_m"]) for r in records]
-    except (KeyError, TypeError, ValueError) as error:
-        raise RendezviewError(f"{where}: not a log of a ranger ({error!r})") from None
     figure, grid = _panels(1, "Laser ranger")
     dress(grid[0], y="range, m")
     _curve(grid[0], np.array(x), np.array(ranges), ESTIMATE)
@@ -219,7 +215,7 @@ def measurement_picture(records: list[dict[str, Any]]) -> Figure | None:
                     label=f"{name}: {len(some)} {'taken' if accepted else 'rejected'}",
                 )  # fmt: skip
     axes.axhline(1.0, color=INK, linewidth=1.0, linestyle=":")
-    _logarithmic(axes)
+    logarithmic(axes, "y")
     dress_legend(axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9))
     return figure
 
@@ -230,20 +226,11 @@ def _chosen_circle(circles: list[dict[str, Any]]) -> dict[str, Any] | None:
 
 def _panels(count: int, title: str) -> tuple[Figure, list[Axes]]:
     """``count`` panels and a strip for the status below them, one axis along."""
-    figure = new_figure(_WIDTH_IN, _PANEL_IN * count + _STRIP_IN + 0.5)
+    figure = new_figure(_WIDTH_IN, _PANEL_IN * count + _STRIP_IN + 0.5, title)
     grid = figure.subplots(
         count + 1, 1, sharex=True, height_ratios=[_PANEL_IN] * count + [0.45 * _STRIP_IN]
     )
-    figure.suptitle(title, color=INK, fontsize=12, x=0.01, ha="left")
     return figure, list(grid)
-
-
-def _logarithmic(axes: Axes) -> None:
-    """A logarithmic axis with plain numbers at 1, 2 and 5."""
-    axes.set_yscale("log")
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else "")
-    axes.tick_params(axis="y", which="minor", labelsize=8)
 
 
 def _curve(axes: Axes, x: Array, y: Array, colour: str, line: str = "-") -> None:

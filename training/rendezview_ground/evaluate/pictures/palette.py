@@ -6,6 +6,7 @@ Pictures are matplotlib figures made without pyplot, so they change no global st
 from __future__ import annotations
 
 import io
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -39,12 +40,14 @@ UNKNOWN = "#3a4350"
 DPI = 110
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
+def new_figure(width_in: float, height_in: float, title: str = "") -> Figure:
     """An empty dark figure with automatic layout."""
     figure = Figure(
         figsize=(width_in, height_in), dpi=DPI, facecolor=BACKGROUND, layout="constrained"
     )
     FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title, color=INK, fontsize=12, x=0.01, ha="left")
     return figure
 
 
@@ -86,8 +89,10 @@ def draw_axes(axes: Axes3D, centre_m: npt.NDArray[np.float64], length_m: float) 
         axes.text(*beyond, letter, color=AXIS_COLOURS[k], fontsize=9, fontweight="bold")
 
 
-def space_axes(axes: Axes3D) -> None:
-    """Style axes in space, metres."""
+def space_axes(figure: Figure) -> Axes3D:
+    """Styled axes in space, metres."""
+    axes = figure.add_subplot(projection="3d")
+    assert isinstance(axes, Axes3D)
     axes.set_facecolor(BACKGROUND)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((0.0, 0.0, 0.0, 0.0))
@@ -99,6 +104,16 @@ def space_axes(axes: Axes3D) -> None:
     axes.set_ylabel("Y, m", color=MUTED, fontsize=10)
     axes.set_zlabel("Z, m", color=MUTED, fontsize=10)
     axes.set_box_aspect(None, zoom=0.88)  # room for the labels
+    return axes
+
+
+def logarithmic(axes: Axes, which: Literal["x", "y"], digits: str = "25") -> None:
+    """A logarithmic axis with plain numbers at its decades, and between them at these digits."""
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    axes.set(**{f"{which}scale": "log"})
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in digits else "")
+    axis.set_tick_params(which="minor", labelsize=8)
 
 
 def png(figure: Figure) -> bytes:

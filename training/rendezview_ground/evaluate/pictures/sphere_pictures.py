@@ -11,6 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
+from scipy.spatial import SphericalVoronoi
 
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
@@ -128,22 +129,12 @@ class PaintedSphere:
         right /= np.linalg.norm(right)
         self._view = np.stack([right, np.cross(ahead, right), ahead])  # picture from target
         self._nodes = sphere.nodes @ self._view.T
-        corners = sphere.nodes[sphere.faces].mean(axis=1)
-        corners /= np.linalg.norm(corners, axis=1, keepdims=True)
-        self._corners = corners @ self._view.T
-        self._around: list[list[int]] = [[] for _ in sphere.nodes]
-        for face, nodes in enumerate(sphere.faces.tolist()):
-            for node in nodes:
-                self._around[node].append(face)
+        self._cells = SphericalVoronoi(self._nodes)
+        self._cells.sort_vertices_of_regions()
 
     def _cell(self, node: int) -> Array:
         """(5 or 6, 2) corners of a node's cell in the picture, in order."""
-        corners = self._corners[self._around[node]]
-        centre = self._nodes[node]
-        first = corners[0] - centre
-        second = np.cross(centre, first)
-        angle = np.arctan2((corners - centre) @ second, (corners - centre) @ first)
-        return np.asarray(corners[np.argsort(angle), :2])
+        return np.asarray(self._cells.vertices[self._cells.regions[node], :2])
 
     def draw(self, axes: Axes, values: Array) -> ScalarMappable:
         """Draw the coloured cells in front, and the letters of the target's axes."""

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from rendezview.geometry.pose import Array
 from rendezview_ground.evaluate.pictures.palette import (
     ACCURACY,
-    INK,
     MUTED,
     PROBLEM,
     dress,
@@ -30,7 +29,7 @@ def stanford_picture(judged: Judged, title: str) -> Figure:
     Poses below the diagonal have an error beyond their level. Those with an alarm are drawn in
     another colour and do not mislead.
     """
-    figure = new_figure(10.4, 5.0)
+    figure = new_figure(10.4, 5.0, title)
     panels = figure.subplots(1, 2)
     degrees = math.degrees(1.0)
     for axes, errors, levels, shown, unit, what in (
@@ -40,7 +39,6 @@ def stanford_picture(judged: Judged, title: str) -> Figure:
     ):  # fmt: skip
         _panel(axes, errors, levels, judged, shown)
         dress(axes, x=f"{what} error, {unit}", y=f"protection level, {unit}")
-    figure.suptitle(title, color=INK, fontsize=12, x=0.01, ha="left")
     return figure
 
 

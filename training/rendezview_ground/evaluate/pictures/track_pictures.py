@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import Axes3D
 
 from rendezview.geometry.pose import Array
 from rendezview.io.sequences import Frame
@@ -127,9 +126,7 @@ def point_cloud(
         joined: the frames are a sequence, so lines join their positions.
     """
     figure = new_figure(6.2, 5.9)
-    axes = figure.add_subplot(projection="3d")
-    assert isinstance(axes, Axes3D)
-    space_axes(axes)
+    axes = space_axes(figure)
     line = "-" if joined else "none"
     points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
     if len(points):

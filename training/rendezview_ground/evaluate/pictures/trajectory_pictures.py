@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import Axes3D
 
 from rendezview.geometry.pose import Array
 from rendezview_ground.evaluate.pictures.palette import (
@@ -37,9 +36,7 @@ def path_picture(records: Sequence[dict[str, Any]], points_m: Array) -> Figure:
         points_m: (N, 3) points of the active nodes about the path's centre, plan's axes.
     """
     figure = new_figure(7.4, 6.6)
-    axes = figure.add_subplot(projection="3d")
-    assert isinstance(axes, Axes3D)
-    space_axes(axes)
+    axes = space_axes(figure)
     given = [r["trajectory"] for r in records if r["trajectory"].get("segment")]
     if len(points_m):
         axes.plot(*points_m.T, ".", color=ACTIVE, markersize=2.5, alpha=0.45, label="active nodes")

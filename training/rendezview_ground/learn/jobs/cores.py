@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import functools
-import threading
 import warnings
 from collections.abc import Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,10 +39,9 @@ class Cores:
                 if jobs == 1:
                     for k, own in enumerate(arguments):
                         yield k, run_shard(task, shared, own)
-                elif self.processes:
-                    yield from _in_parallel("loky", jobs, _numbered, task, shared, arguments)
                 else:
-                    yield from _in_threads(jobs, task, shared, arguments)
+                    run = _in_processes if self.processes else _in_threads
+                    yield from run(jobs, task, shared, arguments)
         finally:
             cv2.setNumThreads(threads)
 
@@ -55,59 +53,27 @@ def _in_threads(
 
     A thread that is still inside compiled C++ when the interpreter ends would abort the process.
     """
-    gate = _Gate()
-    numbered = functools.partial(gate.passed, _numbered)
+    pool = ThreadPoolExecutor(jobs)
     try:
-        yield from _in_parallel("threading", jobs, numbered, task, shared, arguments)
+        number = {pool.submit(run_shard, task, shared, own): k for k, own in enumerate(arguments)}
+        for done in as_completed(list(number)):
+            yield number.pop(done), done.result()
     finally:
-        gate.shut()
+        pool.shutdown(cancel_futures=True)
 
 
-class _Gate:
-    """Counts the shards that run in threads, and lets no more begin once it is shut."""
-
-    def __init__(self) -> None:
-        self._changed = threading.Condition()
-        self._running = 0
-        self._shut = False
-
-    def passed(self, numbered: Task, *arguments: Any) -> Any:
-        """Run a shard; None if the gate is shut."""
-        with self._changed:
-            if self._shut:
-                return None
-            self._running += 1
-        try:
-            return numbered(*arguments)
-        finally:
-            with self._changed:
-                self._running -= 1
-                self._changed.notify_all()
-
-    def shut(self) -> None:
-        """Wait for the shards that run."""
-        with self._changed:
-            self._shut = True
-            self._changed.wait_for(lambda: self._running == 0)
-
-
-def _in_parallel(
-    backend: str,
-    jobs: int,
-    numbered: Task,
-    task: Task,
-    shared: Shared,
-    arguments: Sequence[tuple[Any, ...]],
+def _in_processes(
+    jobs: int, task: Task, shared: Shared, arguments: Sequence[tuple[Any, ...]]
 ) -> Generator[tuple[int, Any], None, None]:
-    """Run shards under joblib, in its backend of threads or of processes."""
+    """Run shards under joblib, in processes."""
     parallel = joblib.Parallel(
         n_jobs=jobs,
-        backend=backend,
+        backend="loky",
         batch_size=1,  # a lost shard takes no other with it
         return_as="generator_unordered",  # each result is kept as soon as it is ready
     )
     results = parallel(
-        joblib.delayed(numbered)(k, task, shared, own) for k, own in enumerate(arguments)
+        joblib.delayed(_numbered)(k, task, shared, own) for k, own in enumerate(arguments)
     )
     try:
         for result in results:  # noqa: UP028  closed below, and not by `yield from`

@@ -20,6 +20,7 @@ from rendezview.io.files import atomic_write
 from rendezview_ground.learn.jobs.shard_executor import ShardExecutor, Shared
 
 Arrays = dict[str, npt.NDArray[Any]]
+Join = Callable[[list[npt.NDArray[Any]]], npt.NDArray[Any]]
 Progress = Callable[[str, int, int], None]  # stage, done, of
 
 
@@ -36,6 +37,11 @@ def shares(count: int, size: int) -> list[range]:
         parts.append(range(start, start + some))
         start += some
     return parts
+
+
+def together(parts: Sequence[Arrays], join: Join = np.concatenate) -> Arrays:
+    """The arrays of one name in all parts, joined."""
+    return {name: join([part[name] for part in parts]) for name in parts[0]}
 
 
 class Shards:

@@ -6,12 +6,14 @@ as in scikit-learn, so the next whole number below a threshold gives the same de
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
+from rendezview_ground.learn.jobs.stages import Arrays, together
 
 if TYPE_CHECKING:
     from sklearn.tree import BaseDecisionTree
@@ -51,6 +53,16 @@ class FittedTree(NamedTuple):
             samples[:, 1],
             samples[:, 0],
         )
+
+
+def joined_trees(parts: Sequence[Arrays], places: Sequence[str]) -> Arrays:
+    """Arrays of all parts; ``places`` name those that count entries from the first of a part."""
+    starts = np.cumsum([0, *(len(part["component"]) for part in parts[:-1])])
+    moved = [
+        part | {name: (part[name] + start).astype(np.int32) for name in places}
+        for part, start in zip(parts, starts, strict=True)
+    ]
+    return together(moved)
 
 
 def seed_of(*stream: int) -> int:

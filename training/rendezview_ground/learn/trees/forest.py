@@ -31,7 +31,7 @@ from rendezview.sensors.appearance.model.shadowed_silhouettes import (
 from rendezview.sensors.appearance.model.signature import rebinning, roll_readings, twist
 from rendezview_ground.learn.jobs.stages import Arrays
 from rendezview_ground.learn.options import TrainingOptions
-from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree
+from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree, joined_trees
 from rendezview_ground.learn.views.views import ViewSet
 
 if TYPE_CHECKING:
@@ -162,13 +162,7 @@ def learn_forest(samples: ForestSamples, options: TrainingOptions, nodes: range)
 
 def joined(parts: list[Arrays]) -> ScoreForest:
     """The forest of all nodes, in order."""
-    offsets = np.cumsum([0, *(len(p["component"]) for p in parts[:-1])])
-    roots = [p["roots"] + offset for p, offset in zip(parts, offsets, strict=True)]
-    others = {
-        name: np.concatenate([p[name] for p in parts])
-        for name in ("component", "threshold", "right", "odds")
-    }
-    return ScoreForest(roots=np.concatenate(roots).astype(np.int32), **others)
+    return ScoreForest(**joined_trees(parts, ("roots",)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -13,8 +13,9 @@ from rendezview.geometry.geodesic import Geodesic, angle_between, within
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.model.signature import Readings, rolled, twist
 from rendezview.sensors.appearance.model.trees import Forest
+from rendezview_ground.learn.jobs.stages import Arrays
 from rendezview_ground.learn.options import TrainingOptions
-from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree, seed_of
+from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree, joined_trees, seed_of
 from rendezview_ground.learn.trees.neighbourhood import neighbourhood
 from rendezview_ground.learn.views.views import ViewSet
 
@@ -34,33 +35,20 @@ class TreeSet:
     leaf_off: npt.NDArray[np.int32]  # (M,)
     training_accuracy: Array  # (T,)
 
+    def arrays(self) -> Arrays:
+        """All arrays, those of the forest too, by name."""
+        forest = {f.name: getattr(self.forest, f.name) for f in fields(Forest)}
+        return forest | {name: getattr(self, name) for name in _OF_SAMPLES}
+
     @classmethod
-    def joined(cls, parts: list[TreeSet]) -> TreeSet:
-        """Join several sets, in order."""
-        offsets = np.cumsum([0, *(len(p.forest.component) for p in parts[:-1])])
+    def joined(cls, parts: list[Arrays]) -> TreeSet:
+        """Of the arrays of several sets, in order."""
+        arrays = joined_trees(parts, ("roots", "left", "right"))
+        own = {name: arrays.pop(name) for name in _OF_SAMPLES}
+        return cls(Forest(**arrays), **own)
 
-        def moved(name: str) -> npt.NDArray[np.int32]:
-            return np.concatenate(
-                [getattr(p.forest, name) + o for p, o in zip(parts, offsets, strict=True)]
-            ).astype(np.int32)
 
-        def together(name: str) -> npt.NDArray[np.generic]:
-            return np.concatenate([getattr(p.forest, name) for p in parts])
-
-        forest = Forest(
-            moved("roots"),
-            together("component").astype(np.int16),
-            together("threshold").astype(np.float32),
-            moved("left"),
-            moved("right"),
-            together("category").astype(np.uint8),
-        )
-        return cls(
-            forest,
-            np.concatenate([p.leaf_on for p in parts]),
-            np.concatenate([p.leaf_off for p in parts]),
-            np.concatenate([p.training_accuracy for p in parts]),
-        )
+_OF_SAMPLES = ("leaf_on", "leaf_off", "training_accuracy")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +94,7 @@ _LEVELS = 64
 def learn_trees(samples: Samples, options: TrainingOptions, nodes: range) -> TreeSet:
     """Entropy trees (eq. 5) of some nodes, with the paper's three stopping rules."""
     return TreeSet.joined(
-        [learned_tree(*samples.of_node(node, options), options, node) for node in nodes]
+        [learned_tree(*samples.of_node(node, options), options, node).arrays() for node in nodes]
     )
 
 

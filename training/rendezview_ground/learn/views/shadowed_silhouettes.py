@@ -19,9 +19,9 @@ from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
 from rendezview_ground.learn.options import ViewGeometry
 from rendezview_ground.learn.views.drawn_view import draw_view
 from rendezview_ground.learn.views.views import plane_rays
+from rendezview_ground.mesh.directions import axes_towards
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.crossings import face_normals
-from rendezview_ground.render.directions import axes_towards
 from rendezview_ground.render.projection import SurfaceRenderer
 
 _SUN_ORDER = 1  # of the sphere of Sun directions: 42 of them, 32° apart
@@ -43,8 +43,8 @@ class SunMaps:
 
     suns: Array  # (S, 3)
     axes: Array  # (S, 3, 3) rows right, down, sunward
-    corner: Array  # (S, 3) on those axes: place of sample (0, 0) at nearness 0
-    texel_m: Array  # (S,)
+    corner: Array  # (3,) on those axes: place of sample (0, 0) at nearness 0
+    texel_m: float
     nearness: npt.NDArray[np.float32]  # (S, M, M)
 
 
@@ -64,9 +64,8 @@ def sun_maps(mesh: Mesh, geometry: ViewGeometry) -> SunMaps:
         draw_parallel(np.ascontiguousarray(on_map), faces, near, owner)
         axes.append(basis)
         nearness.append(near)
-    count = len(suns)
-    corner = np.tile([-radius, -radius, -1.01 * radius], (count, 1))
-    return SunMaps(suns, np.stack(axes), corner, np.full(count, texel), np.stack(nearness))
+    corner = np.array([-radius, -radius, -1.01 * radius])
+    return SunMaps(suns, np.stack(axes), corner, texel, np.stack(nearness))
 
 
 def shadowed_silhouettes(
@@ -99,8 +98,8 @@ def shadowed_silhouettes(
     mask = np.empty((_PICTURE_PX, _PICTURE_PX), dtype=np.uint8)
     for sun in chosen:
         lit = _light(
-            pixels, places, facing, maps.suns[sun], maps.axes[sun], maps.corner[sun],
-            maps.texel_m[sun], maps.nearness[sun], mask,
+            pixels, places, facing, maps.suns[sun], maps.axes[sun], maps.corner, maps.texel_m,
+            maps.nearness[sun], mask,
         )  # fmt: skip
         if lit < _LEAST_SHARE * len(places):
             continue
@@ -133,7 +132,6 @@ def shadowed_silhouettes(
     }
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def _shown(
     nearness: Float32s, owner: Int32s, focal: float, middle: float, range_m: float,
     rotation: Array, normals: Array,
@@ -142,29 +140,13 @@ def _shown(
 
     Places are seen from the view centre, and both are in the target's axes.
     """
-    count = 0
-    for i in range(owner.shape[0]):
-        for j in range(owner.shape[1]):
-            count += owner[i, j] >= 0
-    pixels = np.empty((count, 2), np.int32)
-    places, facing = np.empty((count, 3)), np.empty((count, 3))
-    n = 0
-    for i in range(owner.shape[0]):
-        for j in range(owner.shape[1]):
-            face = owner[i, j]
-            if face < 0:
-                continue
-            z = 1.0 / nearness[i, j]
-            x, y = z * (j - middle) / focal, z * (i - middle) / focal
-            z -= range_m
-            a, b, c = normals[face, 0], normals[face, 1], normals[face, 2]
-            pixels[n, 0], pixels[n, 1] = i, j
-            for k in range(3):
-                r0, r1, r2 = rotation[0, k], rotation[1, k], rotation[2, k]
-                places[n, k] = r0 * x + r1 * y + r2 * z
-                facing[n, k] = r0 * a + r1 * b + r2 * c
-            n += 1
-    return pixels, places, facing
+    row, column = np.nonzero(owner >= 0)
+    z = 1.0 / nearness[row, column].astype(np.float64)
+    x, y, z = z * (column - middle) / focal, z * (row - middle) / focal, z - range_m
+    a, b, c = normals[owner[row, column]].T
+    places = np.stack([r[0] * x + r[1] * y + r[2] * z for r in rotation.T], axis=1)
+    facing = np.stack([r[0] * a + r[1] * b + r[2] * c for r in rotation.T], axis=1)
+    return np.stack([row, column], axis=1).astype(np.int32), places, facing
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -25,7 +25,7 @@ from rendezview.sensors.appearance.model.sketches import (
 from rendezview_ground.learn.options import ViewGeometry
 from rendezview_ground.learn.views.drawn_view import draw_view
 from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.mesh.triangles import crosses
+from rendezview_ground.render.crossings import face_normals
 from rendezview_ground.render.projection import SurfaceRenderer
 
 SAMPLES = 2  # a pixel side. Source: by construction
@@ -38,22 +38,13 @@ _PICTURE_PX = 96  # px; width of the drawn view of a model
 _BORDER_PX = 2.0  # px around the target in the picture. Source: by construction
 
 
-def facing_normals(vertices: Array, faces: Int32s) -> Float32s:
-    """(F, 3) unit normals, turned towards the camera at the origin; winding is not reliable."""
-    corners = vertices[faces]
-    normals = crosses(corners)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
-    normals[np.einsum("fi,fi->f", normals, corners[:, 0]) > 0.0] *= -1.0
-    return normals.astype(np.float32)
-
-
 def sketch_maps(nearness: Float32s, owner: Int32s, normals: Float32s, radius_m: float) -> Float32s:
     """(MAPS, h, w) of a z-buffer (SAMPLES h, SAMPLES w).
 
     Args:
         nearness: 1/z, 1/m; 0: sky.
         owner: the face there; −1: sky.
-        normals: (F, 3) of ``facing_normals``.
+        normals: (F, 3) of ``face_normals``.
         radius_m: of the target.
     """
     shown = owner >= 0
@@ -83,7 +74,7 @@ def sketched_view(
     range_m = RANGE_RADII * geometry.target_radius_m
     size = SAMPLES * _PICTURE_PX
     view = draw_view(mesh, geometry, direction, range_m, size, SAMPLES * _BORDER_PX, renderer)
-    normals = facing_normals(view.vertices, view.faces)
+    normals = face_normals(view.vertices, view.faces).astype(np.float32)
     maps = sketch_maps(view.nearness, view.owner, normals, geometry.target_radius_m)
     centre, extent = centroid(maps[0])
     unit_px = view.focal / SAMPLES * geometry.target_radius_m / range_m  # a target radius

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.geometry.pose import Array
 from rendezview.geometry.zbuffer import Int32s
@@ -59,8 +58,7 @@ def visible_points(
     size = options.contour_resolution_px
     view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX, renderer)
     places = points @ view.rotation.T + np.array([0.0, 0.0, range_m])
-    visible = np.zeros(len(points), dtype=np.bool_)
-    _look_up(places, faces, view.focal, view.middle, view.owner, visible)
+    visible = _look_up(places, faces, view.focal, view.middle, view.owner)
     return np.packbits(visible, bitorder="little"), view.owner
 
 
@@ -99,19 +97,10 @@ def chosen_surface(
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def _look_up(
-    places: Array,
-    faces: Int32s,
-    focal: float,
-    middle: float,
-    owner: Int32s,
-    visible: npt.NDArray[np.bool_],
-) -> None:
-    """A point is visible if its face owns its pixel or one of the eight around it."""
-    for k in range(places.shape[0]):
-        x, y, z = places[k]
-        column, row = int(x / z * focal + middle + 0.5), int(y / z * focal + middle + 0.5)
-        for i in range(-1, 2):
-            for j in range(-1, 2):
-                visible[k] |= owner[row + i, column + j] == faces[k]
+    places: Array, faces: Int32s, focal: float, middle: float, owner: Int32s
+) -> npt.NDArray[np.bool_]:
+    """(N,) a point is visible if its face owns its pixel or one of the eight around it."""
+    column, row = (places[:, :2] / places[:, 2:] * focal + middle + 0.5).astype(np.int64).T
+    around = [owner[row + i, column + j] == faces for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    return np.asarray(np.any(around, axis=0))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
@@ -48,21 +47,12 @@ def look_from(direction: Array, roll_rad: float = 0.0) -> Array:
     convention: every comparison uses the roll between two views.
     """
     up = np.array([0.0, 0.0, 1.0]) if abs(direction[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    rotation = np.empty((3, 3))
-    _look(np.asarray(direction, dtype=np.float64), up, roll_rad, rotation)
-    return rotation
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _look(direction: Array, up: Array, roll_rad: float, rotation: Array) -> None:
     z = -direction
     x = np.cross(-up, z)
     x /= np.sqrt(np.sum(x * x))
     y = np.cross(z, x)
     c, s = np.cos(roll_rad), np.sin(roll_rad)
-    rotation[0] = c * x - s * y
-    rotation[1] = s * x + c * y
-    rotation[2] = z
+    return np.stack([c * x - s * y, s * x + c * y, z])
 
 
 def clean_views(
@@ -122,15 +112,9 @@ def rays(points_px: Array, window: Window) -> Array:
     return plane_rays(points_px, window.focal_px, window.cx, window.cy)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def plane_rays(points_px: Array, focal_px: float, cx: float, cy: float) -> Array:
     """Rays (M, 3), z = 1, of pixels (M, 2) of an undistorted picture plane."""
-    out = np.empty((len(points_px), 3))
-    for k in range(len(points_px)):
-        out[k, 0] = (points_px[k, 0] - cx) / focal_px
-        out[k, 1] = (points_px[k, 1] - cy) / focal_px
-        out[k, 2] = 1.0
-    return out
+    return np.column_stack([(points_px - (cx, cy)) / focal_px, np.ones(len(points_px))])
 
 
 def view(

@@ -14,16 +14,17 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from experiments.training.random_skies import random_sky
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.zbuffer import Float32s, Int32s, draw_perspective, empty_buffers
 from rendezview.sensors.appearance.edges.network import SIDE_PX
 from rendezview.sensors.appearance.model.sketches import COVER, MAPS
-from rendezview_ground.learn.views.sketch_maps import SAMPLES, facing_normals, sketch_maps
+from rendezview_ground.learn.views.sketch_maps import SAMPLES, sketch_maps
 from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.render.crossings import face_normals
 from rendezview_ground.simulate.cloudy_skies import cloudy_sky
 from rendezview_ground.simulate.hard_light import HardLightOptions, log_uniform, photograph
-from rendezview_ground.simulate.random_skies import random_sky
 from rendezview_ground.simulate.scene import sun_at_phase
 from rendezview_ground.simulate.shading import ShadingOptions, render
 
@@ -167,7 +168,7 @@ class _Samples:
 
     nearness: Float32s  # 1/z, 1/m; 0: sky
     owner: Int32s  # the face there; −1: sky
-    normals: Float32s  # (F, 3) of ``facing_normals``
+    normals: Float32s  # (F, 3) of ``face_normals``
 
 
 def _samples(mesh: Mesh, camera: Camera, pose: Pose) -> _Samples:
@@ -179,7 +180,7 @@ def _samples(mesh: Mesh, camera: Camera, pose: Pose) -> _Samples:
     draw_perspective(
         vertices, faces, camera.fx * n, camera.fy * n, cx, cy, _NEAR_M, nearness, owner
     )
-    return _Samples(nearness, owner, facing_normals(vertices, faces))
+    return _Samples(nearness, owner, face_normals(vertices, faces).astype(np.float32))
 
 
 def _maps_and_normals(samples: _Samples, radius_m: float) -> tuple[Float32s, Float32s]:

@@ -7,8 +7,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from experiments.training.random_skies import random_sky
 from rendezview.geometry.zbuffer import Float32s
-from rendezview_ground.simulate.random_skies import random_sky
 
 _FONTS = (
     cv2.FONT_HERSHEY_SIMPLEX,

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from experiments.training.random_textures import random_texture, scatter_shapes
+from experiments.training.sketch_frames import CraftDrawing
 from rendezview.geometry.zbuffer import Float32s
 from rendezview.sensors.appearance.model.sketches import COVER
 from rendezview_ground.simulate.hard_light import HardLightOptions
-from rendezview_ground.simulate.random_textures import random_texture, scatter_shapes
-from rendezview_ground.simulate.sketch_frames import CraftDrawing
 
 # Lamps and windows light a room from many sides, and cameras expose it for its middle.
 INDOORS = HardLightOptions(

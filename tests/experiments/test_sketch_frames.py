@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from rendezview.sensors.appearance.edges.network import SIDE_PX
-from rendezview.sensors.appearance.model.sketches import COVER, CREASE, EDGE, MAPS
-from rendezview_ground.mesh.mesh import Mesh
-from rendezview_ground.simulate.hard_light import HardLightOptions
-from rendezview_ground.simulate.random_craft import any_craft
-from rendezview_ground.simulate.sketch_frames import (
+from experiments.training.sketch_frames import (
     SKY_PX,
     CraftDrawing,
     draw_craft,
@@ -22,6 +17,11 @@ from rendezview_ground.simulate.sketch_frames import (
     magnified,
     take,
 )
+from rendezview.sensors.appearance.edges.network import SIDE_PX
+from rendezview.sensors.appearance.model.sketches import COVER, CREASE, EDGE, MAPS
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate.hard_light import HardLightOptions
+from rendezview_ground.simulate.random_craft import any_craft
 
 # No effect but sunlight and a little light of the sky, on black.
 CLEAN = HardLightOptions(

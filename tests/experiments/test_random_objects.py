@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rendezview_ground.simulate.random_objects import random_object
-from rendezview_ground.simulate.random_textures import random_texture, scatter_shapes
+from experiments.training.random_objects import random_object
+from experiments.training.random_textures import random_texture, scatter_shapes
 
 
 def test_objects_are_grey_meshes_of_many_kinds_and_the_same_for_a_seed() -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from experiments.training.cluttered_rooms import INDOORS, crowded, room
+from experiments.training.random_objects import random_object
+from experiments.training.sketch_frames import SKY_PX, CraftDrawing, draw_craft, take
 from rendezview.sensors.appearance.edges.network import SIDE_PX
 from rendezview.sensors.appearance.model.sketches import COVER
-from rendezview_ground.simulate.cluttered_rooms import INDOORS, crowded, room
-from rendezview_ground.simulate.random_objects import random_object
-from rendezview_ground.simulate.sketch_frames import SKY_PX, CraftDrawing, draw_craft, take
 
 
 @pytest.fixture(scope="module")
