@@ -117,6 +117,38 @@ def test_models_are_those_of_train_and_what_is_there_is_left(folder):
     assert len(ViewModel.load(kept).contours.shells_m) == 2
 
 
+TARGET = """
+name = "body"
+
+[mesh]
+path = "one.stl"
+unit = "m"
+shape_error = 0.01
+
+[docking_ring]
+centre_m = [0.0, 0.0, 1.0]
+axis = [0.0, 0.0, 1.0]
+radius_m = 0.5
+"""
+
+
+def test_models_have_all_that_the_target_file_says_and_follow_its_changes(folder):
+    """A ring, how far the mesh is trusted: as those of `train`."""
+    catalogue = CATALOGUE[: CATALOGUE.index("[[targets]]")] + '[[targets]]\ntarget = "body"\n'
+    (folder / "body").mkdir()
+    (folder / "one.stl").rename(folder / "body" / "one.stl")
+    (folder / "all.toml").write_text(catalogue)
+    for radius_m, stated in ((0.5, TARGET), (0.4, TARGET.replace("0.5", "0.4"))):
+        (folder / "body" / "target.toml").write_text(stated)
+        entries = read_catalogue(folder / "all.toml")
+        outcome = train_catalogue(entries, folder / "models", Cores(1))
+        assert outcome.trained == ("body",), outcome
+        model = ViewModel.load(folder / "models" / "body.rvm")
+        assert model.shape_error == 0.01
+        assert model.docking_ring.radius_m == radius_m
+    assert train_catalogue(entries, folder / "models", Cores(1)).there_already == ("body",)
+
+
 def test_a_cluster_that_fails_stops_the_catalogue(folder):
     class Gone:
         def results(self, task, shared, arguments):

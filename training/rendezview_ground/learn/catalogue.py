@@ -17,12 +17,11 @@ from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import checked, describe, make_folder, read_toml
-from rendezview_ground.learn.job import kept_model, provenance, train
 from rendezview_ground.learn.jobs.shard_executor import ClusterError, ShardExecutor
 from rendezview_ground.learn.jobs.stages import Progress
 from rendezview_ground.learn.options import OLD_NAMES, TrainingOptions
+from rendezview_ground.learn.target_job import is_trained, train_target
 from rendezview_ground.mesh.mesh import load_mesh
-from rendezview_ground.mesh.symmetries import find_symmetries
 
 
 class _Row(BaseModel):
@@ -147,23 +146,16 @@ def train_catalogue(
     def one(entry: Entry) -> None:
         path = folder / f"{entry.name}.rvm"
         try:
-            found = find_target(entry.target)
-            mesh = load_mesh(found.mesh_path, entry.unit or found.unit)
+            target = dataclasses.replace(find_target(entry.target), name=entry.name)
+            mesh = load_mesh(target.mesh_path, entry.unit or target.unit)
             camera = load_camera(entry.camera) if entry.camera else None
-            if kept_model(path, entry.name, provenance(mesh, entry.options, camera)):
+            if is_trained(target, mesh, path, entry.unit, entry.options, camera):
                 there.add(entry.name)
                 return
-            train(
-                mesh,
-                path,
-                name=entry.name,
-                options=entry.options,
-                camera=camera,
-                symmetries=found.symmetries or find_symmetries(mesh),
-                shape_error=found.shape_error,
-                executor=executor,
-                progress=count.shards(),
-            )
+            train_target(
+                target, mesh, path, entry.unit, options=entry.options, camera=camera,
+                executor=executor, progress=count.shards(),
+            )  # fmt: skip
             trained.add(entry.name)
         except ClusterError:
             raise

@@ -7,6 +7,7 @@ from typing import Any
 
 from rendezview.geometry.camera import Camera
 from rendezview.io.bundled import find_target
+from rendezview.io.results import json_value
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
 from rendezview_ground.learn import job
@@ -14,7 +15,7 @@ from rendezview_ground.learn.job import Trained
 from rendezview_ground.learn.jobs.stages import Progress
 from rendezview_ground.learn.joint_configurations import train_configurations
 from rendezview_ground.learn.options import TrainingOptions
-from rendezview_ground.mesh.joints import STEP_RAD, with_parts
+from rendezview_ground.mesh.joints import STEP_RAD, configuration_angles, posed, with_parts
 from rendezview_ground.mesh.mesh import Mesh, load_mesh
 from rendezview_ground.mesh.parts import with_blankets, with_trust
 from rendezview_ground.mesh.symmetries import find_symmetries
@@ -68,13 +69,36 @@ def train_target(
     step_rad = arguments.pop("step_rad", STEP_RAD)
     arguments |= {"name": target.name, "shape_error": target.shape_error}
     arguments |= {"docking_ring": target.docking_ring, "reflectors": target.reflectors}
-    if not target.joints:
-        mesh = with_blankets(with_trust(mesh, target, unit), target, unit)
-        alike = target.symmetries or find_symmetries(mesh)
-        return job.train(mesh, output, symmetries=alike, **arguments)
-    joints = [parts.joint for parts in target.joints]
-    trusted = with_trust(with_parts(mesh, target, unit), target, unit)
-    whole = with_blankets(trusted, target, unit)
+    whole, joints = _whole(target, mesh, unit), [parts.joint for parts in target.joints]
+    if not joints:
+        alike = target.symmetries or find_symmetries(whole)
+        return job.train(whole, output, symmetries=alike, **arguments)
     return train_configurations(
         whole, output, joints, step_rad=step_rad, symmetries=target.symmetries, **arguments
     )
+
+
+def is_trained(
+    target: Target, mesh: Mesh, output: Path, unit: str | None, options: TrainingOptions,
+    camera: Camera | None,
+) -> bool:  # fmt: skip
+    """Whether a file is the model that ``train_target`` would write."""
+    first, joints = _whole(target, mesh, unit), tuple(parts.joint for parts in target.joints)
+    if joints:
+        first = posed(first, joints, configuration_angles(joints, STEP_RAD)[0])
+    model = job.kept_model(output, target.name, job.provenance(first, options, camera))
+    if model is None:
+        return False
+    stated = [
+        (target.docking_ring, model.docking_ring), (target.reflectors, model.reflectors),
+        (target.shape_error, model.shape_error), (joints, model.joints),
+        (target.symmetries or model.symmetries, model.symmetries),
+    ]  # fmt: skip
+    return all(json_value(wanted) == json_value(found) for wanted, found in stated)
+
+
+def _whole(target: Target, mesh: Mesh, unit: str | None) -> Mesh:
+    """The mesh with the parts of joints, how far they are trusted, and blankets."""
+    if target.joints:
+        mesh = with_parts(mesh, target, unit)
+    return with_blankets(with_trust(mesh, target, unit), target, unit)
