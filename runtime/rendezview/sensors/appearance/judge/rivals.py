@@ -33,7 +33,7 @@ from rendezview.sensors.appearance.sky import Sky
 
 # Of the difference of two pictures over its spread, of the merit of edges, and of that on a sketch
 # where one was drawn. Source: docs/notes/rivals.md
-DRAWN_WEIGHT, MERIT_WEIGHT, SKETCH_WEIGHT = 2.0, 10.0, 0.5
+DRAWN_WEIGHT, MERIT_WEIGHT, SKETCH_WEIGHT = 1.75, 10.0, 0.5
 # Of the craft's cells, that stay unexplained where its materials are known. Where more do, errors
 # of neighbouring cells are alike, and their differences count less. Source: docs/notes/rivals.md
 _KNOWN_SHARE = 0.1
