@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from rendezview.sensors.appearance.model.shape import Shape
 from rendezview_ground.learn.options import TrainingOptions, view_geometry
 from rendezview_ground.learn.views.carried_shape import carried_shape
 from rendezview_ground.mesh.mesh import Mesh
 
 
-def shape_of(*bodies: trimesh.Trimesh):
+def shape_of(*bodies: trimesh.Trimesh) -> Shape:
     body = trimesh.util.concatenate(bodies)
+    assert isinstance(body, trimesh.Trimesh)
     grey = np.full((len(body.faces), 3), 0.5, np.float32)
     mesh = Mesh(np.asarray(body.vertices), body.faces.astype(np.int32), grey, ())
     return carried_shape(mesh, view_geometry(mesh, TrainingOptions(), None), seed=0)
