@@ -150,3 +150,20 @@ def draw_chosen(
 def empty_buffers(height: int, width: int) -> tuple[Float32s, Int32s]:
     """Empty ``nearness`` (0 is infinitely far) and ``owner`` buffers."""
     return np.zeros((height, width), np.float32), np.full((height, width), NOBODY, np.int32)
+
+
+def draw_from_afar(
+    vertices: Float64s, faces: Int32s, axes: Float64s, scale: float, side: int
+) -> tuple[Float32s, Int32s]:
+    """(side, side) height and face of a body (V, 3) that is seen from afar.
+
+    Args:
+        vertices: about the middle of the picture; within half a side of it.
+        axes: (3, 3) those of the picture in rows, the last towards the eye.
+        scale: samples for each unit of length, also of the height.
+    """
+    on_plane = vertices @ axes.T * scale + 0.5 * side
+    on_plane[:, 2] += side  # above 0, which is empty
+    height, owner = empty_buffers(side, side)
+    draw_parallel(on_plane, faces, height, owner)
+    return height, owner

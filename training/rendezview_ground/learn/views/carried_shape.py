@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array, minimal_rotation
-from rendezview.geometry.zbuffer import draw_parallel, empty_buffers
+from rendezview.geometry.zbuffer import draw_from_afar
 from rendezview.sensors.appearance.model.shape import SHAPE_RELIEF, Shape
 from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT
 from rendezview_ground.learn.look_alikes import look_alikes
@@ -43,11 +43,9 @@ def carried_shape(mesh: Mesh, geometry: ViewGeometry, seed: int) -> Shape:
 def _shown(places_m: Array, faces: NDArray[np.int32], radius_m: float) -> NDArray[np.bool_]:
     """(F,) whether a face is seen from any direction: half of a CAD model may lie within."""
     shown = np.zeros(len(faces), dtype=np.bool_)
+    scale = _SIDE_PX / (_SIDE_RADII * radius_m)
     for direction in Geodesic.of_order(_SPHERE_ORDER).nodes:
-        tilt = minimal_rotation(direction, np.array([0.0, 0.0, 1.0]))
-        seen = places_m @ tilt.T * (_SIDE_PX / (_SIDE_RADII * radius_m)) + 0.5 * _SIDE_PX
-        seen[:, 2] += _SIDE_PX  # above 0, which is empty
-        depth, owner = empty_buffers(_SIDE_PX, _SIDE_PX)
-        draw_parallel(seen, faces, depth, owner)
+        axes = minimal_rotation(direction, np.array([0.0, 0.0, 1.0]))
+        _, owner = draw_from_afar(places_m, faces, axes, scale, _SIDE_PX)
         shown[owner[owner >= 0]] = True
     return shown

@@ -21,7 +21,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.geometry.so3 import rotate_back_into
-from rendezview.geometry.zbuffer import draw_parallel, draw_perspective, empty_buffers
+from rendezview.geometry.zbuffer import draw_from_afar, draw_perspective, empty_buffers
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.lighting import TOLERANCE, light_strengths
 from rendezview.sensors.appearance.judge.gloss import GLOSS_ORDER, add_gloss
@@ -235,11 +235,8 @@ class DrawnEvidence:
         """Heights towards a Sun (3,), target axes; its axes (3, 3), and its pixels a metre."""
         tilt = minimal_rotation(sun, np.array([0.0, 0.0, 1.0]))
         scale = _SHADOW_PX / (2.0 * _SHADOW_RADII * self._radius_m)
-        seen = self._vertices @ tilt.T * scale + 0.5 * _SHADOW_PX
-        seen[:, 2] += _SHADOW_PX  # above 0, which is empty
-        depth, owner = empty_buffers(_SHADOW_PX, _SHADOW_PX)
-        draw_parallel(seen, self._faces, depth, owner)
-        return depth, tilt, scale
+        height, _ = draw_from_afar(self._vertices, self._faces, tilt, scale, _SHADOW_PX)
+        return height, tilt, scale
 
 
 @dataclass(frozen=True, slots=True, eq=False)
