@@ -9,7 +9,8 @@ import numpy as np
 
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance.hypothesis import Hypothesis
-from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.found import Found, share_of
+from rendezview.sensors.appearance.judge.rivals import RIVAL_RAD
 from rendezview.sensors.appearance.judge.sketch_choice import NEAR_RAD
 from rendezview.sensors.appearance.observation import CLOSE_MARGIN, AppearanceObservation
 from rendezview.sensors.observation import Status
@@ -46,11 +47,11 @@ def beside_look_alikes(
     pose = seen.pose
     if pose is None or not weighed:
         return seen
-    apart = [(angle_between(one.pose, pose, symmetries), one) for one in weighed]
-    own = float(sum(one.probability for angle, one in apart if angle < NEAR_RAD))
+    own = share_of(pose, weighed, symmetries)
     if own >= 0.5:
         return replace(seen, confidence=own)
-    angle, rival = next(each for each in apart if each[0] >= NEAR_RAD)
+    apart = [(angle_between(one.pose, pose, symmetries), one) for one in weighed]
+    angle, rival = next(each for each in apart if each[0] >= RIVAL_RAD)
     return replace(
         seen,
         status=Status.AMBIGUOUS,

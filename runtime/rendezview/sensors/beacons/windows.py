@@ -197,7 +197,7 @@ def window_noise(lit: Grey, dark: Grey, expected: Array, half: Array) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place_windows(
-    expected: Array, places: Array, before: Array, brightness: Array, unseen: Ints, ratio: float,
+    expected: Array, places: Array, before: Array, brightness: Array, aged: Ints, ratio: float,
     misses: int, options: _Options, half: Array, level: Array,
 ) -> None:  # fmt: skip
     """Move the places that a pose predicts by the last motion; set half widths and thresholds.
@@ -208,7 +208,7 @@ def place_windows(
     Args:
         expected: (N, 3) x, y, size at the last pose; moved in place, NaN where not visible.
         places, before: (N, 2) of the last reading and of the one before, NaN where not visible.
-        brightness: (N,) grey, when last visible; unseen: (N,) readings ago.
+        brightness: (N,) grey, when last visible; aged: (N,) readings ago.
         ratio: time to the next reading over time between the last two.
         misses: readings in a row without a pose.
         options: window_sizes, window_px, coasting_px, window_share, least_grey.
@@ -246,7 +246,7 @@ def place_windows(
                     nearest,
                     math.hypot(expected[i, 0] - expected[j, 0], expected[i, 1] - expected[j, 1]),
                 )
-        wide = sizes * expected[i, 2] + extra + coasting * (misses + unseen[i])
+        wide = sizes * expected[i, 2] + extra + coasting * (misses + aged[i])
         half[i] = min(wide, share * nearest)
         bright = brightness[i] if math.isfinite(brightness[i]) else usual
         level[i] = max(bright / 3.0, least)
