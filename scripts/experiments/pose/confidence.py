@@ -118,7 +118,7 @@ def rows_of(number: int, seed: int, frames: int, folder: Path) -> Rows:
         pose, found = look.seen.pose, look.seen.found
         confidence, on_sketch, best = np.nan, False, pose
         if found is not None:
-            confidence, on_sketch, best = found.confidence, found.on_sketch, pose or found.best.pose
+            confidence, on_sketch, best = found.right, found.on_sketch, pose or found.best.pose
         rows.append((
             confidence, look.error_deg(best), pose is not None, look.prior, on_sketch,
             look.truth is None,

@@ -261,7 +261,7 @@ def test_where_the_sketch_shows_nothing_likely_a_box_costs_no_search_on_grey_edg
     monkeypatch.setattr(PoseSearch, "anywhere", counted)  # is not asked at all
     seen = recognizer.recognize(frame, roi=box)
     assert seen.pose is None
-    assert seen.confidence == probability
+    assert seen.found.confidence == probability
     assert not asked
     probability = 0.55
     seen = recognizer.recognize(frame, roi=box)

@@ -108,7 +108,8 @@ class Doubtful(Restarting):
             return AppearanceObservation(Status.LOST, "nothing near", time_s=time_s)
         shares = (0.95, 0.05) if prior is None else ()
         weighed = tuple(Hypothesis(self.place, probability=share) for share in shares)
-        found = Found(Hypothesis(self.place), 1.0, True, prior is not None, weighed=weighed)
+        found = Found(Hypothesis(self.place), 1.0, dark=True, prior=prior is not None,
+                      weighed=weighed, probability=0.99)  # fmt: skip
         return AppearanceObservation(
             Status.OK, pose=self.place, confidence=0.99, time_s=time_s, found=found
         )

@@ -89,6 +89,11 @@ class AppearanceObservation(Observation):
         return (self.found.best.pose, *((rival.pose,) if rival and close else ()))
 
     @property
+    def certainty(self) -> float:
+        """Probability 0 … 1 that the pose is no other one, however large its errors are."""
+        return (self.confidence or 0.0) if self.found is None else self.found.certainty
+
+    @property
     def score(self) -> float:
         """The confidence of a refined pose; else the agreement of the trees, the sum of weights."""
         return float(self.weights.sum()) if self.confidence is None else self.confidence

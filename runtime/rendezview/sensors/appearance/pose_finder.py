@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
 import numpy.typing as npt
 
 from rendezview.estimation.hypotheses import best_by, choose
@@ -39,7 +40,7 @@ from rendezview.sensors.appearance.verdict import (
     beside_look_alikes,
     contradicted,
     contradiction,
-    is_known,
+    has_range,
     refused,
 )
 from rendezview.sensors.observation import Status
@@ -57,6 +58,8 @@ _HELD_FOR_WRONG = 0.5
 # merit; chance decides between two poses nearer to each other, where no look-alike was drawn.
 # Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
+# Rad; a pose that is further off is wrong. Source: the limit in the experiments
+_WRONG_RAD = np.deg2rad(10.0)
 # Bodies of a frame that are looked at closely. Source: Mitsuba frames before the Earth: of 120 with
 # two bodies 97 are right, with four 102 (docs/notes/photographs.md)
 _BODIES = 4
@@ -357,7 +360,7 @@ class PoseFinder:
             reason=None,
             pose=best.pose,
             covariance=best.covariance,
-            confidence=min(found.confidence, found.posterior),
+            confidence=found.right,
             joints=joints,
             found=found,
         )
@@ -370,4 +373,5 @@ class PoseFinder:
             close = found.posterior < LEAST_POSTERIOR
         else:
             close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
-        return found.confidence >= self.least_confidence and not close and is_known(found.best)
+        surely = found.confidence * found.share_within(_WRONG_RAD)
+        return surely >= self.least_confidence and not close and has_range(found.best)

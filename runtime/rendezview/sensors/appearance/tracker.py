@@ -291,7 +291,7 @@ class Tracker:
             place = self.recognizer.place_of(frame.image, prior)
         for roi in (frame.roi,) if place is None else (place, None):
             again = self._seen(frame._replace(roi=roi), thorough=self._motion is None)
-            sure = (again.confidence or 0.0) >= self.options.restart_confidence
+            sure = again.certainty >= self.options.restart_confidence
             if again.pose is not None and sure:
                 return again
         return None

@@ -19,20 +19,18 @@ from rendezview.sensors.observation import Status
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
 # Of a pose among its look-alikes. Source: docs/notes/rivals.md
 LEAST_POSTERIOR = 0.9
-# Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
-# tells how far. Source: by construction
-_MOST_SIGMA = 0.5
+# Of the range: one σ. Beyond, the frame leaves it open and no linear covariance tells how far.
+_MOST_SIGMA = 0.5  # Source: by construction
 
 
-def is_known(refined: Hypothesis) -> bool:
-    """Whether the edges of the frame determine the pose at all: σ of attitude and of range."""
+def has_range(refined: Hypothesis) -> bool:
+    """Whether the edges of the frame determine the range at all."""
     covariance, place_m = refined.covariance, refined.pose.translation_m
     if covariance is None:
         return False
     range_m = float(np.linalg.norm(place_m))
     along_m2 = float(place_m @ covariance[3:, 3:] @ place_m) / max(range_m, 1e-9) ** 2
-    turn_rad2 = float(np.trace(covariance[:3, :3]))
-    return turn_rad2 < _MOST_SIGMA**2 and along_m2 < (_MOST_SIGMA * range_m) ** 2
+    return along_m2 < (_MOST_SIGMA * range_m) ** 2
 
 
 def beside_look_alikes(
@@ -107,7 +105,7 @@ def refused(
         reason=reason,
         pose=None,
         covariance=None,
-        confidence=None if found is None else min(found.confidence, found.posterior),
+        confidence=None if found is None else found.right,
         joints=None,
         outline=replace(seen.reading, points_m=np.zeros((0, 3))),
         found=found,

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
+from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.appearance.hypothesis import Hypothesis
 from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.pose_finder import PoseFinder
+from rendezview.sensors.observation import Status
 
 SEEN = Pose(Rotation.from_euler("xyz", [20.0, 40.0, 60.0], degrees=True).as_matrix(),
             np.array([1.0, -2.0, 30.0]))  # fmt: skip
@@ -72,3 +76,31 @@ def test_a_pose_aligned_alone_is_no_surer_than_the_look_alike_that_it_is(degrees
     alone = by_grey_edges(moved(degrees, 0.0), None)
     assert alone.posterior == 1.0
     assert alone.known_among(weighed, []).posterior == pytest.approx(share)
+
+
+@pytest.mark.parametrize(
+    "sigmas_deg", [(0.3, 0.3, 0.3), (3.0, 3.0, 3.0), (0.5, 1.0, 8.0), (7.3, 7.3, 7.3)]
+)
+def test_a_pose_is_right_to_5_degrees_as_far_as_its_covariance_allows(sigmas_deg) -> None:
+    """Few edges fit a craft in shadow: its pose was 17° off, σ 7° an axis, and 0.86 sure."""
+    turn = np.diag(np.deg2rad(sigmas_deg) ** 2)
+    both = covariance(1.0, 0.1)
+    both[:3, :3] = turn
+    wide = Found(Hypothesis(SEEN, both), 1.0, dark=True, prior=True, probability=0.98)
+    errors = np.random.default_rng(3).multivariate_normal(np.zeros(3), turn, 100_000)
+    share = np.mean(np.linalg.norm(errors, axis=1) < np.deg2rad(5.0))
+    assert wide.share_within(np.deg2rad(5.0)) == pytest.approx(share, abs=0.05)
+    assert wide.right == pytest.approx(wide.certainty * share, abs=0.05)
+
+
+@pytest.mark.parametrize(("sigma_deg", "given"), [(0.3, True), (3.0, True), (7.3, False)])
+def test_a_pose_that_may_well_be_10_degrees_off_is_not_given(
+    refining_model, sigma_deg, given
+) -> None:
+    finder = PoseFinder(refining_model, Camera.from_fov(640, 480, 0.9), None, None, refine=True,
+                        trees=False, sketch=False, least_confidence=0.6)  # fmt: skip
+    best = Hypothesis(SEEN, covariance(sigma_deg, 0.1))
+    found = Found(best, 1.0, dark=True, prior=True, probability=0.98)
+    judged = finder.judged(AppearanceObservation(Status.OK, found=found))
+    assert (judged.pose is not None) == given
+    assert judged.confidence == found.right

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import expit, logit
+from scipy.special import expit, gammainc, logit
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between, nearest_alike
@@ -105,10 +105,33 @@ class Found:
 
     @property
     def confidence(self) -> float:
-        """Probability that the best pose is right to 5°, 0 … 1."""
+        """Probability 0 … 1 that the best pose is the right one, to the errors of its edges."""
         if self.probability is not None:
             return self.probability
         return ErrorModel.packaged().confidence(self.features)
+
+    @property
+    def certainty(self) -> float:
+        """The same, and among its look-alikes."""
+        return min(self.confidence, self.posterior)
+
+    @property
+    def right(self) -> float:
+        """Probability 0 … 1 that the best pose is right to 5°."""
+        return self.certainty * self.share_within(RIVAL_RAD)
+
+    def share_within(self, error_rad: float) -> float:
+        """Share 0 … 1 of its covariance where the attitude is off by less than some angle.
+
+        The squared error is taken as gamma-distributed, with mean and variance of the covariance
+        (Satterthwaite 1946).
+        """
+        covariance = self.best.covariance
+        if covariance is None:
+            return 0.0
+        turn = covariance[:3, :3]
+        mean, variance = float(np.trace(turn)), 2.0 * float((turn**2).sum())
+        return float(gammainc(mean**2 / variance, error_rad**2 * mean / variance))
 
     def with_opinion(self, second: Found, symmetries: Sequence[Symmetry]) -> Found:
         """The more confident of two choices on sketches, with the probability that both give."""
