@@ -34,8 +34,10 @@ def explained(
 
 
 @contextlib.contextmanager
-def optional(who: str, extra: str, said: str = "") -> Iterator[None]:
+def optional(who: str, extra: str, said: str = "", instead: str = "") -> Iterator[None]:
     """Say how to install the package that an import misses; ``who`` needs it.
+
+    ``instead``: another way out.
 
     Raises:
         RendezviewError: it is not installed.
@@ -46,5 +48,5 @@ def optional(who: str, extra: str, said: str = "") -> Iterator[None]:
         if (error.name or "").startswith("rendezview"):
             raise
         raise RendezviewError(
-            f"{who} {error.name}{said}: pip install 'rendezview[{extra}]'"
+            f"{who} {error.name}{said}: pip install 'rendezview[{extra}]'{instead}"
         ) from None

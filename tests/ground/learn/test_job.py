@@ -15,7 +15,7 @@ from tests.quick_training import EVERY_STAGE, FEW_STAGES
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import ViewModel
-from rendezview_ground.learn.job import train
+from rendezview_ground.learn.job import provenance, train
 from rendezview_ground.learn.options import view_geometry
 from rendezview_ground.mesh.mesh import Mesh
 
@@ -163,6 +163,16 @@ def test_a_model_says_how_it_was_made(tiny_model, tiny_options, bumpy_mesh):
     assert {"numpy", "numba", "rendezview"} <= set(made["versions"])
     assert tiny_model.centre_m == pytest.approx(bumpy_mesh.bounding_sphere[0])
     assert tiny_model.sphere_radius_m == pytest.approx(3.0 * tiny_model.target_radius_m)
+
+
+def test_colours_and_parts_decide_a_model_like_the_shape(bumpy_mesh, tiny_options):
+    part = np.zeros(len(bumpy_mesh.faces), np.uint8)
+    same, *others = (
+        provenance(dataclasses.replace(bumpy_mesh, **change), tiny_options, None)["mesh_sha256"]
+        for change in ({}, {"face_rgb": 0.5 * bumpy_mesh.face_rgb}, {"face_part": part})
+    )
+    assert same == provenance(bumpy_mesh, tiny_options, None)["mesh_sha256"]
+    assert len({same, *others}) == 3
 
 
 def test_nodes_are_right_about_views_they_were_and_were_not_trained_on(tiny_model):

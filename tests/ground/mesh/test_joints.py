@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +15,16 @@ from rendezview.cli.compiling import load_loops, type_to_json
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.io.target import Target
+from rendezview.geometry.symmetry import Symmetry
+from rendezview.io.target import DockingRing, Target
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.edges.grey import point_of_slope, points_of_slopes
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.tracker import Tracker
 from rendezview.sensors.observation import Status
+from rendezview_ground.learn import joint_configurations
+from rendezview_ground.learn.job import Trained
+from rendezview_ground.learn.options import view_geometry
 from rendezview_ground.learn.target_job import train_target
 from rendezview_ground.mesh.joints import configuration_angles, posed, with_parts
 from rendezview_ground.mesh.mesh import Mesh, load_mesh
@@ -163,6 +168,35 @@ def test_its_tables_are_those_that_loops_are_compiled_for(model: ViewModel, came
     """Though its points are turned in place."""
     (listed,) = [e for e in load_loops("track") if e["loop"].endswith(".alignment:align")]
     assert type_to_json(typeof(Refiner(model, camera).views)) in listed["arguments"]
+
+
+@pytest.mark.parametrize(
+    ("change", "goes_on"),
+    [
+        ({}, True),
+        ({"shape_error": 0.01}, False),
+        ({"docking_ring": DockingRing(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.3)}, False),
+        ({"symmetries": (Symmetry("discrete", np.array([0.0, 0.0, 1.0]), np.pi),)}, False),
+    ],
+)
+def test_configurations_of_a_killed_training_are_kept_for_the_same_target_file_only(
+    tmp_path: Path, target: Target, model: ViewModel, monkeypatch: pytest.MonkeyPatch,
+    change: dict[str, Any], goes_on: bool,
+) -> None:  # fmt: skip
+    path, begun = tmp_path / "winged.rvm", list[Path]()
+    path.with_name("winged.rvm.sheets").mkdir()
+    for k, kept in enumerate((model, *model.configurations)):
+        alone = replace(kept, joints=(), angles_rad=np.zeros(0), configurations=())
+        alone.save(path.with_name("winged.rvm.sheets") / f"{k:02d}.rvm")
+
+    def begin(mesh: Mesh, file: Path, **_: Any) -> Trained:
+        begun.append(file)
+        return Trained(ViewModel.load(file), None, view_geometry(mesh, OPTIONS, None))
+
+    monkeypatch.setattr(joint_configurations, "train", begin)
+    mesh = load_mesh(target.mesh_path, target.unit)
+    train_target(replace(target, **change), mesh, path, options=OPTIONS, jobs=1)
+    assert len(begun) == (0 if goes_on else 2)
 
 
 @pytest.mark.parametrize("angle_deg", [2.0, 14.0, 26.0])

@@ -94,5 +94,5 @@ def test_without_the_extra_a_step_file_names_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "cascadio", None)
     (tmp_path / "a.step").write_text("ISO-10303-21;\n")
-    with pytest.raises(RendezviewError, match=r"pip install 'rendezview\[step\]'"):
+    with pytest.raises(RendezviewError, match=r"pip install 'rendezview\[step\]', or export"):
         load_mesh(tmp_path / "a.step")

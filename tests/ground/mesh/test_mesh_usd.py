@@ -129,5 +129,5 @@ def test_without_the_extra_a_usd_file_names_it(
     stage_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pxr", None)
-    with pytest.raises(RendezviewError, match=r"pip install 'rendezview\[usd\]'"):
+    with pytest.raises(RendezviewError, match=r"pip install 'rendezview\[usd\]', or export"):
         load_mesh(stage_path)

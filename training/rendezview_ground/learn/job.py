@@ -23,6 +23,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
+from rendezview.io.results import json_value
 from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance.model.view_model import HeldOut, ViewModel, Views
 from rendezview_ground.learn.jobs.cores import Cores
@@ -107,7 +108,9 @@ def train(
     renderer = make_renderer(options.renderer, drawn)
     surfaces = renderer if isinstance(renderer, PyrenderRenderer) else None
     port = port or docking_ring
-    key = inputs | {"code": _code_sha256(), "port": None if port is None else port.record()}
+    sphere = [*geometry.centre_m.tolist(), geometry.target_radius_m]
+    key = inputs | {"code": _code_sha256(), "sphere": sphere}
+    key |= {"port": None if port is None else port.record()}
     shards = Shards(path.with_name(path.name + ".partial"), key)
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the jobs are the parallelism
@@ -210,15 +213,19 @@ _UNMEASURED = HeldOut(
 )
 
 
-def kept_model(path: Path, name: str, made: dict[str, Any]) -> ViewModel | None:
-    """The model of an earlier run of the same inputs (``provenance``); None if there is none."""
+def kept_model(path: Path, made: dict[str, Any], stated: dict[str, Any]) -> ViewModel | None:
+    """The model of an earlier run of the same inputs (``provenance``); None if there is none.
+
+    ``stated``: its fields that are given, not computed from those inputs.
+    """
     if not path.is_file():
         return None
     try:
         model = ViewModel.load(path)
     except RendezviewError:
         return None  # damaged: trained again
-    same = model.name == name and model.provenance == json.loads(json.dumps(made))
+    wanted = {"provenance": json.loads(json.dumps(made))} | stated
+    same = all(json_value(getattr(model, key)) == json_value(v) for key, v in wanted.items())
     return model if same else None
 
 
@@ -236,8 +243,9 @@ def provenance(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -> d
     digest = hashlib.sha256()
     digest.update(np.ascontiguousarray(mesh.vertices_m, dtype="<f8").tobytes())
     digest.update(np.ascontiguousarray(mesh.faces, dtype="<i4").tobytes())
-    if mesh.face_trust is not None:
-        digest.update(np.ascontiguousarray(mesh.face_trust, dtype="<f4").tobytes())
+    for of_faces in (mesh.face_rgb, mesh.face_trust, mesh.face_part):
+        if of_faces is not None:
+            digest.update(np.ascontiguousarray(of_faces, dtype="<f4").tobytes())
     packages = ["rendezview", "numpy", "opencv-python-headless", "numba", "scikit-learn"]
     if options.renderer is Renderer.PYRENDER and importlib.util.find_spec("pyrender"):
         packages.append("pyrender")

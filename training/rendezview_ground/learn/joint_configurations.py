@@ -10,6 +10,7 @@ from typing import Any
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.joint import Joint
+from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview_ground.learn.job import Trained, kept_model, provenance, train
 from rendezview_ground.learn.jobs.stages import Progress
 from rendezview_ground.learn.options import TrainingOptions, view_geometry
@@ -51,6 +52,8 @@ def train_configurations(
     angles = configuration_angles(joints, step_rad)
     sphere = common_sphere(mesh, joints)
     options, camera = arguments.get("options"), arguments.get("camera")
+    stated = {k: v for k, v in arguments.items() if k in ViewModel.__dataclass_fields__}
+    stated |= {"centre_m": sphere[0], "target_radius_m": sphere[1]}
     folder = path.with_name(path.name + ".sheets")
     if not path.parent.is_dir():
         raise RendezviewError(f"{path}: give a file name in an existing folder for the model")
@@ -65,7 +68,7 @@ def train_configurations(
                 progress(f"{stage} {number}/{len(angles)}", done, of)
 
         made = provenance(configuration, options or TrainingOptions(), camera)
-        kept = kept_model(file, arguments["name"], made)
+        kept = kept_model(file, made, stated)
         if kept is None:
             trained = train(configuration, file, bounding_sphere=sphere, progress=tell, **arguments)
             first, kept = first or trained, trained.model

@@ -7,7 +7,6 @@ from typing import Any
 
 from rendezview.geometry.camera import Camera
 from rendezview.io.bundled import find_target
-from rendezview.io.results import json_value
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
 from rendezview_ground.learn import job
@@ -67,8 +66,7 @@ def train_target(
             ``train_configurations``.
     """
     step_rad = arguments.pop("step_rad", STEP_RAD)
-    arguments |= {"name": target.name, "shape_error": target.shape_error}
-    arguments |= {"docking_ring": target.docking_ring, "reflectors": target.reflectors}
+    arguments |= _stated(target)
     whole, joints = _whole(target, mesh, unit), [parts.joint for parts in target.joints]
     if not joints:
         alike = target.symmetries or find_symmetries(whole)
@@ -86,15 +84,16 @@ def is_trained(
     first, joints = _whole(target, mesh, unit), tuple(parts.joint for parts in target.joints)
     if joints:
         first = posed(first, joints, configuration_angles(joints, STEP_RAD)[0])
-    model = job.kept_model(output, target.name, job.provenance(first, options, camera))
-    if model is None:
-        return False
-    stated = [
-        (target.docking_ring, model.docking_ring), (target.reflectors, model.reflectors),
-        (target.shape_error, model.shape_error), (joints, model.joints),
-        (target.symmetries or model.symmetries, model.symmetries),
-    ]  # fmt: skip
-    return all(json_value(wanted) == json_value(found) for wanted, found in stated)
+    stated = _stated(target) | {"joints": joints}
+    if target.symmetries:
+        stated["symmetries"] = target.symmetries
+    return job.kept_model(output, job.provenance(first, options, camera), stated) is not None
+
+
+def _stated(target: Target) -> dict[str, Any]:
+    """What a target's file says of its model beside the mesh, as ``job.train`` takes it."""
+    names = ("name", "shape_error", "docking_ring", "reflectors")
+    return {name: getattr(target, name) for name in names}
 
 
 def _whole(target: Target, mesh: Mesh, unit: str | None) -> Mesh:

@@ -118,7 +118,8 @@ class Buffers:
 
     def _package(self, extension: str) -> AbstractContextManager[None]:
         """Of the package that unpacks an extension."""
-        return optional(f"{self._path}: its geometry is compressed ({extension}): it needs", "gltf")
+        who = f"{self._path}: its geometry is compressed ({extension}): it needs"
+        return optional(who, "gltf", instead=", or export it without compression")
 
 
 def _fractions(values: Numbers, accessor: dict[str, Any]) -> Numbers:

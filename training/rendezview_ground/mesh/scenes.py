@@ -52,13 +52,16 @@ def no_such_node(path: Path, name: str, words: str, names: list[str]) -> Rendezv
     return RendezviewError(f"{path}#{name}: {words} {name!r}; it has {listed}")
 
 
+OR_EXPORT = ", or export the mesh as GLB"  # what a file needs whose reader is missing
+
+
 def triangulate_step(path: Path, output: Path) -> int:
     """Write a STEP file as GLB, metres, by OpenCASCADE; the number of bytes written.
 
     Raises:
         RendezviewError: the reader is not installed, or cannot read the file.
     """
-    with optional(f"{path}: STEP files need", "step"):
+    with optional(f"{path}: STEP files need", "step", instead=OR_EXPORT):
         import cascadio
     with _quiet_descriptors():
         status = cascadio.step_to_glb(

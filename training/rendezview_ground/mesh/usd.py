@@ -19,7 +19,7 @@ from rendezview_ground.mesh.colours import Rgb, grey
 from rendezview_ground.mesh.mesh_file import MeshFile, Part, joined
 from rendezview_ground.mesh.notes import counted
 from rendezview_ground.mesh.polygon import cut_note, cut_polygons
-from rendezview_ground.mesh.scenes import no_such_node
+from rendezview_ground.mesh.scenes import OR_EXPORT, no_such_node
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
@@ -34,7 +34,7 @@ def read_usd(path: Path, node: str | None) -> MeshFile:
     Raises:
         RendezviewError: the library is not installed, or there is no such prim.
     """
-    with optional(f"{path}: USD files need", "usd"):
+    with optional(f"{path}: USD files need", "usd", instead=OR_EXPORT):
         from pxr import Usd, UsdGeom
     stage = Usd.Stage.Open(str(path))
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
