@@ -81,7 +81,7 @@ def sunlight_of_a_craft(rng):
     points, normals = rng.uniform(-0.6, 0.6, (60, 3)), unit(rng.normal(size=(60, 3)))
     albedo, sun, tilt = rng.uniform(0.1, 1.0, 60), unit(rng.normal(size=3)), turn(rng)
     out, share = np.empty((2, 60))
-    drawn._sunlit(points, normals, albedo, sun, tilt, 15.0, depth, out)
+    drawn._sunlit(points, normals, albedo, sun, 15.0 * tilt, depth, out)
     cosine = normals @ sun
     u, v, w = (tilt @ (15.0 * points.T)) + 32.0 * np.array([[0.5], [0.5], [1.5]])
     with np.errstate(invalid="ignore"):

@@ -22,6 +22,7 @@ from tests.waiting import MOST_S
 from experiments.startup.recorded import recorded
 from rendezview.cli import compiling
 from rendezview.cli import warm as warm_command
+from rendezview.cli.main import main
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance.model.view_tables import ViewTables
@@ -221,6 +222,16 @@ def test_a_machine_is_warmed_for_the_commands_that_are_named(monkeypatch):
         warm_command.warm(["trak"])
 
 
+@pytest.mark.parametrize("command", ["doctor", "simulate", "evaluate", "assess", "show", "track"])
+def test_no_command_compiles_silently(monkeypatch, command):
+    told: list[bool] = []
+    monkeypatch.setattr(compiling, "tell_of_compiling", lambda: told.append(True))
+    monkeypatch.setattr(sys, "argv", ["rendezview", command, "--no-such-option"])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert told == [True]
+
+
 def test_a_loop_that_is_compiled_unexpectedly_is_announced_once(monkeypatch):
     said: list[str] = []
     listeners: list[compiling.Compiling] = []
@@ -233,6 +244,9 @@ def test_a_loop_that_is_compiled_unexpectedly_is_announced_once(monkeypatch):
         njit(lambda x: x + 2)(1)
 
     with install_listener("numba:compile", *listeners):
+        monkeypatch.setattr(compiling, "_named", lambda name: njit(lambda x: x - 1))
+        compiling._compile([{"loop": "one", "arguments": ["int64"], "seconds": 1.0}])
+        assert said == []  # that is announced before
         work()
     assert len(said) == 1
     entries = recorded(lambda: njit(lambda x: 2.0 * x)(1))

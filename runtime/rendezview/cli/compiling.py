@@ -30,6 +30,7 @@ from numba import types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.errors import NumbaError
 from numba.core.event import Event, Listener, register
+from numba.core.lowering import Lower
 
 from rendezview.cli.progress import ProgressBar, say
 from rendezview.io.file_lock import lock
@@ -46,6 +47,7 @@ COMMANDS = {
 GROUPS = tuple(dict.fromkeys(group for groups in COMMANDS.values() for group in groups))
 _MOST_PROCESSES = 6  # with more, each mostly imports. Source: experiment compiled-loops
 _SAY_EVERY_S = 10.0  # s, where there is no bar. Source: a chosen limit
+_ahead = threading.Event()  # set while this process compiles loops ahead
 # Source: experiment compiled-loops, twice the start of a process
 _LEAST_S = 4.0  # s; what takes less to compile is compiled where it is called
 
@@ -230,9 +232,10 @@ _EACH_S = 0.3
 
 
 def tell_of_compiling() -> None:
-    """From now on, one line on stderr when this process begins to compile a loop itself."""
+    """From now on, one line on stderr when this process compiles a loop, but for those ahead."""
     once = cache(lambda: say("Compiling loops for this machine, only once …"))
-    register("numba:compile", Compiling(began=once))  # type: ignore[no-untyped-call]
+    began = Compiling(began=lambda: None if _ahead.is_set() else once())
+    register("numba:compile", began)  # type: ignore[no-untyped-call]
 
 
 class Compiling(Listener):
@@ -310,7 +313,7 @@ def _compile(entries: list[dict[str, Any]], done: Callable[[float], None] | None
 
     ``done`` is called after each, with the seconds of the list.
     """
-    with _saved_in_turn(), _without_collection():
+    with _saved_in_turn(), _without_collection(), _without_entries_for_c():
         for entry in entries:
             with contextlib.suppress(NumbaError, AttributeError, ImportError, TypeError):
                 loop = _named(entry["loop"])
@@ -339,18 +342,39 @@ def _saved_in_turn() -> Iterator[None]:
     and writes the index again. Two processes that do so at once lose a version, or give two of
     them one file.
     """
-    numba_s: Any = IndexDataCacheFile
-    save = numba_s.save
+    save = IndexDataCacheFile.save
 
     def save_in_turn(self: Any, key: Any, data: Any) -> None:
         with _alone(Path(self._cache_path)):
-            save(self, key, data)
+            save(self, key, data)  # type: ignore[no-untyped-call]
 
-    numba_s.save = save_in_turn
+    with _replaced(IndexDataCacheFile, "save", save_in_turn):
+        yield
+
+
+@contextlib.contextmanager
+def _without_entries_for_c() -> Iterator[None]:
+    """Meanwhile numba makes no entry for callers in C: a tenth of its time, and nothing calls it.
+
+    It would be one more copy of all that a loop inlines.
+    """
+    _ahead.set()
+    try:
+        with _replaced(Lower, "create_cfunc_wrapper", lambda self: None):
+            yield
+    finally:
+        _ahead.clear()
+
+
+@contextlib.contextmanager
+def _replaced(owner: Any, name: str, other: Callable[..., Any]) -> Iterator[None]:
+    """Meanwhile a class of numba's has another method."""
+    own = getattr(owner, name)
+    setattr(owner, name, other)
     try:
         yield
     finally:
-        numba_s.save = save
+        setattr(owner, name, own)
 
 
 @contextlib.contextmanager

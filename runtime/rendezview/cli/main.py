@@ -173,7 +173,12 @@ def main() -> None:
     try:
         everything = _EVERYTHING in arguments
         sys.argv[1:] = ["--help" if word == _EVERYTHING else word for word in arguments]
-        make_app(_called(arguments), everything=everything)()
+        app = make_app(_called(arguments), everything=everything)
+        if "numba" in sys.modules:  # of the command that is called
+            from rendezview.cli.compiling import tell_of_compiling
+
+            tell_of_compiling()
+        app()
     except RendezviewError as error:
         print(f"rendezview: {error}", file=sys.stderr)
         sys.exit(1)

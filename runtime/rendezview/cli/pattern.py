@@ -18,7 +18,7 @@ from rendezview.calibration.pattern import (
     sightings_of_log,
     sightings_of_readings,
 )
-from rendezview.cli.compiling import compile_ahead, tell_of_compiling
+from rendezview.cli.compiling import compile_ahead
 from rendezview.cli.inputs import CameraFile, check_positive, given_camera, numbers_of
 from rendezview.cli.progress import ProgressBar, say, say_table
 from rendezview.cli.reflectors import pairs_of
@@ -106,7 +106,6 @@ def _sightings(
     if len(cameras) != 1:
         raise RendezviewError(f"{places[0]}: needs pictures of one camera: give it with --camera")
     compile_ahead("reflectors")
-    tell_of_compiling()
     readings = []
     with ProgressBar() as bar:
         done = bar.stage("readings", len(pairs))

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from rendezview.cli.budget import BudgetReport
-from rendezview.cli.compiling import compile_ahead, tell_of_compiling
+from rendezview.cli.compiling import compile_ahead
 from rendezview.cli.inputs import CameraFile, numbers_of, say_once
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
@@ -298,7 +298,6 @@ def _run(
 ) -> None:  # fmt: skip
     """Write log and pictures of all readings; a run that starts without a pose gets a hint."""
     compile_ahead("reflectors")
-    tell_of_compiling()
     hint = _Hint(options)
 
     def lines() -> Iterator[Line]:

@@ -14,7 +14,7 @@ from rendezview.calibration.board import OPENCV_FIVE, Chessboard, calibrate_boar
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.calibration.laboratory_files import load_record
 from rendezview.cli.budget import BudgetReport
-from rendezview.cli.compiling import compile_ahead, tell_of_compiling
+from rendezview.cli.compiling import compile_ahead
 from rendezview.cli.inputs import board_of, check_apart, check_positive
 from rendezview.cli.progress import ProgressBar, say, say_summary, say_table
 from rendezview.errors import RendezviewError
@@ -143,7 +143,6 @@ def track(
     if not series:
         raise RendezviewError(f"{readings}: holds no readings")
     compile_ahead("stereo")
-    tell_of_compiling()
     report = BudgetReport(budget)
 
     def lines() -> Iterator[Line]:

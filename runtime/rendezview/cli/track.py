@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from rendezview.cli.compiling import COMMANDS, compile_ahead, compile_beside, tell_of_compiling
+from rendezview.cli.compiling import COMMANDS, compile_ahead, compile_beside
 from rendezview.cli.guide import (
     AemFile,
     ChaserFile,
@@ -161,7 +161,6 @@ def track(
     # Frames of a file wait for loops that only hard ones need; those of a camera do not.
     ahead, later = (("track",), ("hard",)) if taken is None else (COMMANDS["track"], ())
     compile_ahead(*ahead)
-    tell_of_compiling()
     guide = _guide(loaded, plan, shape, chaser, oem, aem, refine)
     film = video_of(video, sequence, loaded) if video else None
     view = LiveView() if show else None

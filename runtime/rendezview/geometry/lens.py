@@ -71,7 +71,7 @@ def is_polynomial(lens: Array) -> bool:
     return lens[_MODEL] == 0.0  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def polynomial(x: float, y: float, lens: Array) -> tuple[float, float]:
     """OpenCV's distortion of normalised coordinates by at most 8 terms; without branches."""
     r2 = x * x + y * y
@@ -83,7 +83,7 @@ def polynomial(x: float, y: float, lens: Array) -> tuple[float, float]:
     return u, v
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def distorted(x: float, y: float, lens: Array) -> tuple[float, float]:
     """OpenCV's distortion of normalised coordinates; ``lens`` of ``lens_vector``."""
     u, v = polynomial(x, y, lens)

@@ -14,7 +14,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from rendezview.cli.compiling import compile_ahead, compile_beside, tell_of_compiling
+from rendezview.cli.compiling import compile_ahead, compile_beside
 from rendezview.cli.main import GROUP
 from rendezview.cli.progress import ProgressBar
 from rendezview.geometry import so3
@@ -89,7 +89,6 @@ def demo(
     make_folder(output)
     model_path = output / f"{target.name}.rvm"
     compile_ahead("train")
-    tell_of_compiling()
     with compile_beside("track", "hard", "demo") as compiled, ProgressBar() as progress:
         console.print(f"1. Training {target.name} on {len(mesh.faces)} triangles …")
         trained = train(

@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from rendezview.cli.compiling import tell_of_compiling
 from rendezview.cli.progress import ProgressBar
 from rendezview.io.bundled import find_target
 from rendezview.io.files import make_folder
@@ -102,7 +101,6 @@ def fly(
     others = None if beside is None else read_json_lines(beside)
     make_folder(output)
     views = None
-    tell_of_compiling()
     with ProgressBar() as progress:
         if frames is Frames.RENDERED and live is None:
             path = model or output / f"{found.name}.rvm"

@@ -125,8 +125,10 @@ def _window_mean(image: Picture, top: int, left: int, side: int) -> int:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _quantile(counts: npt.NDArray[np.int64], share: float) -> float:
     """Grey level below which a share of the counts (256,) lies, interpolated within its level."""
-    wanted = share * counts.sum()
-    passed, grey = 0, 0
+    total, passed, grey = 0, 0, 0
+    for count in counts:
+        total += count
+    wanted = share * total
     while passed + counts[grey] <= wanted:
         passed += counts[grey]
         grey += 1

@@ -77,7 +77,8 @@ def nearest_views(
     y = -(rotation[0, 1] * centre[0] + rotation[1, 1] * centre[1] + rotation[2, 1] * centre[2])
     z = -(rotation[0, 2] * centre[0] + rotation[1, 2] * centre[1] + rotation[2, 2] * centre[2])
     last = len(views) - 1
-    most = np.full(len(views), -2.0 * distance)
+    most = np.empty(len(views))
+    most[:] = -2.0 * distance
     for i in range(directions.shape[0]):
         along = directions[i, 0] * x + directions[i, 1] * y + directions[i, 2] * z
         if along > most[last]:

@@ -209,8 +209,9 @@ def expected_profile(
     _places_into(px, py, pz, edge, outline, start, body_px, view, axes, scratch.places)
     shaded = False
     if outline:
-        away[0], away[1], away[2] = px - eye[0], py - eye[1], pz - eye[2]
-        away /= np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
+        x, y, z = px - eye[0], py - eye[1], pz - eye[2]
+        length = np.sqrt(x * x + y * y + z * z)
+        away[0], away[1], away[2] = x / length, y / length, z / length
         rise = -start[0, 1] * DEPTH_UNIT
         shaded = in_shadow(start_radii(start[0, 0]), rise, view.sunward, axes, away)
     steps = profile_steps(

@@ -111,7 +111,7 @@ def _shape_at(
     return shape, slope
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _sums(
     profile: Array, first: int, last: int, zero: int, place: float, gain: float, tilt: float,
     base: float, inverse: float, depths: Array, levels: Array, steps: int,
@@ -142,7 +142,7 @@ def _sums(
     return a00, a01, a02, a03, a11, a12, a13, a22, a23, r0, r1, r2, r3, cost
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _solved(
     sums: _Sums, used: int, gain: float, tilt: float, height: float, noise: float, held: bool,
     first: bool,

@@ -231,12 +231,12 @@ class DrawnEvidence:
         draw_perspective(vertices, self._faces, fx, fy, cx, cy, near_m, nearness, owner)
         return nearness, owner
 
-    def shadow_map(self, sun: Array) -> tuple[Float32s, Array, float]:
-        """Heights towards a Sun (3,), target axes; its axes (3, 3), and its pixels a metre."""
+    def shadow_map(self, sun: Array) -> tuple[Float32s, Array]:
+        """Heights towards a Sun (3,), target axes; its axes (3, 3), pixels a metre."""
         tilt = minimal_rotation(sun, np.array([0.0, 0.0, 1.0]))
         scale = _SHADOW_PX / (2.0 * _SHADOW_RADII * self._radius_m)
         height, _ = draw_from_afar(self._vertices, self._faces, tilt, scale, _SHADOW_PX)
-        return height, tilt, scale
+        return height, scale * tilt
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -301,9 +301,9 @@ class Drawn:
     def sunlit(self, sun_camera: Array) -> Array:
         """(N,) albedo times the cosine to a Sun (3,), 0 in shadow."""
         sun = self.pose.rotation.T @ sun_camera
-        depth, tilt, scale = self.evidence.shadow_map(sun)
+        depth, axes = self.evidence.shadow_map(sun)
         sunlit = np.empty(len(self.where))
-        _sunlit(self.points, self.normals, self.albedo, sun, tilt, scale, depth, sunlit)
+        _sunlit(self.points, self.normals, self.albedo, sun, axes, depth, sunlit)
         return sunlit
 
 
@@ -353,7 +353,9 @@ def _surface_at(
     """Fill points and normals (N, 3), target axes, of pixels ``where``; see ``Drawn``."""
     width = owner.shape[1]
     eye, q = np.empty(3), np.empty(3)
-    rotate_back_into(rotation, -centre, eye)
+    for i in range(3):
+        q[i] = -centre[i]
+    rotate_back_into(rotation, q, eye)
     for k in range(len(where)):
         row, column = where[k] // width, where[k] % width
         z = 1.0 / nearness[row, column]
@@ -371,11 +373,11 @@ def _surface_at(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _sunlit(
-    points: Array, normals: Array, albedo: Array, sun: Array, tilt: Array, scale: float,
-    depth: Float32s, out: Array,
+    points: Array, normals: Array, albedo: Array, sun: Array, axes: Array, depth: Float32s,
+    out: Array,
 ) -> None:  # fmt: skip
     """Fill ``out`` (N,): albedo times the cosine to the Sun, 0 in shadow; see ``shadow_map``."""
-    size, axes = depth.shape[0], scale * tilt
+    size = depth.shape[0]
     for k in range(len(out)):
         out[k] = 0.0
         cosine = normals[k, 0] * sun[0] + normals[k, 1] * sun[1] + normals[k, 2] * sun[2]

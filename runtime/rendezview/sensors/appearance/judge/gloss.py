@@ -41,17 +41,21 @@ def add_gloss(
         cell_px: pixels of an independent cell.
         levels: (N,) of the matt model; they stay above black.
     """
-    count = facets.max() + 1
+    count = 0
+    for facet in facets:
+        count = max(count, facet + 1)
     fields, normal, right = np.zeros((count, 3)), np.empty((count, 3, 3)), np.empty((count, 3))
-    lower, lit = np.empty((3, 3)), np.flatnonzero(sunlit > 0.0)
+    lower = np.empty((3, 3))
     for step in range(_ROUNDS):
-        _sums(places, facets, lit, seen, levels, tolerance, fields, step, normal, right)
+        _sums(places, facets, sunlit, seen, levels, tolerance, fields, step, normal, right)
         for k in range(count):
             if normal[k, 0, 0] > 0.0:
                 for i in range(3):
                     normal[k, i, i] += _MATT_CELLS * cell_px * (1.0 if i == 0 else _LEVEL_SHARE)
                 solve(normal[k], right[k], lower, fields[k])
-    for n in lit:
+    for n in range(len(levels)):
+        if not sunlit[n] > 0.0:
+            continue
         k = facets[n]
         more = fields[k, 0] + fields[k, 1] * places[n, 0] + fields[k, 2] * places[n, 1]
         levels[n] = max(levels[n] + more, 0.0)
@@ -59,13 +63,15 @@ def add_gloss(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _sums(
-    places: Array, facets: Indices, lit: Indices, seen: Array, levels: Array, tolerance: float,
+    places: Array, facets: Indices, sunlit: Array, seen: Array, levels: Array, tolerance: float,
     fields: Array, step: int, normal: Array, right: Array,
 ) -> None:  # fmt: skip
     """Normal equations (K, 3, 3), (K, 3) of all fields; those before give the weights."""
     normal[:] = 0.0
     right[:] = 0.0
-    for n in lit:
+    for n in range(len(levels)):
+        if not sunlit[n] > 0.0:
+            continue
         k, x, y, rest, weight = facets[n], places[n, 0], places[n, 1], seen[n] - levels[n], 1.0
         if step > 0:  # Geman and McClure 1987
             r = (rest - fields[k, 0] - fields[k, 1] * x - fields[k, 2] * y) / tolerance

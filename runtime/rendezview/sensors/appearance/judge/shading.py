@@ -149,18 +149,23 @@ def shading(
     if found < LEAST_POINTS:
         return 0.0, 0.0
     black = frame[1] if frame[2] > 0.0 else 0.0
-    levels[:found] -= black
+    for k in range(found):  # slices of arrays take numba seconds to compile
+        levels[k] -= black
     every = 1 + found // _FITTED
-    some = levels[:found:every].copy()
-    albedo, sunlit = surface.albedo[which[:found:every]], np.empty(len(some))
+    kept = (found + every - 1) // every
+    some, albedo, sunlit = np.empty(kept), np.empty(kept), np.empty(kept)
+    for k in range(kept):
+        some[k], albedo[k] = levels[k * every], surface.albedo[which[k * every]]
     tolerance = _TOLERANCE * quantile(some, 0.01 * BRIGHT_PERCENTILE) + frame[0]
-    away = centre / np.sqrt(_dot(centre, centre))
+    away, range_m = np.empty(3), np.sqrt(_dot(centre, centre))
+    for a in range(3):
+        away[a] = centre[a] / range_m
     strengths, chosen = np.empty(2), np.zeros(2)
-    tried, best = np.empty(3), np.inf
+    tried, middle, best = np.empty(3), np.empty(3), np.inf
     node, rounds = int(np.int64(-1)), int(np.int64(ROUNDS))  # literals: numba would compile copies
     known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
     for nodes, near in _SUN_LEVELS:
-        middle = sun.copy()
+        copy_into(sun, middle)
         for s in range(min(nodes, surface.nodes.shape[0])):
             d = surface.nodes[s]
             rotate_into(rotation, d, tried)
@@ -169,7 +174,7 @@ def shading(
                     continue
             elif _dot(tried, away) > -BEHIND or (near > -1.0 and _dot(tried, middle) < near):
                 continue
-            for k in range(len(some)):
+            for k in range(kept):
                 sunlit[k] = _brightness(surface, s, which[k * every], facing[k * every], tried)
             cost = light_strengths(
                 some, sunlit, albedo, tolerance, np.inf, strengths, rounds, False
@@ -224,8 +229,10 @@ def visible_points(
     """
     height, width = image.shape
     camera = lens[0]
-    eye = np.empty(3)
-    rotate_back_into(rotation, -centre, eye)
+    eye, away = np.empty(3), np.empty(3)
+    for i in range(3):
+        away[i] = -centre[i]
+    rotate_back_into(rotation, away, eye)
     distance = np.sqrt(_dot(eye, eye))
     # The node nearest to the line of sight of a point is one of those near the camera.
     reach = np.arcsin(min(1.0, surface.radius_m / distance)) + _NODE_SPACING_RAD
@@ -303,8 +310,10 @@ def _correlations(
         s[4] += bright * bright
         s[5] += levels[k] * bright
     whole, within, count = np.zeros(6), np.zeros(3), 0.0
-    for s in sums:
-        whole += s
+    for window in range(len(sums)):
+        s = sums[window]  # iterated, numba would compile another copy of what is called
+        for k in range(6):
+            whole[k] += s[k]
         if s[0] >= _LEAST_IN_WINDOW:
             count += s[0]
             _add_moments(s, within)

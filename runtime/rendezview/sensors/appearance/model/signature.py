@@ -78,15 +78,17 @@ def vector_area(rays: Array) -> Array:
     m = rays.shape[0]
     if m == 0:
         return total
-    a = rays[m - 1] / np.sqrt(np.sum(rays[m - 1] ** 2))
+    x, y, z = rays[m - 1, 0], rays[m - 1, 1], rays[m - 1, 2]
+    length = np.sqrt(x * x + y * y + z * z)
+    ax, ay, az = x / length, y / length, z / length
     for i in range(m):
         x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
         scale = 1.0 / np.sqrt(x * x + y * y + z * z)
         bx, by, bz = x * scale, y * scale, z * scale
-        total[0] -= 0.5 * (a[1] * bz - a[2] * by)
-        total[1] -= 0.5 * (a[2] * bx - a[0] * bz)
-        total[2] -= 0.5 * (a[0] * by - a[1] * bx)
-        a[0], a[1], a[2] = bx, by, bz
+        total[0] -= 0.5 * (ay * bz - az * by)
+        total[1] -= 0.5 * (az * bx - ax * bz)
+        total[2] -= 0.5 * (ax * by - ay * bx)
+        ax, ay, az = bx, by, bz
     return total
 
 

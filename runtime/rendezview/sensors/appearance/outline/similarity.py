@@ -183,7 +183,7 @@ def roll_and_distance(
     middle = int(np.rint(-guess_rad / step))
     half = int(np.ceil(reach_rad / step))
     count = 2 * half + 1
-    distance = np.empty(count)
+    distance, best = np.empty(count), 0
     for k in range(count):
         start = (middle + k - half) % bins
         total = np.float32(0.0)
@@ -194,7 +194,8 @@ def roll_and_distance(
             d = view[b + start - bins] - node[b]
             total += d * d
         distance[k] = total
-    best = int(np.argmin(distance))
+        if distance[k] < distance[best]:
+            best = k
     shift = float(middle + best - half)
     if 0 < best < count - 1:
         bend = distance[best - 1] - 2.0 * distance[best] + distance[best + 1]
