@@ -106,15 +106,15 @@ def test_visible_points_are_those_that_the_node_on_their_line_of_sight_sees(came
     which, u, v = np.empty(count, dtype=np.int64), np.empty(count), np.empty(count)
     facing, levels = np.empty((count, 3)), np.empty(count)
     found = visible_points(
-        body.image, lens_of(camera), body.tables, body.rotation, body.centre, which, u, v, facing,
-        levels,
+        body.image, lens_of(camera), body.tables, body.rotation, body.centre, 7.0, which, u, v,
+        facing, levels,
     )  # fmt: skip
     expected, pixels, normals, greys = body.visible(camera)
     assert 200 < len(expected) < 0.5 * count
     assert which[:found].tolist() == expected.tolist()
     assert np.stack([u, v], axis=1)[:found] == pytest.approx(pixels, abs=1e-9)
     assert facing[:found] == pytest.approx(normals, abs=1e-12)
-    assert levels[:found] == pytest.approx(greys, abs=1e-9)
+    assert levels[:found] == pytest.approx(greys - 7.0, abs=1e-9)
 
 
 def correlation(

@@ -145,34 +145,29 @@ def shading(
     u, v = np.empty(most), np.empty(most)
     facing = np.empty((most, 3))  # normals on the side of the camera, camera frame
     levels = np.empty(most)
-    found = visible_points(image, lens, surface, rotation, centre, which, u, v, facing, levels)
+    black = frame[1] if frame[2] > 0.0 else 0.0
+    found = visible_points(
+        image, lens, surface, rotation, centre, black, which, u, v, facing, levels
+    )
     if found < LEAST_POINTS:
         return 0.0, 0.0
-    black = frame[1] if frame[2] > 0.0 else 0.0
-    for k in range(found):  # slices of arrays take numba seconds to compile
-        levels[k] -= black
-    every = 1 + found // _FITTED
+    every, behind = 1 + found // _FITTED, -BEHIND * np.sqrt(_dot(centre, centre))
     kept = (found + every - 1) // every
     some, albedo, sunlit = np.empty(kept), np.empty(kept), np.empty(kept)
     for k in range(kept):
         some[k], albedo[k] = levels[k * every], surface.albedo[which[k * every]]
     tolerance = _TOLERANCE * quantile(some, 0.01 * BRIGHT_PERCENTILE) + frame[0]
-    away, range_m = np.empty(3), np.sqrt(_dot(centre, centre))
-    for a in range(3):
-        away[a] = centre[a] / range_m
-    strengths, chosen = np.empty(2), np.zeros(2)
-    tried, middle, best = np.empty(3), np.empty(3), np.inf
+    strengths, chosen, tried, middle = np.empty(2), np.zeros(2), np.empty(3), np.empty(3)
     node, rounds = int(np.int64(-1)), int(np.int64(ROUNDS))  # literals: numba would compile copies
-    known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
+    known, best = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0, np.inf
     for nodes, near in _SUN_LEVELS:
         copy_into(sun, middle)
         for s in range(min(nodes, surface.nodes.shape[0])):
-            d = surface.nodes[s]
-            rotate_into(rotation, d, tried)
+            rotate_into(rotation, surface.nodes[s], tried)
             if known:
                 if tried[0] * frame[3] + tried[1] * frame[4] + tried[2] * frame[5] < _NEAR_SUN:
                     continue
-            elif _dot(tried, away) > -BEHIND or (near > -1.0 and _dot(tried, middle) < near):
+            elif _dot(tried, centre) > behind or (near > -1.0 and _dot(tried, middle) < near):
                 continue
             for k in range(kept):
                 sunlit[k] = _brightness(surface, s, which[k * every], facing[k * every], tried)
@@ -219,21 +214,19 @@ def _mean_level(image: Picture, u: float, v: float) -> float:
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def visible_points(
     image: Picture, lens: Lens, surface: SurfaceTables, rotation: Array, centre: Array,
-    which: npt.NDArray[np.int64], u: Array, v: Array, facing: Array, levels: Array,
+    black: float, which: npt.NDArray[np.int64], u: Array, v: Array, facing: Array, levels: Array,
 ) -> int:  # fmt: skip
     """The surface points that a pose shows in the image; how many.
 
     Args:
         which, u, v, facing, levels: get the index of each, its pixel, its normal on the side of the
-            camera (3,), camera frame, and its grey level, a mean of 3 × 3.
+            camera (3,), camera frame, and its grey level above black, a mean of 3 × 3.
     """
     height, width = image.shape
     camera = lens[0]
-    eye, away = np.empty(3), np.empty(3)
-    for i in range(3):
-        away[i] = -centre[i]
-    rotate_back_into(rotation, away, eye)
-    distance = np.sqrt(_dot(eye, eye))
+    away = np.empty(3)  # from the camera to the view centre, target axes
+    rotate_back_into(rotation, centre, away)
+    distance = np.sqrt(_dot(away, away))
     # The node nearest to the line of sight of a point is one of those near the camera.
     reach = np.arcsin(min(1.0, surface.radius_m / distance)) + _NODE_SPACING_RAD
     cosine = np.cos(min(reach, 3.1)) * distance
@@ -243,7 +236,7 @@ def visible_points(
     most = np.full(len(px), -np.inf)
     for s in range(nodes.shape[0]):
         s0, s1, s2 = nodes[s, 0], nodes[s, 1], nodes[s, 2]
-        towards_eye = s0 * eye[0] + s1 * eye[1] + s2 * eye[2]
+        towards_eye = -(s0 * away[0] + s1 * away[1] + s2 * away[2])
         if towards_eye <= cosine:
             continue
         for k in range(len(px)):  # no branches: the compiler makes vectors of it
@@ -274,7 +267,8 @@ def visible_points(
         pu, pv = camera[0] * a + camera[2], camera[1] * b + camera[3]
         if not (pu > 1.0 and pv > 1.0 and pu < width - 2.0 and pv < height - 2.0):
             continue
-        which[found], u[found], v[found], levels[found] = k, pu, pv, _mean_level(image, pu, pv)
+        which[found], u[found], v[found] = k, pu, pv
+        levels[found] = _mean_level(image, pu, pv) - black
         facing[found, 0], facing[found, 1], facing[found, 2] = way * n0, way * n1, way * n2
         found += 1
     return found
