@@ -56,7 +56,7 @@ def test_every_loop_of_tracking_and_of_the_service_is_listed(
     }
     names = {name.rpartition(":")[2] for loops in called.values() for name, _ in loops}
     assert {"align", "shading", "mean_shift", "align_to_sketch"} <= names, run.stderr
-    assert {"fit_steps", "judge", "downhill_simplex", "first_hits"} <= names, run.stderr
+    assert {"fit_steps", "judge", "normal_equations", "first_hits"} <= names, run.stderr
     for command, loops in called.items():
         groups = map(compiling.load_loops, compiling.COMMANDS[command])
         listed = [(e["loop"], e["arguments"]) for group in groups for e in group]

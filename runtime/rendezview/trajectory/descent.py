@@ -8,6 +8,7 @@ outliers, hops or few points make several.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -15,22 +16,26 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
+from rendezview.estimation.least_squares import Equations, Options, minimise
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
+from rendezview.trajectory.misfits import RESIDUALS, cost, normal_equations, residuals
 from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.scaling import typical_sizes
 from rendezview.trajectory.shapes import DRIFT, HOPS, LINE, SPIRAL
-from rendezview.trajectory.simplex import RESIDUALS, cost, downhill_simplex, gauss_newton, residuals
 from rendezview.trajectory.start import first_guess, hops_of
 
 # c² of the robust cost over the variance of a point: 3.5 σ counts half. Source: by construction
 CUT = 12.0
-_NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ. Source: by construction
+NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ. Source: by construction
+# Of the diagonal, the first damping; what holds a parameter of which nothing is known, over its
+# squared typical size. Source: by construction, far below what any point tells
+_FIRST_DAMPING, _HELD = 1e-6, 1e-12
 # χ² that hops must save: five parameters, and chance. Source: experiment trajectory-accuracy
 _HOPS_WORTH = 30.0
 _SUBSETS = 40  # of three frames: with 40 % outliers nine are clean. Source: by construction
 # Of the typical sizes, sides of the first simplex. Source: trajectory-methods (0.1), seed 1
-_SIDES = 0.02
+SIDES = 0.02
 # Where one of these holds, several valleys are likely. Share of the points that are more than 3.5 σ
 # off. Source: trajectory-methods (0.1), seed 1
 _OUTLIERS = 0.05
@@ -61,10 +66,29 @@ class Descent:
 
     def down(self, cut: float = CUT, steps: int = 8) -> tuple[Array, float]:
         """Parameters and cost after at most so many steps of Gauss–Newton."""
-        parameters, least = gauss_newton(
-            self.code, self.parameters, self.scales, self.data, self.weights, cut, steps
-        )
-        return parameters, float(least)
+        cost, held = self.cost_at(cut), np.diag(_HELD / self.scales**2)
+
+        def equations(p: Array) -> Equations:
+            matrix, right = normal_equations(
+                self.code, p, self.scales, self.data, self.weights, cut
+            )
+            return cost(p), matrix + held, right
+
+        options = Options(iterations=steps, trials=6, first_damping=_FIRST_DAMPING)
+        found = minimise(equations, np.add, self.parameters, cost=cost, options=options)
+        return (self.parameters, np.inf) if found is None else (found.at, found.cost)
+
+    def by_simplex(self) -> Descent:
+        """The end of Nelder and Mead's simplex, with Gao and Han's (2012) coefficients."""
+        from scipy.optimize import minimize  # slow to import
+
+        corners = np.vstack([self.parameters, self.parameters + SIDES * np.diag(self.scales)])
+        options = {
+            "initial_simplex": corners, "adaptive": True, "maxfev": 200 * len(self.scales),
+            "fatol": NEAR, "xatol": np.inf,
+        }  # fmt: skip
+        found = minimize(self.cost_at(), self.parameters, method="Nelder-Mead", options=options)
+        return replace(self, parameters=found.x, evaluations=int(found.nfev))
 
     def squares(self) -> Array:
         """(N,) squared misfits in variances."""
@@ -74,11 +98,15 @@ class Descent:
 
     def cost(self, data: tuple[Any, ...] | None = None) -> float:
         """The robust cost, with other standard deviations if they are given."""
-        place, out = np.empty((len(self.weights), 3)), np.empty((len(self.weights), RESIDUALS))
         # The base belongs to the parameters, the standard deviations to the data.
         whitening = self.data[5] if data is None else data[5]
-        own = (*self.data[:5], whitening, self.data[6])
-        return float(cost(self.code, self.parameters, own, self.weights, CUT, place, out))
+        own = replace(self, data=(*self.data[:5], whitening, self.data[6]))
+        return own.cost_at()(self.parameters)
+
+    def cost_at(self, cut: float = CUT) -> Callable[[Array], float]:
+        """The robust cost of any parameters."""
+        place, out = np.empty((len(self.weights), 3)), np.empty((len(self.weights), RESIDUALS))
+        return lambda p: float(cost(self.code, p, self.data, self.weights, cut, place, out))
 
     def scaled(self, claimed: Array) -> Descent:
         """The same with σ that fit the scatter of nodes and of poses.
@@ -160,12 +188,7 @@ def _by_simplex(fit: Descent, places_m: Array) -> Descent:
 def _simplex(fit: Descent) -> Descent:
     """The end of a simplex about a start."""
     claimed = fit.data[5]
-    fit = fit.scaled(claimed)
-    parameters, _, asked = downhill_simplex(
-        fit.code, fit.parameters, _SIDES * fit.scales, fit.data, fit.weights, CUT,
-        200 * len(fit.scales), _NEAR,
-    )  # fmt: skip
-    return replace(fit, parameters=parameters, evaluations=int(asked)).scaled(claimed)
+    return fit.scaled(claimed).by_simplex().scaled(claimed)
 
 
 def _starts(fit: Descent, places_m: Array) -> list[Array]:

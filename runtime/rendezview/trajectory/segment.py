@@ -12,10 +12,10 @@ from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.cloud import PointCloud
 from rendezview.trajectory.descent import CUT, Descent, Method, descend
+from rendezview.trajectory.misfits import RESIDUALS, jacobian, normal_equations, residuals
 from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.scaling import held, inverse_of, robust_root, typical_sizes
 from rendezview.trajectory.shapes import CODES, HOPS, SPIRAL, Shape, places
-from rendezview.trajectory.simplex import RESIDUALS, jacobian, normal_equations, residuals
 from rendezview.trajectory.start import first_guess
 
 Carrier = Callable[[Array], Array]  # times (N,) s to places (N, 3) m

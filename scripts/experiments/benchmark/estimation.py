@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 
 import cv2
 import numpy as np
-from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from experiments.benchmark.check import Bench, Row, Way, times
@@ -18,14 +18,14 @@ from rendezview.estimation.p3p import solve_p3p_batch
 from rendezview.fusion import Measurement, PoseMeasurement, RingCandidate, RingMeasurement
 from rendezview.geometry.pose import Array
 from rendezview.trajectory import FitOptions, Method, PointCloud, Segment, Shape, fit_segment
+from rendezview.trajectory.descent import NEAR, SIDES, Descent
 from rendezview.trajectory.relative_orbit import transition
 from rendezview.trajectory.shapes import CODES
-from rendezview.trajectory.simplex import RESIDUALS, cost, downhill_simplex, gauss_newton
 
 STEPS = 101  # of each kind
 POINTS, SPAN_S, RANGE_M, NOISE = 100, 200.0, 30.0, 0.001
 MEAN_MOTION_RAD_S = 0.0011
-CUT, NEAR, MOST = 12.0, 0.01, 5000  # χ² of an outlier; tolerance of the cost; evaluations
+MOST = 5000  # evaluations
 
 
 def measurements() -> dict[str, list[Measurement]]:
@@ -110,10 +110,9 @@ def cloud_of(shape: Shape) -> tuple[PointCloud, np.random.Generator]:
 
 
 def ways_of(shape: Shape) -> dict[str, Callable[[], object]]:
-    """Simplexes with the same start (the answer, off by 2 %), compiled cost and tolerance."""
+    """Ways down with the same start (the answer, off by 2 %), compiled cost and tolerance."""
     cloud, rng = cloud_of(shape)
     n = MEAN_MOTION_RAD_S
-    fit_segment(cloud, shape, mean_motion_rad_s=n)  # compiles
     newton = FitOptions(method=Method.GAUSS_NEWTON)
     best = fit_segment(cloud, shape, mean_motion_rad_s=n, options=newton)
     assert isinstance(best, Segment)
@@ -121,51 +120,36 @@ def ways_of(shape: Shape) -> dict[str, Callable[[], object]]:
         cloud.times_s - best.middle_s, best.base, best.constants, np.zeros((POINTS, 3)),
         cloud.points, cloud.whitening, cloud.by_node,
     )  # fmt: skip
-    weights, code = cloud.weights, CODES[shape]
     scales = np.maximum(np.abs(best.parameters), 0.02)
-    goal, _ = gauss_newton(code, best.parameters, scales, data, weights, CUT, 20)
-    steps = 0.02 * scales
-    start = goal + steps * rng.choice([-1.0, 1.0], len(scales))
-    place, out = np.empty((POINTS, 3)), np.empty((POINTS, RESIDUALS))
-
-    def asked(p: Array, *_: object) -> float:
-        return float(cost(code, p, data, weights, CUT, place, out))
-
-    def by_scipy() -> object:
-        corners = np.vstack([start, start + np.diag(steps)])
-        options = {"initial_simplex": corners, "fatol": NEAR, "xatol": np.inf}
-        options |= {"adaptive": True, "maxfev": MOST}
-        return minimize(asked, start, method="Nelder-Mead", options=options)
-
-    task = (data, weights, CUT)
+    goal = Descent(CODES[shape], best.parameters, scales, data, cloud.weights)
+    off = SIDES * scales * rng.choice([-1.0, 1.0], len(scales))
+    start = replace(goal, parameters=goal.down(steps=20)[0] + off)
     ways: dict[str, Callable[[], object]] = {
-        "simplex, ours": lambda: downhill_simplex(code, start, steps, *task, MOST, NEAR),
-        "simplex, scipy": by_scipy,
+        "simplex": start.by_simplex,
+        "Gauss–Newton": lambda: start.down(steps=20),
     }
     if importlib.util.find_spec("nlopt") is not None:
         import nlopt
 
         def by_nlopt() -> object:
-            simplex = nlopt.opt(nlopt.LN_NELDERMEAD, len(start))
-            simplex.set_min_objective(asked)
+            asked, simplex = start.cost_at(), nlopt.opt(nlopt.LN_NELDERMEAD, len(scales))
+            simplex.set_min_objective(lambda p, _: asked(p))
             simplex.set_ftol_abs(NEAR)
             simplex.set_maxeval(MOST)
-            simplex.set_initial_step(steps)
-            return simplex.optimize(start)
+            simplex.set_initial_step(SIDES * scales)
+            return simplex.optimize(start.parameters)
 
         ways["simplex, nlopt"] = by_nlopt
-    ways["Gauss–Newton, ours"] = lambda: gauss_newton(code, start, scales, *task, 20)
     return ways
 
 
 def segments(bench: Bench) -> Iterator[Row]:
-    """Fits of segments: our simplex beside scipy's and nlopt's, one cost for all."""
+    """Fits of segments: the simplex beside nlopt's, Gauss–Newton beside it; one cost."""
     for shape in (Shape.CIRCULAR, Shape.ORBIT):
         spent = bench.race({f"{shape}: {name}": way for name, way in ways_of(shape).items()})
-        ours, newton = f"{shape}: simplex, ours", f"{shape}: Gauss–Newton, ours"
-        peers = tuple(name for name in spent if name not in (ours, newton))
-        rows = {ours: peers, newton: (f"{shape}: simplex, scipy",)}
-        yield from times("trajectory-accuracy", spent, rows)
+        simplex, newton = f"{shape}: simplex", f"{shape}: Gauss–Newton"
+        peers = tuple(name for name in spent if name not in (simplex, newton))
+        yield from times("trajectory-accuracy", spent, {simplex: peers, newton: (simplex,)})
 
 
 SEED, ONE_BY_ONE = 11, 50  # problems that are solved a call each

@@ -1,4 +1,4 @@
-"""The compiled loops of a segment against plain numpy and scipy on the same robust cost."""
+"""The robust cost of a segment and its minimum against plain numpy and scipy."""
 
 import numpy as np
 import pytest
@@ -7,9 +7,10 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array
+from rendezview.trajectory.descent import Descent
+from rendezview.trajectory.misfits import jacobian, normal_equations, residuals
 from rendezview.trajectory.relative_orbit import response
 from rendezview.trajectory.shapes import CIRCULAR, DRIFT, HOPS, LINE, SPIRAL, places
-from rendezview.trajectory.simplex import gauss_newton, jacobian, normal_equations, residuals
 
 COUNT = 60
 TIMES = np.linspace(-100.0, 100.0, COUNT)
@@ -46,7 +47,7 @@ def cloud(rng: np.random.Generator, nodes: bool) -> tuple[Array, Array, Array]:
 
 def run(points: Array, whitening: Array, by_node: Array, weights: Array, cut: float):
     data = (TIMES, np.eye(3), np.zeros(2), np.zeros((COUNT, 3)), points, whitening, by_node)
-    return gauss_newton(LINE, TRUTH + 0.3 * SCALES, SCALES, data, weights, cut, 50)
+    return Descent(LINE, TRUTH + 0.3 * SCALES, SCALES, data, weights).down(cut, 50)
 
 
 @pytest.mark.parametrize("nodes", [False, True])
