@@ -29,7 +29,6 @@ from rendezview.sensors.ring.circle_pose import (
     shape_of_circle,
     tangent_basis,
 )
-from rendezview.trajectory.start import _scan_hops
 from rendezview_ground.learn.views.edge_profiles import _average, _nearest_start
 from rendezview_ground.learn.views.shadowed_silhouettes import _light, _shown
 from rendezview_ground.simulate.background import _ground_albedo, _paint_earth
@@ -208,28 +207,6 @@ def slopes_of_a_circles_picture(rng):
     plain = (8.0 * (near - back) - (far - behind)) / (12.0 * 2e-3)
     curve = (16.0 * (near + back) - (far + behind) - 30.0 * picture(np.zeros(5))[:, None]) / 12.0
     return (slopes / 100.0, bends / 1e4), (plain / 100.0, curve[:, 3:] / 4e-6 / 1e4), 1e-4
-
-
-@TWINS.append
-def hops_of_a_line(rng):
-    times, closing, periods = np.sort(rng.uniform(-50.0, 50.0, 25)), 1e-3, np.array([30.0, 45.0])
-    height = abs(np.sin(np.pi * (times - 15.0) / 45.0))
-    places = np.outer(times, [0.1, 0.0, 0.02]) + np.outer(height, [0.0, 2.0, 1.0])
-    places += rng.normal(scale=0.05, size=(25, 3))
-    places[::6] += 3.0
-    weights, best = rng.uniform(0.5, 2.0, 25), (np.inf, np.empty(11))
-    for period in periods:
-        for phase in period * np.arange(6) / 6:
-            hop = (1.0 - closing * times) * abs(np.sin(np.pi * (times - phase) / period))
-            rows, own = np.stack([np.ones(25), times, hop], axis=1), weights
-            for _ in range(3):
-                root = np.sqrt(own)[:, None]
-                answer = np.linalg.lstsq(root * rows, root * places)[0]
-                square = np.sum((places - rows @ answer) ** 2, axis=1)
-                own = weights / (1.0 + square / (5.0 * np.median(square))) ** 2
-            found = np.array([*answer.ravel(), period, phase])
-            best = min(best, (np.median(square), found), key=lambda one: one[0])
-    return _scan_hops(times, places, weights, closing, periods, 6, 2), best[1], 1e-6
 
 
 @TWINS.append

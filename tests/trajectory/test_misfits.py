@@ -11,6 +11,7 @@ from rendezview.trajectory.descent import Descent
 from rendezview.trajectory.misfits import jacobian, normal_equations, residuals
 from rendezview.trajectory.relative_orbit import response
 from rendezview.trajectory.shapes import CIRCULAR, DRIFT, HOPS, LINE, SPIRAL, places
+from rendezview.trajectory.start import _scan_hops
 
 COUNT = 60
 TIMES = np.linspace(-100.0, 100.0, COUNT)
@@ -155,3 +156,27 @@ def test_places_of_each_shape_are_those_of_its_formula():
         response(0.0011, at, *parts)
         rows.append(parts[0] @ first + parts[1] @ speed + parts[2] @ up)
     assert np.allclose(made(DRIFT, [*first, *speed, *up]), rows)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_line_with_hops_starts_from_robust_least_squares(seed: int):
+    rng = np.random.default_rng(seed)
+    times, closing, periods = np.sort(rng.uniform(-50.0, 50.0, 25)), 1e-3, np.array([30.0, 45.0])
+    height = abs(np.sin(np.pi * (times - 15.0) / 45.0))
+    places = np.outer(times, [0.1, 0.0, 0.02]) + np.outer(height, [0.0, 2.0, 1.0])
+    places += rng.normal(scale=0.05, size=(25, 3))
+    places[::6] += 3.0
+    weights, best = rng.uniform(0.5, 2.0, 25), (np.inf, np.empty(11))
+    for period in periods:
+        for phase in period * np.arange(6) / 6:
+            hop = (1.0 - closing * times) * abs(np.sin(np.pi * (times - phase) / period))
+            rows, own = np.stack([np.ones(25), times, hop], axis=1), weights
+            for _ in range(3):
+                root = np.sqrt(own)[:, None]
+                answer = np.linalg.lstsq(root * rows, root * places)[0]
+                square = np.sum((places - rows @ answer) ** 2, axis=1)
+                own = weights / (1.0 + square / (5.0 * np.median(square))) ** 2
+            found = np.array([*answer.ravel(), period, phase])
+            best = min(best, (np.median(square), found), key=lambda one: one[0])
+    ours = _scan_hops(times, places, weights, closing, periods, 6, 2)
+    np.testing.assert_allclose(ours, best[1], rtol=1e-6, atol=1e-6)

@@ -21,7 +21,6 @@ from rendezview.trajectory import (
 )
 from rendezview.trajectory.relative_orbit import transition
 from rendezview.trajectory.scaling import held, inverse_of, robust_root
-from rendezview.trajectory.start import _linear
 
 N = 0.0011
 
@@ -30,18 +29,6 @@ def fitted(cloud, shape, **how) -> Segment:
     segment = fit_segment(cloud, shape, **how)
     assert isinstance(segment, Segment), segment
     return segment
-
-
-def test_a_line_with_hops_starts_from_weighted_least_squares():
-    rng = np.random.default_rng(5)
-    times = np.linspace(-100.0, 100.0, 30)
-    rows = np.stack([np.ones(30), times, abs(np.sin(np.pi * times / 40.0))], axis=1)
-    places, weights = rng.normal(size=(30, 3)), rng.uniform(0.1, 2.0, 30)
-    found, root = np.empty((3, 3)), np.sqrt(weights)[:, None]
-    _linear(rows, places, weights, found)
-    assert found == pytest.approx(np.linalg.lstsq(root * rows, root * places)[0], rel=1e-6)
-    _linear(np.zeros((30, 3)), places, weights, found)
-    assert np.isnan(found).all()
 
 
 @pytest.mark.parametrize(("shape", "climb"), [(Shape.CIRCULAR, 0.0), (Shape.SPIRAL, -0.03)])

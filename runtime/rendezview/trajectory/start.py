@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from rendezview.estimation.linear_algebra import cholesky, copy_into, quantile, substitute
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.shapes import SPIRAL, basis, frame_of
@@ -17,6 +15,7 @@ _PHASES = 8  # Source: by construction, a grid
 _ROUNDS = 3
 # Times the median squared distance: half weight. 12 σ² over the median of χ² of three degrees.
 _CUT_MEDIANS = 5.0  # Source: by construction
+_HELD = 1e-9  # of the diagonal: hops like a line. Source: by construction, rounding
 
 
 def first_guess(
@@ -81,68 +80,33 @@ def hops_of(
     span = float(times_s[-1] - times_s[0])
     periods = span * np.geomspace(0.125, 2.0, _PERIODS)
     rounds = _ROUNDS if robust else 0
-    found = _scan_hops(times_s, places_m, weights, closing, periods, _PHASES, rounds)
-    if not np.isfinite(found).all():
-        return None
-    return np.asarray(found)
+    return _scan_hops(times_s, places_m, weights, closing, periods, _PHASES, rounds)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def _scan_hops(
     times: Array, places: Array, weights: Array, closing: float, periods: Array, phases: int,
     rounds: int,
-) -> Array:  # fmt: skip
+) -> Array | None:  # fmt: skip
     """The hops of least cost; after robust rounds the cost is the median distance."""
-    best = np.full(11, np.nan)
-    least = np.inf
-    rows, distances = np.empty((len(times), 3)), np.empty(len(times))
-    own = np.empty(len(times))
-    for period in periods:
-        for step in range(phases):
-            phase = period * step / phases
-            for k in range(len(times)):
-                t = times[k]
-                rows[k, 0], rows[k, 1] = 1.0, t
-                rows[k, 2] = (1.0 - closing * t) * abs(np.sin(np.pi * (t - phase) / period))
-            copy_into(weights, own)
-            cost = np.inf
-            answer = np.empty((3, 3))
-            for _ in range(rounds + 1):
-                _linear(rows, places, own, answer)
-                cost = 0.0
-                for k in range(len(times)):
-                    distances[k] = 0.0
-                    for j in range(3):
-                        fitted = 0.0
-                        for i in range(3):
-                            fitted += rows[k, i] * answer[i, j]
-                        distances[k] += (places[k, j] - fitted) ** 2
-                    cost += weights[k] * distances[k]
-                if rounds > 0:
-                    cost = quantile(distances, 0.5)
-                    for k in range(len(times)):
-                        own[k] = weights[k] / (1.0 + distances[k] / (_CUT_MEDIANS * cost)) ** 2
-            if cost < least:
-                least = cost
-                for i in range(3):
-                    copy_into(answer[i], best[3 * i :])
-                best[9], best[10] = period, phase
-    return best
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _linear(rows: Array, places: Array, weights: Array, out: Array) -> None:
-    """Fill (3, 3), weighted least squares of places (N, 3) in basis functions (N, 3)."""
-    matrix, right = np.zeros((3, 3)), np.zeros((3, 3))
-    for k in range(len(rows)):
-        for i in range(3):
-            for j in range(3):
-                matrix[i, j] += weights[k] * rows[k, i] * rows[k, j]
-                right[j, i] += weights[k] * rows[k, i] * places[k, j]
-    for i in range(3):
-        matrix[i, i] *= 1.0 + 1e-9
-    fits = cholesky(matrix, matrix)
-    for j in range(3):
-        substitute(matrix, right[j], right[j])
-        for i in range(3):
-            out[i, j] = right[j, i] if fits else np.nan
+    period = np.repeat(periods, phases)
+    phase = period * np.tile(np.arange(phases), len(periods)) / phases
+    high = np.abs(np.sin(np.pi * (times - phase[:, None]) / period[:, None]))
+    rows = np.empty((len(period), 3, len(times)))
+    rows[:, 0], rows[:, 1], rows[:, 2] = 1.0, times, (1.0 - closing * times) * high
+    own = np.broadcast_to(weights, high.shape)
+    for _ in range(rounds + 1):
+        weighted = rows * own[:, None]
+        matrix = weighted @ rows.transpose(0, 2, 1)
+        matrix[:, range(3), range(3)] *= 1.0 + _HELD
+        try:
+            answers = np.linalg.solve(matrix, weighted @ places)
+        except np.linalg.LinAlgError:
+            return None
+        distances = ((rows.transpose(0, 2, 1) @ answers - places) ** 2).sum(axis=2)
+        costs = distances @ weights
+        if rounds > 0:
+            costs = np.median(distances, axis=1)
+            own = weights / (1.0 + distances / (_CUT_MEDIANS * costs[:, None])) ** 2
+    best = int(np.argmin(costs))
+    found = np.append(answers[best], [period[best], phase[best]])
+    return found if np.isfinite(found).all() else None
