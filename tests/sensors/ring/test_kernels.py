@@ -48,7 +48,7 @@ from rendezview.sensors.ring.spread import (
     systematic_of,
     trim,
 )
-from rendezview.sensors.ring.verify import one_sense, twins
+from rendezview.sensors.ring.verify import twins
 
 CAMERA = Camera(640, 480, 800.0, 790.0, 320.0, 241.0, (-0.2, 0.05, 1e-3, -5e-4))
 SHAPE = np.array([310.0, 230.0, 90.0, 12.0, 70.0])
@@ -254,12 +254,7 @@ def test_the_common_part_of_offsets_is_that_of_neighbours():
     assert systematic_of(samples, 600) == 0.0
 
 
-def test_samples_against_the_sense_of_their_neighbours_are_left_out():
-    samples = random_samples(np.random.default_rng(11), 120)
-    samples[:, WEIGHT], samples[:, CONTRAST] = 1.0, 30.0
-    samples[[5, 60], CONTRAST] = -30.0
-    one_sense(samples, 120)
-    assert np.flatnonzero(samples[:, WEIGHT] == 0.0).tolist() == [5, 60]
+def test_shapes_are_twins_where_no_number_is_farther_off():
     assert twins(SHAPE, SHAPE + 1.4, 1.5)
     assert not twins(SHAPE, SHAPE + 1.6 * np.eye(5)[2], 1.5)
 

@@ -18,7 +18,7 @@ from rendezview.sensors.ring.spread import (
     trim,
 )
 from rendezview.sensors.ring.steps import sample_steps
-from rendezview.sensors.ring.verify import one_sense, twins
+from rendezview.sensors.ring.verify import twins
 
 Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
@@ -131,8 +131,6 @@ def _settle(
             image, lens, shape, 4.0 * step_px if step == 0 else step_px, 0.0, noise,
             filters, basis, blur, others, samples,
         )  # fmt: skip
-        if step == 0:
-            one_sense(samples, n)
         scale = 2.0 if step == 0 else scale_of(samples, n)
         moved = update_shape(samples, n, scale, shape, np.empty((5, 5)))
         if moved < 0.0 or sum(covered(samples, n, scale)) < least_arc:

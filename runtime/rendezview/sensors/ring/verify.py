@@ -1,7 +1,6 @@
 """Confirms rough ellipses by the gradients of the picture, and moves them onto their edges.
 
-Enough of a candidate's circle must be edge, with one sense of contrast for a stretch. A candidate
-on the edges of better ellipses is dropped.
+Enough of a candidate's circle must be edge. A candidate on the edges of better ellipses is dropped.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from rendezview.estimation.linear_algebra import copy_into, descending, largest_
 from rendezview.sensors.ring.conic import distance, within
 from rendezview.sensors.ring.samples import (
     COLUMNS,
-    CONTRAST,
     PX,
     PY,
     WEIGHT,
@@ -99,28 +97,6 @@ def _exclusive(
             copy_into(shapes[k], kept[count])
             count += 1
     return kept[:count]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def one_sense(samples: Array, n: int) -> None:
-    """Leave out edges against the sense of their neighbourhood: a ring's edge keeps it for long."""
-    half = n // 20
-    keep = np.ones(n, dtype=np.bool_)
-    for i in range(n):
-        if samples[i, WEIGHT] <= 0.0:
-            continue
-        same, other = 0, 0
-        for k in range(-half, half + 1):
-            j = (i + k) % n
-            if samples[j, WEIGHT] > 0.0:
-                if samples[j, CONTRAST] * samples[i, CONTRAST] > 0.0:
-                    same += 1
-                else:
-                    other += 1
-        keep[i] = same > other and 3 * same > half + half // 2
-    for i in range(n):
-        if not keep[i]:
-            samples[i, WEIGHT] = 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
