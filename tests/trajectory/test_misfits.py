@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.descent import Descent
-from rendezview.trajectory.misfits import jacobian, normal_equations, residuals
+from rendezview.trajectory.misfits import cost, jacobian, normal_equations, residuals
 from rendezview.trajectory.relative_orbit import response
 from rendezview.trajectory.shapes import CIRCULAR, DRIFT, HOPS, LINE, SPIRAL, places
 from rendezview.trajectory.start import _scan_hops
@@ -108,7 +108,10 @@ def test_residuals_their_slopes_and_the_normal_equations_are_those_of_numpy(node
     )  # fmt: skip
     assert np.allclose(slopes, numeric, rtol=1e-4, atol=1e-4 * np.abs(numeric).max())
     cut, weights = 12.0, np.random.default_rng(6).uniform(0.5, 2.0, COUNT)
-    weight = weights / (1.0 + (out**2).sum(axis=1) / cut) ** 2
+    q = (out**2).sum(axis=1)
+    weight = weights / (1.0 + q / cut) ** 2
+    whole = cost(LINE, TRUTH, data, weights, cut, place, out.copy())
+    assert whole == pytest.approx(np.sum(weights * q / (1.0 + q / cut)))
     matrix, right = normal_equations(LINE, TRUTH, SCALES, data, weights, cut)
     assert np.allclose(matrix, np.einsum("n,nia,nib->ab", weight, slopes, slopes))
     assert np.allclose(right, -np.einsum("n,nia,ni->a", weight, slopes, out))

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.sensors.threads import THREADS, assert_shared, together
 
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker
 from rendezview.sensors.observation import Status
 
 FRAMES = 12
-THREADS = 4
 
 
 def answer(observation: AppearanceObservation) -> tuple[Any, ...]:
@@ -35,12 +33,6 @@ def answer(observation: AppearanceObservation) -> tuple[Any, ...]:
         observation.points_m.tobytes(),
         points_m.tobytes() + trust.tobytes(),
     )
-
-
-def together(task: Callable[[int], Any], numbers: Iterable[int]) -> list[Any]:
-    """What a task gives for each number, on several threads at once."""
-    with ThreadPoolExecutor(THREADS) as pool:
-        return list(pool.map(task, numbers))
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +58,8 @@ def test_threads_on_one_recognizer_get_serial_answers(refining_model, camera, lo
         image, prior = looks[k % FRAMES]
         return answer(recognizer.recognize(image, prior if with_prior else None))
 
-    serial = [look(k) for k in range(FRAMES)]
+    serial = assert_shared(look, list(range(FRAMES)))
     assert any(status == "ok" for status, *_ in serial)
-    for _ in range(3):
-        assert together(look, range(FRAMES)) == serial
 
 
 def test_threads_that_ask_for_clouds_get_serial_ones(tiny_model, camera, bumpy_mesh, draw):

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
+from tests.sensors.threads import (
+    THREADS,
+    assert_one_after_the_other,
+    assert_shared,
+    text_of,
+    together,
+)
 
-from rendezview.io.results import json_line
 from rendezview.sensors.beacons import (
     Acquirer,
     ReflectorSensor,
@@ -14,15 +18,6 @@ from rendezview.sensors.beacons import (
     TrackingOptions,
     find_spots,
 )
-
-THREADS = 4
-
-
-def text_of(observation):
-    line = observation.record()
-    for key in ("stage_ms", "time_s", "rates"):
-        del line[key]
-    return json_line(line)
 
 
 def six_at(t):
@@ -41,10 +36,7 @@ def test_a_shared_acquirer_finds_the_same_poses(picture, three, paper_camera):
             pose.rotation.tobytes(), pose.translation_m.tobytes(), refined.covariance.tobytes()
         )  # fmt: skip
 
-    serial = [bytes_of(spots) for spots in tables]
-    with ThreadPoolExecutor(THREADS) as pool:
-        for _ in range(10):
-            assert list(pool.map(bytes_of, tables)) == serial
+    assert_shared(bytes_of, tables, times=10)
 
 
 def test_sensors_in_threads_give_the_same_observations(picture, three, paper_camera):
@@ -53,11 +45,9 @@ def test_sensors_in_threads_give_the_same_observations(picture, three, paper_cam
 
     def run(_):
         sensor = ReflectorSensor(paper_camera, [three])
-        return [text_of(sensor.update(0.1 * k, pair)) for k, pair in enumerate(frames)]
+        return [text_of(sensor.update(0.1 * k, pair), "rates") for k, pair in enumerate(frames)]
 
-    serial = run(0)
-    with ThreadPoolExecutor(THREADS) as pool:
-        assert list(pool.map(run, range(THREADS))) == [serial] * THREADS
+    assert together(run, range(THREADS)) == [run(0)] * THREADS
 
 
 def test_calls_on_a_shared_sensor_run_one_after_the_other(picture, three, paper_camera):
@@ -65,17 +55,4 @@ def test_calls_on_a_shared_sensor_run_one_after_the_other(picture, three, paper_
     frames = picture(three, six_at(0.0), np.random.default_rng(42))
     options = TrackingOptions(confirm=False, coast=-1, memory=-1)
     sensor = ReflectorSensor(paper_camera, [three], tracking=options)
-    serial = text_of(sensor.update(0.0, frames))
-    taken, refused = [], []
-
-    def look(k):
-        try:
-            taken.append(text_of(sensor.update(1.0 + k, frames)))
-        except ValueError:  # a later reading came first
-            refused.append(k)
-
-    with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(look, range(60)))
-    assert len(taken) + len(refused) == 60
-    assert taken
-    assert set(taken) == {serial}
+    assert_one_after_the_other(lambda t: text_of(sensor.update(t, frames), "rates"), 60)

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import pytest
+from tests.sensors.threads import (
+    THREADS,
+    assert_one_after_the_other,
+    assert_shared,
+    text_of,
+    together,
+)
 
-from rendezview.io.results import json_line
 from rendezview.sensors.ring import RingDetector, RingPrior, RingSensor
-
-THREADS = 4
-
-
-def text_of(observation):
-    line = observation.record()
-    del line["stage_ms"], line["time_s"]
-    return json_line(line)
 
 
 @pytest.fixture
@@ -30,12 +26,8 @@ def test_a_shared_detector_gives_the_same_ellipses(scenes, ring_camera):
         edges = detector.detect(image).edges
         return [(e.ellipse.shape.tobytes(), e.ellipse.covariance.tobytes(), e.score) for e in edges]
 
-    images = [image for _, image in scenes]
-    serial = [bytes_of(image) for image in images]
-    assert sum(map(len, serial)) > len(images)
-    with ThreadPoolExecutor(THREADS) as pool:
-        for _ in range(3):
-            assert list(pool.map(bytes_of, images)) == serial
+    serial = assert_shared(bytes_of, [image for _, image in scenes])
+    assert sum(map(len, serial)) > len(scenes)
 
 
 def test_sensors_in_threads_give_the_same_observations(scenes, ring_camera):
@@ -43,26 +35,11 @@ def test_sensors_in_threads_give_the_same_observations(scenes, ring_camera):
         sensor = RingSensor(ring_camera, 0.6)
         return [text_of(sensor.update(float(k), image)) for k, (_, image) in enumerate(scenes)]
 
-    serial = run(0)
-    with ThreadPoolExecutor(THREADS) as pool:
-        assert list(pool.map(run, range(THREADS))) == [serial] * THREADS
+    assert together(run, range(THREADS)) == [run(0)] * THREADS
 
 
 def test_calls_on_a_shared_sensor_run_one_after_the_other(scenes, ring_camera):
     scene, image = scenes[0]
     prior = RingPrior(centre_m=scene.ring.centre_m, axis=scene.ring.axis)
     sensor = RingSensor(ring_camera, scene.ring.radius_m)
-    serial = text_of(sensor.update(0.0, image, prior))
-    taken, refused = [], []
-
-    def look(k):
-        try:
-            taken.append(text_of(sensor.update(1.0 + k, image, prior)))
-        except ValueError:  # a later frame came first
-            refused.append(k)
-
-    with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(look, range(24)))
-    assert len(taken) + len(refused) == 24
-    assert taken
-    assert set(taken) == {serial}
+    assert_one_after_the_other(lambda t: text_of(sensor.update(t, image, prior)), 24)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from scipy.spatial.transform import Rotation
+from tests.sensors.threads import assert_shared
 
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance.edges.refinement import Refiner
@@ -31,6 +30,4 @@ def test_one_refiner_serves_several_threads_with_the_same_bits(refining_model, b
         assert found is not None
         return found.pose.rotation.tobytes() + found.covariance.tobytes()
 
-    serial = [refined(task) for task in tasks]
-    with ThreadPoolExecutor(4) as pool:
-        assert list(pool.map(refined, tasks * 6)) == serial * 6
+    assert_shared(refined, tasks, times=6)
