@@ -62,7 +62,7 @@ class Recognizer:
                 prior is confident.
             sketch: where the grey edges give no confident pose, search on a sketch that a network
                 draws of the frame, if the model has sketches of its views.
-            least_confidence: a refined pose of less confidence is not given.
+            least_confidence: a refined pose that is less likely right to 10° is not given.
         """
         check_types("Recognizer(model, camera)", (model, ViewModel), (camera, Camera))
         self._made = partial(Recognizer, model, camera, silhouette, match, refine=refine,
