@@ -27,7 +27,7 @@ class PointCloud:
 
     times_s: Array  # (N,) never falling
     points: Array  # (N, 3) m for a pose; the unit direction for a node
-    whitening: Array  # (N, 3, 3) see ``simplex.residuals``
+    whitening: Array  # (N, 3, 3) see ``misfits.residuals``
     by_node: npt.NDArray[np.bool_]  # (N,)
     weights: Array  # (N,) trust, 0 … 1
 

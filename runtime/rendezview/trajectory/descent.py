@@ -59,7 +59,7 @@ class Descent:
     code: int
     parameters: Array
     scales: Array  # (P,) typical sizes of the parameters
-    data: tuple[Any, ...]  # see ``simplex``: times, base, constants, carrier, points, …
+    data: tuple[Any, ...]  # see ``misfits``: times, base, constants, carrier, points, …
     weights: Array
     scatters: tuple[float, float] = (1.0, 1.0)  # claims over scatter: nodes, poses
     evaluations: int = 0  # of the simplex
