@@ -183,3 +183,6 @@ def test_a_line_with_hops_starts_from_robust_least_squares(seed: int):
             best = min(best, (np.median(square), found), key=lambda one: one[0])
     ours = _scan_hops(times, places, weights, closing, periods, 6, 2)
     np.testing.assert_allclose(ours, best[1], rtol=1e-6, atol=1e-6)
+    # Hops that have no answer leave the others.
+    beside = _scan_hops(times, places, weights, closing, np.append(np.nan, periods), 6, 2)
+    np.testing.assert_array_equal(beside, ours)

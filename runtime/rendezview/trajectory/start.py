@@ -107,6 +107,6 @@ def _scan_hops(
         if rounds > 0:
             costs = np.median(distances, axis=1)
             own = weights / (1.0 + distances / (_CUT_MEDIANS * costs[:, None])) ** 2
-    best = int(np.argmin(costs))
+    best = int(np.argmin(np.where(np.isnan(costs), np.inf, costs)))
     found = np.append(answers[best], [period[best], phase[best]])
     return found if np.isfinite(found).all() else None
