@@ -12,6 +12,7 @@ from rendezview.sensors.appearance.edges.network import Sketch
 from rendezview.sensors.appearance.model.sketches import COVER, EDGE, GRID, MAPS, REACH, on_grid
 from rendezview.sensors.appearance.search.by_sketch import towards
 from rendezview.sensors.appearance.search.partial_views import (
+    COARSE,
     WEIGHTS,
     PartialViews,
     coarse_grids,
@@ -24,7 +25,7 @@ SIDE = 256
 def test_what_lies_beyond_the_frame_is_nothing_in_the_grids_of_a_cut_target() -> None:
     maps = np.ones((MAPS, 90, 120), np.float32)
     middle, size = np.array([119.0, 44.5]), 69.15  # half of its grid lies right of the frame
-    upright, turned = coarse_grids(maps, [(middle, size)], np.array([0.0, np.pi]))
+    upright, turned = coarse_grids(maps, [(middle, size)], [np.array([0.0, np.pi])], COARSE)
     cells = upright.shape[-1]
     assert upright.shape == (MAPS + 1, cells, cells)
     cell_px = 2.0 * REACH * size / cells

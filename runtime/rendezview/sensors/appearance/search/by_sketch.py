@@ -25,6 +25,7 @@ from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.retrieval import SAME_VIEW_RAD
 from rendezview.sensors.appearance.search.partial_views import (
     AMONG_OTHERS,
+    COARSE,
     NOTHING,
     WEIGHTS,
     PartialViews,
@@ -127,16 +128,17 @@ class SketchRetrieval:
         placements = [
             (middle + sides * (x, y), float(size)) for size in sizes for y in off for x in off
         ]
-        grids = coarse_grids(sketch.maps, placements, turns)
-        if not sketch.is_cut:  # nothing of the target lies beyond
-            grids[:, -1] = 1.0
-        fits = _fit(self._tables.extents, sizes, off, sides).reshape(len(grids), -1)
-        # Those of low correlation in coarser cells are not compared in finer ones.
-        rough = coarser(grids)
-        likely = np.where(fits, self._tables.rough.alike(rough[:, :-1], rough[:, -1]), -np.inf)
-        rows = np.argpartition(-likely.max(1), _COMPARED)[:_COMPARED]
+        fits = _fit(self._tables.extents, sizes, off, sides).reshape(-1, len(self._vectors))
+        # Those of low correlation in coarser cells, at every other roll, are not compared in finer.
+        every_other = [turns[::2]] * len(placements)
+        rough = self._tables.rough.alike(*_within(sketch, placements, every_other, COARSE // 2))
+        best = np.where(fits[::2], rough, -np.inf).max(1).reshape(len(placements), -1)
+        likely = np.stack([best, 0.5 * (best + np.roll(best, -1, axis=1))], axis=-1).ravel()
+        rows = np.sort(np.argpartition(-likely, _COMPARED)[:_COMPARED])
+        of_each = np.searchsorted(rows, len(turns) * np.arange(1, len(placements)))
+        some = np.split(turns[rows % len(turns)], of_each)
         alike: Array = np.full(fits.shape, -np.inf, np.float32)
-        alike[rows] = self._tables.alone.alike(grids[rows, :-1], grids[rows, -1])
+        alike[rows] = self._tables.alone.alike(*_within(sketch, placements, some, COARSE))
         alike[~fits] = -np.inf
         each = alike.reshape(len(placements), len(turns), -1)
         return self._likeliest(sketch, placements, each, most, SAME_VIEW_RAD)
@@ -189,8 +191,8 @@ class SketchRetrieval:
         if not len(rolls):
             return alike
         if sketch.is_cut:
-            grids = coarse_grids(sketch.maps, placements, turns[rolls])
-            found = self._tables.cut.alike(grids[:, :-1], grids[:, -1])
+            each = [turns[rolls]] * len(placements)
+            found = self._tables.cut.alike(*_within(sketch, placements, each, COARSE))
         else:
             [(centre, size)] = placements
             grids = on_grid(smoothed(sketch.maps, size), centre, size, turns[rolls])
@@ -205,6 +207,16 @@ class SketchRetrieval:
         in_frame = (places_px - np.array([sketch.left_px, sketch.top_px])) / sketch.scale
         rays = np.asarray(self._camera.rays(in_frame)).reshape(-1, 3)
         return np.asarray(rays / np.linalg.norm(rays, axis=1)[:, None])
+
+
+def _within(
+    sketch: Sketch, placements: list[tuple[Array, float]], turns: list[Array], cells: int
+) -> tuple[Float32s, Float32s]:
+    """(R, MAPS, n, n) of ``coarse_grids`` and (R, n, n) what lies within: all but of cut ones."""
+    grids = coarse_grids(sketch.maps, placements, turns, cells)
+    if not sketch.is_cut:  # nothing of the target lies beyond
+        grids[:, -1] = 1.0
+    return grids[:, :-1], grids[:, -1]
 
 
 def _fit(extents: Array, sizes: Array, off: Array, sides: Array) -> Bools:

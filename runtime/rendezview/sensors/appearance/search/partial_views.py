@@ -25,6 +25,7 @@ AMONG_OTHERS = WEIGHTS | {COVER: 0.5}
 # 0: views are judged by what the frame shows alone; 1: by all of them, as if nothing lay beyond.
 _BEYOND = 0.5  # Source: experiments photo-accuracy and sketch-confidence
 _COARSER = 2  # cells of the grid a cell. Source: by construction, its cost
+COARSE = GRID // _COARSER  # cells a side
 _COVERED = 0.25  # share of a coarse cell that makes it the target's. Source: by construction
 _FAINT = 0.05  # probability; a fainter contrast in a sketch is none. Source: by construction
 NOTHING = 1e-6  # keeps quotients finite. Source: by construction
@@ -108,20 +109,22 @@ def extents(maps: Float32s, turns: int) -> Array:
     return np.stack([-left, -above, right, below], axis=-1)
 
 
-def coarse_grids(maps: Float32s, placements: list[tuple[Array, float]], turns: Array) -> Float32s:
-    """(P R, MAPS + 1, n, n) a sketch on the coarser grid at each place and turn, nothing beyond
-    the frame; the last map is the share of each cell that lies within."""
-    cells = GRID // _COARSER
+def coarse_grids(
+    maps: Float32s, placements: list[tuple[Array, float]], turns: list[Array], cells: int
+) -> Float32s:
+    """(R, MAPS + 1, cells, cells) a sketch at each place and its turns, nothing beyond the frame;
+    the last map is the share of each cell that lies within."""
     planes = np.concatenate([maps, np.ones((1, *maps.shape[1:]), np.float32)])
     means: dict[int, Float32s] = {}
     grids = []
-    for centre, size in placements:
+    for (centre, size), some in zip(placements, turns, strict=True):
         side = 2 * round(REACH * size / cells) + 1  # odd: the mean lies where it is read
         if side not in means:  # over a cell; those half beyond the border are read, too
             border = (side, side, side, side)
             wider = [cv2.copyMakeBorder(p, *border, cv2.BORDER_CONSTANT) for p in planes]
             means[side] = np.stack([np.asarray(cv2.blur(p, (side, side))) for p in wider])
-        grids.append(on_grid(means[side], centre + side, size, turns, cells))
+        if len(some):
+            grids.append(on_grid(means[side], centre + side, size, some, cells))
     return np.concatenate(grids)
 
 
