@@ -60,7 +60,8 @@ def test_each_box_of_the_object_is_an_instance_unless_a_better_one_covers_it(tmp
     [
         ([line(99, 1)], "none of 1 detections is of a frame of scene 3"),
         ([line(1, 64)], "outside"),
-        ([{"image_id": 1, "bbox": [1, 2, 0, 5]}], "empty"),
+        ([{"image_id": 1, "bbox": [1, 2, 0, 5]}], "smaller than a pixel"),
+        ([{"image_id": 1, "bbox": [-1e4, 2, 2e4, 5]}], "more than 4 times as large"),
         ([{"image_id": 1, "bbox": [1, 2, 3]}], "bbox"),
         ([{"bbox": [1, 2, 3, 4]}], "image_id"),
         ({"boxes": []}, "list"),

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.boxes import overlap
+from rendezview.geometry.boxes import fault_of, overlap
 from rendezview.geometry.camera import Camera
 from rendezview.io.files import StrPath, checked, read_json
 from rendezview.io.sequences.frame import Frame, Sequence
@@ -99,12 +99,10 @@ def _detections(
 
 
 def _check(detection: _Detection, camera: Camera, path: StrPath) -> None:
-    x, y, across, down = detection.bbox
-    if not (across > 0 < down and -across < x < camera.width and -down < y < camera.height):
+    if fault := fault_of(detection.bbox, camera.width, camera.height):
         raise RendezviewError(
-            f"{path}: the box {[x, y, across, down]} of image {detection.image_id} is empty or "
-            f"lies outside the frame of {camera.width} × {camera.height} px: a box is x, y, width, "
-            "height"
+            f"{path}: the box {detection.bbox} of image {detection.image_id} {fault}: a box is x, "
+            "y, width, height"
         )
 
 

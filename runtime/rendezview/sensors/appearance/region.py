@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.boxes import overlap
+from rendezview.geometry.boxes import fault_of, overlap
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
@@ -65,15 +65,15 @@ class Region:
         x, y, *sizes = numbers.tolist()
         if any(size <= 0.0 for size in sizes):
             raise RendezviewError(f"a box's size and a range must be positive, not {sizes}")
-        across, down = sizes if len(sizes) == 2 else (0.0, 0.0)
-        if x > width or y > height or x + across < 0.0 or y + down < 0.0:
-            what = "box" if len(sizes) == 2 else "place"
-            raise RendezviewError(
-                f"the {what} at ({x:g}, {y:g}) lies outside the frame of {width} × {height} px"
-            )
-        if len(numbers) == 4:
+        if len(sizes) == 2:
+            if fault := fault_of(numbers.tolist(), width, height):
+                raise RendezviewError(f"the box {numbers.tolist()} {fault}")
             return cls.around(
                 np.concatenate([numbers[:2], numbers[:2] + numbers[2:]]) - 0.5, camera
+            )
+        if not (0.0 <= x <= width and 0.0 <= y <= height):
+            raise RendezviewError(
+                f"the place at ({x:g}, {y:g}) lies outside the frame of {width} × {height} px"
             )
         range_m = sizes[0] if sizes else None
         return cls((0, 0, width, height), place_px=numbers[:2], range_m=range_m)
