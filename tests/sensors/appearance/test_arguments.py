@@ -64,6 +64,15 @@ def test_arguments_in_another_order_are_named(tiny_model, camera):
             call()
 
 
+@pytest.mark.parametrize("error_rad", [0.0, -0.1, float("nan")])
+def test_an_error_of_a_prior_that_is_not_positive_is_refused(tiny_model, camera, error_rad):
+    """Zero was taken for the default of 20°; below, and of NaN, no pose was ever near enough."""
+    image = np.zeros((camera.height, camera.width), np.uint8)
+    prior = Pose(np.eye(3), [0.0, 0.0, 2.0 * tiny_model.sphere_radius_m])
+    with pytest.raises(ValueError, match="prior_error_rad must be positive"):
+        Recognizer(tiny_model, camera).recognize(image, prior, error_rad)
+
+
 def test_numbers_of_every_kind_are_times(tiny_model, camera):
     image = np.zeros((camera.height, camera.width), np.uint8)
     tracker = Tracker(Recognizer(tiny_model, camera))

@@ -151,10 +151,13 @@ class Recognizer:
                 windows, too, where nothing else finds a pose. It takes a second or two.
 
         Raises:
-            ValueError: the direction to the Sun is zero or not finite.
+            ValueError: the direction to the Sun is zero or not finite; the prior's error is not
+                positive.
             RendezviewError: the image is no picture of the camera, or the region is none.
         """
         frame, near = check_frame(image, self.camera), check_prior(prior)
+        if prior_error_rad is not None and not prior_error_rad > 0.0:
+            raise ValueError(f"prior_error_rad must be positive: {prior_error_rad}")
         finders, region = self._finders, None
         if roi is not None:
             region = roi if isinstance(roi, Region) else Region.of(roi, self.camera)
