@@ -82,6 +82,23 @@ def test_numbers_of_every_kind_are_times(tiny_model, camera):
         tracker.update(float("nan"), image)
 
 
+def test_a_frame_that_is_refused_leaves_its_time_and_what_is_expected_there(
+    tiny_model, camera, bumpy_mesh, draw
+):
+    image, truth = frame_of(tiny_model, camera, bumpy_mesh, draw)
+    tracker, other = (Tracker(Recognizer(tiny_model, camera)) for _ in range(2))
+    for one in (tracker, other):
+        one.expect(truth, np.eye(6) * 1e-4)
+    with pytest.raises(RendezviewError, match="px"):
+        tracker.update(1.0, image[1:])
+    expected = other.update(1.0, image)
+    assert tracker.update(1.0, image).as_dict() | {"stage_ms": {}} == (
+        expected.as_dict() | {"stage_ms": {}}
+    )
+    with pytest.raises(ValueError, match="order of time"):
+        tracker.update(1.0, image)
+
+
 def test_a_colour_frame_is_recognised_as_its_grey_one(tiny_model, camera, bumpy_mesh, draw):
     image, _ = frame_of(tiny_model, camera, bumpy_mesh, draw)
     recognizer = Recognizer(tiny_model, camera)

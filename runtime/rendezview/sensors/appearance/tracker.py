@@ -190,15 +190,14 @@ class Tracker:
         """
         with self._lock:
             check_time(time_s, self._last_time_s)
-            self._last_time_s = time_s
             self._age(time_s)
-            frame = _Frame(time_s, image, sun_camera, roi)
-            expected, self._expected = self._expected, None
+            frame, expected = _Frame(time_s, image, sun_camera, roi), self._expected
             predicted = self.predicted(time_s) if self._monitor is not None else None
             if expected is not None and self.lost:
                 observation = self._look_at(expected, frame)
             else:
                 observation = self._look(frame)
+            self._last_time_s, self._expected = time_s, None  # the frame is not refused
             observation = self._with_joints(observation, time_s)
             if observation.pose is not None:
                 self._follow(observation, observation.pose, time_s)

@@ -126,13 +126,13 @@ class StereoTracker:
         """
         start_s = time.perf_counter()
         with self._lock:
+            check_time(time_s, self._last_time_s)
             observation = self._update(time_s, spots)
+            self._last_time_s = time_s
         observation.stage_ms["track"] = 1e3 * (time.perf_counter() - start_s)
         return observation
 
     def _update(self, time_s: float, spots: Sequence[Spots]) -> StereoObservation:
-        check_time(time_s, self._last_time_s)
-        self._last_time_s = time_s
         forecast = self._forecast(time_s)
         restarted, named = forecast is None, tuple(spots)
         fit: LightsFit | Disagreement | None = None
