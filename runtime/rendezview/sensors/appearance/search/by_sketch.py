@@ -27,6 +27,7 @@ from rendezview.sensors.appearance.search.partial_views import (
     AMONG_OTHERS,
     COARSE,
     NOTHING,
+    ROUGH,
     WEIGHTS,
     PartialViews,
     coarse_grids,
@@ -131,7 +132,7 @@ class SketchRetrieval:
         fits = _fit(self._tables.extents, sizes, off, sides).reshape(-1, len(self._vectors))
         # Those of low correlation in coarser cells, at every other roll, are not compared in finer.
         every_other = [turns[::2]] * len(placements)
-        rough = self._tables.rough.alike(*_within(sketch, placements, every_other, COARSE // 2))
+        rough = self._tables.rough.alike(*_within(sketch, placements, every_other, ROUGH))
         best = np.where(fits[::2], rough, -np.inf).max(1).reshape(len(placements), -1)
         likely = np.stack([best, 0.5 * (best + np.roll(best, -1, axis=1))], axis=-1).ravel()
         rows = np.sort(np.argpartition(-likely, _COMPARED)[:_COMPARED])

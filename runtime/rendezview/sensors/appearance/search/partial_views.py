@@ -26,6 +26,7 @@ AMONG_OTHERS = WEIGHTS | {COVER: 0.5}
 _BEYOND = 0.5  # Source: experiments photo-accuracy and sketch-confidence
 _COARSER = 2  # cells of the grid a cell. Source: by construction, its cost
 COARSE = GRID // _COARSER  # cells a side
+ROUGH = COARSE // _COARSER  # of views that are made ``coarser`` once more
 _COVERED = 0.25  # share of a coarse cell that makes it the target's. Source: by construction
 _FAINT = 0.05  # probability; a fainter contrast in a sketch is none. Source: by construction
 NOTHING = 1e-6  # keeps quotients finite. Source: by construction
@@ -118,13 +119,14 @@ def coarse_grids(
     means: dict[int, Float32s] = {}
     grids = []
     for (centre, size), some in zip(placements, turns, strict=True):
+        if not len(some):
+            continue
         side = 2 * round(REACH * size / cells) + 1  # odd: the mean lies where it is read
         if side not in means:  # over a cell; those half beyond the border are read, too
             border = (side, side, side, side)
             wider = [cv2.copyMakeBorder(p, *border, cv2.BORDER_CONSTANT) for p in planes]
             means[side] = np.stack([np.asarray(cv2.blur(p, (side, side))) for p in wider])
-        if len(some):
-            grids.append(on_grid(means[side], centre + side, size, some, cells))
+        grids.append(on_grid(means[side], centre + side, size, some, cells))
     return np.concatenate(grids)
 
 
