@@ -97,6 +97,9 @@ def test_a_frame_that_is_refused_leaves_its_time_and_what_is_expected_there(
     )
     with pytest.raises(ValueError, match="order of time"):
         tracker.update(1.0, image)
+    with pytest.raises(RendezviewError, match="px"):
+        tracker.update(1e6, image[1:])
+    assert tracker.prior is not None  # a stamp far ahead has not aged it
 
 
 def test_a_colour_frame_is_recognised_as_its_grey_one(tiny_model, camera, bumpy_mesh, draw):

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import expit, logit
 
+from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import nearest_alike
 from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
@@ -190,14 +191,19 @@ class Tracker:
         """
         with self._lock:
             check_time(time_s, self._last_time_s)
+            before = self._motion, self._jump
             self._age(time_s)
             frame, expected = _Frame(time_s, image, sun_camera, roi), self._expected
             predicted = self.predicted(time_s) if self._monitor is not None else None
-            if expected is not None and self.lost:
-                observation = self._look_at(expected, frame)
-            else:
-                observation = self._look(frame)
-            self._last_time_s, self._expected = time_s, None  # the frame is not refused
+            try:
+                if expected is not None and self.lost:
+                    observation = self._look_at(expected, frame)
+                else:
+                    observation = self._look(frame)
+            except (ValueError, RendezviewError):  # the frame is refused
+                self._motion, self._jump = before
+                raise
+            self._last_time_s, self._expected = time_s, None
             observation = self._with_joints(observation, time_s)
             if observation.pose is not None:
                 self._follow(observation, observation.pose, time_s)
