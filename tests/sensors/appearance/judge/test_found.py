@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -11,7 +13,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.appearance.hypothesis import Hypothesis
-from rendezview.sensors.appearance.judge.found import Found
+from rendezview.sensors.appearance.judge.found import Found, agree, one_answer
 from rendezview.sensors.appearance.pose_finder import PoseFinder
 from rendezview.sensors.observation import Status
 
@@ -104,3 +106,36 @@ def test_a_pose_that_may_well_be_10_degrees_off_is_not_given(
     judged = finder.judged(AppearanceObservation(Status.OK, found=found))
     assert (judged.pose is not None) == given
     assert judged.confidence == found.right
+
+
+def test_an_answer_has_the_probability_and_the_spread_of_its_optima() -> None:
+    near, far = moved(3.0, 0.1), moved(20.0, 0.0)
+    weighed = [Hypothesis(SEEN, covariance(0.2, 0.01), probability=0.6),
+               Hypothesis(near, covariance(0.4, 0.02), probability=0.2),
+               Hypothesis(far, covariance(0.2, 0.01), probability=0.2)]  # fmt: skip
+    answer, other = one_answer(weighed, [])
+    assert answer.pose is SEEN
+    assert other is weighed[2]
+    assert answer.probability == pytest.approx(0.8)
+    rng = np.random.default_rng(5)
+    first = rng.multivariate_normal(np.zeros(6), weighed[0].covariance, 60_000)
+    second = rng.multivariate_normal(near.delta_from(SEEN), weighed[1].covariance, 20_000)
+    errors = np.concatenate([first, second])
+    drawn = errors.T @ errors / len(errors)
+    sigmas = np.sqrt(np.diag(answer.covariance))
+    assert np.abs(answer.covariance - drawn).max() < 0.03 * np.outer(sigmas, sigmas).max()
+
+
+def test_optima_of_no_probability_leave_an_answer_as_it_is() -> None:
+    best = Hypothesis(SEEN, covariance(0.2, 0.01), probability=1.0)
+    there = Hypothesis(moved(3.0, 0.1), covariance(0.4, 0.02), probability=0.0)
+    answer = one_answer([best, there], [])[0]
+    assert (answer.covariance == best.covariance).all()
+
+
+@pytest.mark.parametrize(("sigma_deg", "agreed"), [(0.2, False), (2.0, True)])
+def test_poses_agree_that_differ_by_no_more_than_their_covariances(sigma_deg, agreed) -> None:
+    a = Hypothesis(SEEN, covariance(sigma_deg, 0.1))
+    b = Hypothesis(moved(3.0, 0.0), covariance(0.2, 0.1))
+    assert agree(a, b, []) is agreed
+    assert agree(a, replace(b, covariance=None), [])

@@ -13,7 +13,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.hypothesis import Aligned, Bound, Hypothesis
-from rendezview.sensors.appearance.judge.found import Found, merit
+from rendezview.sensors.appearance.judge.found import Found, agree, merit, one_answer
 from rendezview.sensors.appearance.judge.level import Level
 from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.judge.rivals import MERIT_WEIGHT, RIVAL_RAD, line_scores
@@ -131,7 +131,7 @@ class Candidates:
             return found
         merits = np.array([merit(one, one.shading) for one in self._all])
         within = np.inf if on_sketch is not None else merits.max() - (found.merit - _IN_DOUBT)
-        apart = choose(merits, self._same, within=within, most=len(merits))
+        apart = choose(merits, self._one_optimum, within=within, most=len(merits))
         assert apart is not None
         asked, lines = [self._all[k] for k in apart.answers], None
         own = merits[list(apart.answers)]
@@ -151,9 +151,11 @@ class Candidates:
         if not weighed:
             return found
         k = next(k for k, one in enumerate(self._all) if one.pose is weighed[0].pose)
+        weighed = one_answer(weighed, self.level.refiner.model.symmetries)
         chosen = choose(merits, self._same, best=k)
         assert chosen is not None
-        found = replace(self._found(chosen), weighed=tuple(weighed))
+        best = replace(self._all[k], covariance=weighed[0].covariance)
+        found = replace(self._found(chosen), best=best, weighed=tuple(weighed))
         if len(weighed) == 1:
             return found
         # Its look-alikes have the same edges, and pictures tell it from them: edges need only lead
@@ -182,6 +184,11 @@ class Candidates:
         """Whether two poses are one answer."""
         a, b = self._all[k].pose, self._all[known].pose
         return bool(angle_between(a, b, self.level.refiner.model.symmetries) <= RIVAL_RAD)
+
+    def _one_optimum(self, k: int, known: int) -> bool:
+        """Whether two poses are one answer, and their covariances allow for what they differ by."""
+        a, b = self._all[k], self._all[known]
+        return self._same(k, known) and agree(a, b, self.level.refiner.model.symmetries)
 
     def _votes(self, one: Hypothesis) -> float | None:
         """Log odds of the forest; None before a bright sky."""

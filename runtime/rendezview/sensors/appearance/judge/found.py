@@ -181,12 +181,36 @@ class Found:
         if own.covariance is None or other.covariance is None:
             return self
         finer = np.linalg.det(other.covariance) < np.linalg.det(own.covariance)
-        if not finer:
-            return self
-        apart = nearest_alike(other.pose, own.pose, symmetries).delta_from(own.pose)
-        allowed = own.covariance + other.covariance
-        agree = apart @ np.linalg.solve(allowed, apart) <= _AGREE_CHI2
-        return replace(self, best=other) if agree else self
+        return replace(self, best=other) if finer and agree(own, other, symmetries) else self
+
+
+def agree(one: Hypothesis, other: Hypothesis, symmetries: Sequence[Symmetry]) -> bool:
+    """Whether two poses differ by no more than their covariances allow, if they have any."""
+    if one.covariance is None or other.covariance is None:
+        return True
+    apart = nearest_alike(other.pose, one.pose, symmetries).delta_from(one.pose)
+    allowed = one.covariance + other.covariance
+    return bool(apart @ np.linalg.solve(allowed, apart) <= _AGREE_CHI2)
+
+
+def one_answer(weighed: Sequence[Hypothesis], symmetries: Sequence[Symmetry]) -> list[Hypothesis]:
+    """Weighed poses, with those that are the same answer as the likeliest taken into it.
+
+    It has their probability, and a covariance that holds them: the second moment of all about it.
+    """
+    best, others = weighed[0], []
+    own = best.probability
+    total, covariance = own, best.covariance
+    for one in weighed[1:]:
+        if angle_between(one.pose, best.pose, symmetries) > RIVAL_RAD:
+            others.append(one)
+            continue
+        total += one.probability
+        if covariance is not None and total > 0.0:
+            apart = nearest_alike(one.pose, best.pose, symmetries).delta_from(best.pose)
+            spread = np.outer(apart, apart) + (0.0 if one.covariance is None else one.covariance)
+            covariance = covariance + one.probability / total * (spread - covariance)
+    return [replace(best, probability=total, covariance=covariance), *others]
 
 
 def share_of(pose: Pose, weighed: Sequence[Hypothesis], symmetries: Sequence[Symmetry]) -> float:

@@ -118,7 +118,7 @@ class Rivals:
         if known is None:
             explained = _under_best_suns(scores, each, explained, look=False)
             scores, distinct = scored(explained)
-            if posterior(scores).max() < _IN_DOUBT:
+            if _best_answer(scores, each) < _IN_DOUBT:
                 explained = _under_best_suns(scores, each, explained, look=True)
                 scores, distinct = scored(explained)
         for _ in range(_ROUNDS):
@@ -165,6 +165,14 @@ class Rivals:
             shade = self._shading.of(image, sky, one)
             hypotheses.append(Hypothesis(one, sun_camera=None if shade is None else shade.sun))
         return self.weigh(image, sky, hypotheses, np.zeros(len(hypotheses)))
+
+
+def _best_answer(scores: Array, drawn: list[Drawn]) -> float:
+    """Probability of the likeliest pose and of those that are the same answer."""
+    shares = posterior(scores)
+    best = drawn[int(np.argmax(shares))].pose
+    same = [one.pose.angle_to(best) <= RIVAL_RAD for one in drawn]
+    return float(shares[same].sum())
 
 
 def _drawn_weight(drawn: list[Drawn], explained: list[Explained]) -> float:
