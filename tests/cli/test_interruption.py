@@ -45,9 +45,11 @@ def test_an_interrupted_simulation_leaves_nothing(
 
 
 @pytest.mark.requirement("RV-TRACK-3")
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_track_keeps_what_was_computed(
-    spawn, files_below, tiny_model_path: Path, scene: Path, prior_path: Path, tmp_path: Path
+    spawn, files_below, tiny_model_path: Path, scene: Path, prior_path: Path, tmp_path: Path, sent
 ):
+    """By Ctrl-C, or as `timeout`, containers and batch systems end a program."""
     frames = tmp_path / "frames"
     frames.mkdir()
     shutil.copy(scene / "camera.json", frames)
@@ -58,7 +60,7 @@ def test_an_interrupted_track_keeps_what_was_computed(
     spawned = spawn("track", tiny_model_path, frames, "-o", poses, "--log", log,
                       "--prior", prior_path)  # fmt: skip
     spawned.wait_for(lambda: partial.is_file() and partial.stat().st_size > 0)
-    _interrupted(spawned.signal(signal.SIGINT))
+    _interrupted(spawned.signal(sent))
     records = [json.loads(line) for line in log.read_text().splitlines()]
     assert 0 < len(records) < 4000
     rows = list(csv.DictReader(poses.read_text().splitlines()))

@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from importlib import metadata
+from types import FrameType
 from typing import Any
 
 import typer
@@ -163,6 +166,27 @@ def tell_of_other_opencv() -> None:
             )
 
 
+@contextlib.contextmanager
+def _ended_as_by_ctrl_c() -> Iterator[None]:
+    """SIGTERM, as of ``timeout`` and batch systems, ends as Ctrl-C does: what is done is kept."""
+    own = os.getpid()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        if os.getpid() == own:
+            raise KeyboardInterrupt
+        signal.signal(number, signal.SIG_DFL)  # a process that was forked
+        signal.raise_signal(number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def main() -> None:
     """Run a command: exit 0; 1 for what the user can fix, in one line; 2 for usage."""
     arguments = sys.argv[1:]
@@ -178,7 +202,8 @@ def main() -> None:
             from rendezview.cli.compiling import tell_of_compiling
 
             tell_of_compiling()
-        app()
+        with _ended_as_by_ctrl_c():
+            app()
     except RendezviewError as error:
         print(f"rendezview: {error}", file=sys.stderr)
         sys.exit(1)

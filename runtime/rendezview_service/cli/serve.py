@@ -35,6 +35,8 @@ _OF_RAY = {
 }
 
 
+# S, for a flight to end, then it is killed: less than the service takes. Source: by construction
+_FLIGHT_END_S = 1.0
 # Flags that are no settings, and those that have another name there.
 _OWN = ("model", "source", "speed", "fly", "check", "settings")
 _SETTINGS = {
@@ -172,12 +174,14 @@ def serve(
 @contextlib.contextmanager
 def _flight(target: str, address: str) -> Iterator[None]:
     """A flight at the service, in a process that ends with it."""
+    from rendezview_service.hub.child_program import end
+
     command = [sys.executable, "-m", "rendezview", "fly", target, "--live", address]
     with subprocess.Popen(command) as process:
         try:
             yield
         finally:
-            process.terminate()
+            end(process, _FLIGHT_END_S)
 
 
 def _be_gateway(settings: Settings, has_own: bool, tell: Callable[[str], None]) -> None:

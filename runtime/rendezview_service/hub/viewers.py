@@ -21,6 +21,7 @@ from typing import Any
 
 from rendezview.errors import RendezviewError, optional
 from rendezview_service.client.messages import pose_of_state
+from rendezview_service.hub.child_program import end
 from rendezview_service.hub.health import info_of
 from rendezview_service.hub.rerun_recorder import RerunRecorder
 from rendezview_service.hub.ros_viewer import RosViewer
@@ -196,7 +197,7 @@ class RerunViewer:
         server = subprocess.Popen(
             [*program, "--serve-grpc", "--bind", host, "--port", str(port)], **quiet
         )
-        self._open.callback(_end, server)
+        self._open.callback(end, server, _SERVER_END_S)
         self._stream = rr.RecordingStream("rendezview")
         _await_listener(server, at.strip("[]"), port)
         self._stream.connect_grpc(self.address)
@@ -241,14 +242,6 @@ def _rerun_program() -> Path:
         if path.is_file():
             return path
     raise OSError(f"there is no {places[0]}: set RERUN_CLI_PATH to Rerun's program")
-
-
-def _end(program: subprocess.Popen[bytes]) -> None:
-    program.terminate()
-    try:
-        program.wait(_SERVER_END_S)
-    except subprocess.TimeoutExpired:
-        program.kill()
 
 
 def _await_listener(server: subprocess.Popen[bytes], host: str, port: int) -> None:
