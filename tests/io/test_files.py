@@ -152,6 +152,7 @@ def test_an_error_of_another_file_is_not_blamed_on_this_one(tmp_path):
     [
         (b'{"a": 1,}', r"a\.json: not valid JSON .*line 1"),
         (b'{"a": NaN}', "NaN is not a JSON number"),
+        (b'[{"fx": 600, "cx": 320, "fx": 900}]', "the key 'fx' is there twice"),
         (b"\xff\xfe", "not text in UTF-8"),
         (b"[" * 200_000, "not valid JSON"),
         (b"", "not valid JSON"),

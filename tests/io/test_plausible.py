@@ -62,6 +62,7 @@ ABSURD = [
     (Camera(640, 480, 1000.0, 1000.0, 645.0, 472.0), "matrix is of pictures of 1280 × 960"),
     (Camera(640, 480, 1500.0, 1500.0, 963.0, 725.0), "matrix is of pictures of 1920 × 1440"),
     (Camera(640, 480, 700.0, 700.0, 0.0, 0.0), "the corner"),
+    (Camera(640, 480, 6e9, 600.0, 319.5, 239.5), "times as high as wide"),
     (Camera(640, 480, 641.8, 641.8, 319.5, 239.5, (-5.0, 0.0, 0.0, 0.0)), "folds the picture, 8"),
     (Camera(640, 480, 641.8, 641.8, 319.5, 239.5, (9e5, 0.0, 0.0, 0.0)), "folds the picture, 100"),
 ]

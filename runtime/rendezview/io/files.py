@@ -168,14 +168,23 @@ def parse_json(text: str | bytes, where: str) -> Any:
     """A JSON document; ``where`` (path, line) starts the message of an error.
 
     Raises:
-        RendezviewError: bad JSON, or the numbers NaN and Infinity, which JSON does not have.
+        RendezviewError: bad JSON; the numbers NaN and Infinity, which JSON does not have; or a key
+            that is there twice.
     """
 
     def refuse(constant: str) -> Any:
         raise ValueError(f"{constant} is not a JSON number")
 
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        known = dict(pairs)
+        if len(known) < len(pairs):
+            keys = [key for key, _ in pairs]
+            twice = next(key for key in known if keys.count(key) > 1)
+            raise ValueError(f"the key {twice!r} is there twice")
+        return known
+
     try:
-        return json.loads(text, parse_constant=refuse)
+        return json.loads(text, parse_constant=refuse, object_pairs_hook=once)
     except json.JSONDecodeError as error:
         raise RendezviewError(
             f"{where}: not valid JSON ({error.msg} at line {error.lineno}, column {error.colno}): "

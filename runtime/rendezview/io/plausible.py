@@ -24,7 +24,9 @@ _NARROW_RAD, _NARROWEST_RAD = math.radians(1.0), math.radians(0.1)
 _MIDDLE = 0.5  # of half the picture: a principal point further out is asked about. Source: chosen
 _SCALES = (0.0, 0.125, 0.25, 1.0 / 3.0, 0.5, 2.0, 3.0, 4.0)  # Source: cameras as sold bin 2 to 8
 _SCALE_ERROR = 0.04  # of half the picture, on both axes. Source: principal points of real cameras
-_ASPECT = 1.15  # of a pixel; PAL and NTSC have 1.09. Source: ITU-R BT.601
+# Of a pixel; PAL and NTSC have 1.09, binning and anamorphic lenses up to 4. Source: ITU-R BT.601;
+# chosen
+_ASPECT, _MOST_ASPECT = 1.15, 8.0
 # Of the pixels, which no direction reaches as the lens folds the picture: asked about, refused.
 # Source: wide lenses calibrated without their corners have up to 0.28; chosen
 _FOLDED, _MOST_FOLDED = 0.1, 0.75
@@ -78,12 +80,14 @@ def camera_doubts(camera: Camera) -> list[Doubt]:
         ]
     found = _field_doubts(camera)
     aspect = camera.fx / camera.fy
-    if max(camera.fx, camera.fy) / min(camera.fx, camera.fy) > _ASPECT:
+    oblong = max(aspect, 1.0 / aspect)
+    if oblong > _ASPECT:
         found.append(
             Doubt(
                 f"fx {camera.fx:g} and fy {camera.fy:g} differ: right for pixels that are "
-                f"{aspect:.2f} times as high as wide, wrong for pictures that were resized after "
-                "the calibration"
+                f"{aspect:.3g} times as high as wide, wrong for pictures that were resized after "
+                "the calibration",
+                oblong > _MOST_ASPECT,
             )
         )
     return [*found, *(_middle_doubts(camera) or _lens_doubts(camera))]
