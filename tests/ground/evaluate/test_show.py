@@ -197,3 +197,13 @@ def test_what_is_no_such_file_is_refused(
     (tmp_path / name).write_text(content)
     with pytest.raises(RendezviewError, match=words):
         show(tmp_path / name, tmp_path / "out")
+
+
+def test_cameras_of_colmap_are_drawn_and_a_picture_is_no_folder(tmp_path: Path) -> None:
+    cameras = tmp_path / "cameras.txt"
+    cameras.write_text("# Camera list\n1 PINHOLE 640 480 641.8 641.8 320 240\n")
+    show(cameras, tmp_path / "out")
+    assert (tmp_path / "out" / "camera.png").is_file()
+    with pytest.raises(RendezviewError, match="name one, not a picture"):
+        show(cameras, tmp_path / "camera.png")
+    assert not (tmp_path / "camera.png").exists()

@@ -39,6 +39,8 @@ from rendezview_ground.evaluate.pictures.track_pictures import observation_curve
 from rendezview_ground.evaluate.pictures.trajectory_pictures import path_picture, rate_picture
 from rendezview_service.viewers.runs import moments
 
+_CAMERA_SUFFIXES = (".json", ".yaml", ".yml", ".xml", ".txt", ".ini")
+_PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".svg", ".pdf")
 _SCENE_FILES = ("scene_camera.json", "scene_gt.json")
 _NODE_COLUMNS = (
     "node", "x", "y", "z", "depth", "leaves", "training_accuracy", "held_out_accuracy", "area_m2",
@@ -72,6 +74,8 @@ def show(
     """
     if not what.exists():
         raise RendezviewError(f"{what}: no such file or folder")
+    if output is not None and output.suffix.lower() in _PICTURE_SUFFIXES and not output.is_dir():
+        raise RendezviewError(f"-o {output}: a folder is written: name one, not a picture")
     name = Path(what.name.removesuffix(".partial"))  # what was written before a run broke off
     folder = output or Path(f"{name.stem if what.is_file() else what.resolve().name}-pictures")
     suffix = name.suffix.lower() if what.is_file() else ""
@@ -81,7 +85,7 @@ def show(
         written = _show_log(what, folder)
     elif suffix == ".csv":
         written = _show_results(what, folder)
-    elif suffix in (".json", ".yaml", ".yml", ".xml") and what.name not in _SCENE_FILES:
+    elif suffix in _CAMERA_SUFFIXES and what.name not in _SCENE_FILES:
         written = _show_calibration(what, folder)
     else:
         sequence = given_sequence(what, camera)
