@@ -43,6 +43,7 @@ _SCENE_FILES = ("scene_camera.json", "scene_gt.json")
 _NODE_COLUMNS = (
     "node", "x", "y", "z", "depth", "leaves", "training_accuracy", "held_out_accuracy", "area_m2",
 )  # fmt: skip
+_PICTURES = (".png", ".jpg", ".jpeg", ".svg", ".pdf", ".webp")  # no names of a folder
 _SHEET = (4, 3)  # frames across and down
 _CELL_PX = 320  # px; width of a frame on the sheet
 
@@ -73,6 +74,8 @@ def show(
     if not what.exists():
         raise RendezviewError(f"{what}: no such file or folder")
     name = Path(what.name.removesuffix(".partial"))  # what was written before a run broke off
+    if output is not None and output.suffix.lower() in _PICTURES and not output.is_dir():
+        raise RendezviewError(f"{output}: pictures are written into a folder: give its name")
     folder = output or Path(f"{name.stem if what.is_file() else what.resolve().name}-pictures")
     suffix = name.suffix.lower() if what.is_file() else ""
     if suffix == ".rvm":
@@ -81,7 +84,7 @@ def show(
         written = _show_log(what, folder)
     elif suffix == ".csv":
         written = _show_results(what, folder)
-    elif suffix in (".json", ".yaml", ".yml", ".xml") and what.name not in _SCENE_FILES:
+    elif suffix in (".json", ".yaml", ".yml", ".xml", ".txt") and what.name not in _SCENE_FILES:
         written = _show_calibration(what, folder)
     else:
         sequence = given_sequence(what, camera)
