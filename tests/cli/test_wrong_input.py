@@ -246,6 +246,18 @@ def test_a_sheet_of_frames_shows_those_that_cannot_be_read(run, bad_scene: Path)
     assert (bad_scene.parent / "sheet" / "frames.png").is_file()
 
 
+def test_show_makes_no_folder_with_the_name_of_a_picture(run, bad_scene: Path, tmp_path: Path):
+    run("show", bad_scene, "-o", tmp_path / "a.PNG").says("a.PNG", "into a folder")
+    assert not (tmp_path / "a.PNG").exists()
+
+
+def test_show_draws_a_camera_of_colmap(run, tmp_path: Path):
+    (tmp_path / "cameras.txt").write_text("1 OPENCV 640 480 641 641 319 239 -0.1 0 0 0\n")
+    assert run("show", tmp_path / "cameras.txt", "-o", tmp_path / "out").code == 0
+    assert (tmp_path / "out" / "camera.png").is_file()
+    run("show", tmp_path, "-o", tmp_path / "x").says("no images in it")
+
+
 def test_a_camera_that_fits_no_frame_is_refused_before_the_run(
     run, tiny_model_path: Path, scene: Path, tmp_path: Path
 ):

@@ -171,6 +171,13 @@ def test_minimal_rotation_refuses_what_is_no_direction(bad):
         minimal_rotation([1, 0, 0], bad)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_overflows_is_no_rotation(sign):
+    huge = 1e300 * np.array([[1.0, 1.0, 0.0], [1.0, sign, 0.0], [0.0, 0.0, 1.0]])
+    with pytest.raises(ValueError, match="not a rotation"):
+        nearest_rotation(huge)
+
+
 def test_nearest_rotation_mends_rounding_and_leaves_a_rotation_as_it_is():
     exact = Rotation.random(rng=np.random.default_rng(6)).as_matrix()
     assert (nearest_rotation(exact) == exact).all()

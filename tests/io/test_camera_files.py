@@ -292,6 +292,20 @@ def test_bop_camera_is_read(tmp_path):
         (b"{}", "no camera matrix"),
         (b"a: 1\n", "no camera matrix"),
         (b"<a>", "not valid XML"),
+        (b"<a>" * 10_000 + b"</a>" * 10_000, r"not valid XML \(.*recursion"),
+        (b"K: [1" + b"0" * 400 + b", 0, 0, 0, 1, 0, 0, 0, 1]\n", "K: must be"),
+        (b"fx: 1" + b"0" * 400 + b"\n", "fx: "),
+        (b"intrinsics: [500, 500, 320, 240]\nresolution: [640.5, 480]\n", "width: must be a pos"),
+        (
+            b"fx: 500\nfy: 500\ncx: 320\ncy: 240\nwidth: 640\nheight: 480\n"
+            b"intrinsics_covariance: 5\n",
+            "covariance must be",
+        ),
+        (
+            b"fx: 500\nfy: 500\ncx: 320\ncy: 240\nwidth: 640\nheight: 480\n"
+            b"intrinsics_covariance: [1e300, 1, 1, 1]\n",
+            "covariance must be",
+        ),
         (b'{"fx": 1', "not valid JSON"),
         (b"K: [1, 2", r"line 1: expected ',' or '\]'"),
         (b"K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n", "image size is missing: add image_width"),

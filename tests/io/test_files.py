@@ -184,6 +184,42 @@ def test_reading_names_what_is_missing_a_folder_or_too_long(tmp_path):
         read_text(tmp_path / "long", "a thing", limit_bytes=10)
 
 
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ('{"a": 1, "b": {"c": 1, "c": 2}}', "key 'c' is there twice"),
+        ('{"a": 1e400}', "a number of 5 characters, 1e400, is too large"),
+        ('{"a": -1' + "0" * 309 + "}", "a number of 311 characters, -10+, is too large"),
+    ],
+)
+def test_json_that_readers_understand_differently_is_refused(tmp_path, content, message):
+    (tmp_path / "a.json").write_text(content)
+    with pytest.raises(RendezviewError, match=message):
+        read_json(tmp_path / "a.json", "a thing")
+
+
+def test_the_largest_numbers_of_json_are_kept(tmp_path):
+    (tmp_path / "a").write_text('{"a": 9007199254740993, "b": [1.7e308, -0.0], "c": {"a": 2}}')
+    read = read_json(tmp_path / "a", "a thing")
+    assert read == {"a": 2**53 + 1, "b": [1.7e308, 0.0], "c": {"a": 2}}
+
+
+def test_a_named_pipe_and_a_device_are_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path / "link", "/dev/zero"):
+        with pytest.raises(RendezviewError, match="is no regular file; expected a thing"):
+            read_text(path, "a thing")
+
+
+def test_a_pipe_of_a_shell_is_read():
+    reading, writing = os.pipe()
+    os.write(writing, b"[1]")
+    os.close(writing)
+    assert read_json(f"/dev/fd/{reading}", "a thing") == [1]
+    os.close(reading)
+
+
 def test_a_byte_order_mark_is_dropped(tmp_path):
     (tmp_path / "a").write_bytes(b"\xef\xbb\xbf{}")
     assert read_json(tmp_path / "a", "a thing") == {}

@@ -111,14 +111,12 @@ class Camera:
                 f"covariance must be of 4 numbers (fx fy cx cy) or {least} and more (with the "
                 f"distortion), not {matrix.shape}"
             )
+        if not np.isfinite(matrix).all():
+            raise ValueError("covariance must be finite")
         sigma = np.sqrt(np.abs(np.diag(matrix)))
         scaled = matrix / np.outer(*[np.where(sigma > 0.0, sigma, 1.0)] * 2)
-        if (
-            not np.isfinite(matrix).all()
-            or np.abs(scaled - scaled.T).max() > 1e-6
-            or (np.linalg.eigvalsh(scaled)[0] < -1e-6)
-        ):
-            raise ValueError("covariance must be finite, symmetric and not negative")
+        if np.abs(scaled - scaled.T).max() > 1e-6 or np.linalg.eigvalsh(scaled)[0] < -1e-6:
+            raise ValueError("covariance must be symmetric and not negative")
         return tuple(tuple(row) for row in matrix.tolist())
 
     @property

@@ -300,7 +300,8 @@ def nearest_rotation(matrix: npt.ArrayLike) -> Array:
     given = np.asarray(matrix, dtype=np.float64)
     if given.shape != (3, 3) or not np.isfinite(given).all():
         raise ValueError(f"a rotation must be (3, 3) and finite, not {given.tolist()}")
-    error = np.abs(given @ given.T - np.eye(3)).max()
+    large = np.abs(given).max() > 2.0  # no rotation, and products may overflow
+    error = np.inf if large else np.abs(given @ given.T - np.eye(3)).max()
     if error > 1e-3 or np.linalg.det(given) < 0.0:
         raise ValueError(f"not a rotation (orthonormal, determinant +1): {given.tolist()}")
     if error <= 1e-12:

@@ -146,7 +146,7 @@ def _parse(text: str, where: str) -> Any:
     if start == "{":
         return parse_json(text, where)
     if start == "<":
-        faults = (ElementTree.ParseError, ValueError)
+        faults = (ElementTree.ParseError, ValueError, RecursionError)
         remedy = "): correct or replace the camera file"
         with explained(f"{where}: not valid XML (", remedy, faults):
             return _xml_value(ElementTree.fromstring(text))
@@ -206,7 +206,8 @@ def _calibrated(data: dict[Any, Any]) -> Camera:
             "fx): give an OpenCV, ROS or Kalibr YAML file, or a BOP or SPEED camera.json"
         )
     if "resolution" in data:
-        width, height = map(int, counted(data, "resolution", 2))
+        sides = dict(zip(("width", "height"), counted(data, "resolution", 2), strict=True))
+        width, height = (_whole(sides, key) for key in sides)
     elif size_keys[0] is None or size_keys[1] is None:
         raise ValueError(
             "the image size is missing: add image_width and image_height (pixels) to the file, or "
@@ -224,10 +225,11 @@ def _covariance(data: dict[Any, Any]) -> Any:
     if given is None:
         return None
     numbers = np.array(_numbers(given, _COVARIANCE))
-    rows = given.get("rows") if isinstance(given, dict) else np.shape(given)[0]
+    rows = given.get("rows") if isinstance(given, dict) else len(np.atleast_1d(given))
     if isinstance(rows, int) and rows > 1 and rows * rows == len(numbers):
         return numbers.reshape(rows, rows).tolist()
-    return np.diag(numbers**2).tolist()
+    with np.errstate(over="ignore"):  # infinite ones are refused
+        return np.diag(numbers**2).tolist()
 
 
 def _imaged(data: dict[Any, Any], camera: Camera) -> Camera:
@@ -311,7 +313,7 @@ def _numbers(value: Any, key: str) -> list[float]:
         value = value.get("data")
     try:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{key}: must be a list of numbers") from error
     if value is None or not np.isfinite(array).all():
         raise ValueError(f"{key}: must be finite numbers")

@@ -335,7 +335,10 @@ def number(data: Keys, key: str) -> float:
         raise ValueError(f"{key}: missing: add it")
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{key}: must be a number, not {value!r}")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise ValueError(f"{key}: the number is too large") from None
 
 
 def _numbers(data: Keys, keys: str) -> list[float]:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import secrets
 import stat
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -119,12 +121,26 @@ def make_folder(path: StrPath) -> None:
         ) from error
 
 
+def check_regular(path: StrPath, what: str) -> None:
+    """Refuse a device or a named pipe, where ``what`` is expected: reading may never end.
+
+    Pipes of a shell (``/dev/stdin``, ``<(…)``) are read.
+
+    Raises:
+        RendezviewError: it is one.
+    """
+    file = Path(os.path.realpath(path))
+    if file.is_fifo() or file.is_char_device() or file.is_block_device() or file.is_socket():
+        raise RendezviewError(f"{path}: is no regular file; expected {what}: name a file")
+
+
 def read_bytes(path: StrPath, what: str, *, limit_bytes: int | None = None) -> bytes:
     """The content of a file that is ``what`` (for the message: ``"a camera file"``).
 
     Raises:
-        RendezviewError: missing, unreadable, or longer than ``limit_bytes``.
+        RendezviewError: missing, unreadable, no file, or longer than ``limit_bytes``.
     """
+    check_regular(path, what)
     try:
         with open(path, "rb") as file:
             content = file.read() if limit_bytes is None else file.read(limit_bytes + 1)
@@ -164,27 +180,42 @@ def read_toml(path: StrPath, what: str) -> dict[str, Any]:
         return tomllib.loads(read_text(path, f"{what} (TOML)"))
 
 
+def _refused(constant: str) -> Any:
+    raise ValueError(f"{constant} is not a JSON number")
+
+
+def _float(text: str) -> float:
+    value = float(text)
+    if math.isinf(value):
+        raise ValueError(f"a number of {len(text)} characters, {text[:20]}, is too large")
+    return value
+
+
+def _int(text: str) -> int:
+    _float(text)
+    return int(text)
+
+
+def _with_single_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        twice = next(key for key, n in Counter(key for key, _ in pairs).items() if n > 1)
+        raise ValueError(f"the key {twice!r} is there twice")
+    return found
+
+
 def parse_json(text: str | bytes, where: str) -> Any:
     """A JSON document; ``where`` (path, line) starts the message of an error.
 
     Raises:
-        RendezviewError: bad JSON; the numbers NaN and Infinity, which JSON does not have; or a key
-            that is there twice.
+        RendezviewError: bad JSON, a key twice in an object, the numbers NaN and Infinity, which
+            JSON does not have, or one that no float holds.
     """
-
-    def refuse(constant: str) -> Any:
-        raise ValueError(f"{constant} is not a JSON number")
-
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        known = dict(pairs)
-        if len(known) < len(pairs):
-            keys = [key for key, _ in pairs]
-            twice = next(key for key in known if keys.count(key) > 1)
-            raise ValueError(f"the key {twice!r} is there twice")
-        return known
-
     try:
-        return json.loads(text, parse_constant=refuse, object_pairs_hook=once)
+        return json.loads(
+            text, parse_constant=_refused, parse_float=_float, parse_int=_int,
+            object_pairs_hook=_with_single_keys,
+        )  # fmt: skip
     except json.JSONDecodeError as error:
         raise RendezviewError(
             f"{where}: not valid JSON ({error.msg} at line {error.lineno}, column {error.colno}): "

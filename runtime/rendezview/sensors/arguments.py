@@ -9,6 +9,8 @@ from typing import Any
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 
+# s; cameras date frames in whole nanoseconds, and rates of nearer ones overflow. Source: ROS, MCAP
+_SHORTEST_S = 0.999e-9
 _Recognizer = type("Recognizer", (), {})  # its name; sensors do not import each other
 
 
@@ -45,10 +47,10 @@ def check_time(time_s: Any, last_s: float) -> None:
 
     Raises:
         RendezviewError: no number: the arguments are in another order.
-        ValueError: not finite, or not later than the last one.
+        ValueError: not finite, or not later than the last one by a nanosecond.
     """
     check_types("update(time_s, image), with the time in seconds first", (time_s, numbers.Real))
-    if not (math.isfinite(time_s) and time_s > last_s):
+    if not (math.isfinite(time_s) and time_s - last_s >= _SHORTEST_S):
         raise ValueError(f"frames must come in order of time: {time_s} s after {last_s} s")
 
 

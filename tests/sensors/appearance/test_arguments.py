@@ -73,6 +73,18 @@ def test_an_error_of_a_prior_that_is_not_positive_is_refused(tiny_model, camera,
         Recognizer(tiny_model, camera).recognize(image, prior, error_rad)
 
 
+@pytest.mark.parametrize("since_s", [5e-324, 1e-310, 1e-12])
+def test_frames_whose_rates_would_overflow_are_refused(
+    tiny_model, camera, bumpy_mesh, draw, since_s
+):
+    image, truth = frame_of(tiny_model, camera, bumpy_mesh, draw)
+    tracker = Tracker(Recognizer(tiny_model, camera), prior=truth)
+    tracker.update(0.0, image)
+    with pytest.raises(ValueError, match="order of time"):
+        tracker.update(since_s, image)
+    assert tracker.update(1e-9, image).time_s == 1e-9
+
+
 def test_numbers_of_every_kind_are_times(tiny_model, camera):
     image = np.zeros((camera.height, camera.width), np.uint8)
     tracker = Tracker(Recognizer(tiny_model, camera))

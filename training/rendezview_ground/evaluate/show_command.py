@@ -40,7 +40,7 @@ from rendezview_ground.evaluate.pictures.trajectory_pictures import path_picture
 from rendezview_service.viewers.runs import moments
 
 _CAMERA_SUFFIXES = (".json", ".yaml", ".yml", ".xml", ".txt", ".ini")
-_PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".svg", ".pdf")
+_PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".svg", ".pdf", ".webp")
 _SCENE_FILES = ("scene_camera.json", "scene_gt.json")
 _NODE_COLUMNS = (
     "node", "x", "y", "z", "depth", "leaves", "training_accuracy", "held_out_accuracy", "area_m2",
@@ -75,7 +75,9 @@ def show(
     if not what.exists():
         raise RendezviewError(f"{what}: no such file or folder")
     if output is not None and output.suffix.lower() in _PICTURE_SUFFIXES and not output.is_dir():
-        raise RendezviewError(f"-o {output}: a folder is written: name one, not a picture")
+        raise RendezviewError(
+            f"-o {output}: pictures are written into a folder: name one, not a picture"
+        )
     name = Path(what.name.removesuffix(".partial"))  # what was written before a run broke off
     folder = output or Path(f"{name.stem if what.is_file() else what.resolve().name}-pictures")
     suffix = name.suffix.lower() if what.is_file() else ""

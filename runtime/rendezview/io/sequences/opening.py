@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
-from rendezview.io.files import StrPath
+from rendezview.io.files import StrPath, check_regular
 from rendezview.io.plausible import time_doubts
 from rendezview.io.sequences.bop import open_bop_scene
 from rendezview.io.sequences.bop_shards import open_bop_shard
@@ -75,6 +75,7 @@ def _opened(path: StrPath, camera: Camera | None, obj_id: int | None) -> Sequenc
     if not source.exists():
         text, topic = split_topic(str(path))
         source = Path(text)
+    check_regular(source, "a sequence of images")
     suffix = source.suffix.lower()
     if suffix == ".mcap" and source.is_file():
         return open_recording(source, mcap_messages, topic, camera)

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError, explained
-from rendezview.io.files import atomic_write
+from rendezview.io.files import atomic_write, check_regular
 
 MAGIC = b"RVM\n"
 VERSION = 1  # of the format. Source: by construction
@@ -122,6 +122,7 @@ def _read(path: Path) -> tuple[memoryview, bytes]:
 
     A second thread computes the checksum of one block while the next is read.
     """
+    check_regular(path, "a model")
     with path.open("rb", buffering=0) as file, ThreadPoolExecutor(1) as pool:
         if file.read(len(MAGIC)) != MAGIC:  # before a large file of another kind is read
             said = "not a rendezview model; make one with `rendezview train`"
