@@ -27,7 +27,7 @@ from tests.waiting import MOST_S, wait_until
 from rendezview.errors import RendezviewError
 from rendezview_service.client import ServiceError
 from rendezview_service.http import streams
-from rendezview_service.hub import source_process, viewers, worker_handle
+from rendezview_service.hub import child_program, source_process, worker_handle
 from rendezview_service.hub.inputs import Answer, InputQueue, NotReady, SessionInput
 from rendezview_service.hub.metrics import Metrics
 from rendezview_service.hub.source_process import SourceProcess
@@ -253,11 +253,10 @@ def test_a_decoder_that_does_not_end_is_ended(monkeypatch) -> None:
         assert reader._end() == "its decoder did not answer"
 
 
-def test_a_program_of_a_live_stream_that_does_not_end_is_killed(monkeypatch) -> None:
-    monkeypatch.setattr(viewers, "_SERVER_END_S", 0.2)
+def test_a_program_that_does_not_end_is_killed() -> None:
     deaf = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)"
     with asleep(deaf) as process:
-        viewers._end(process)
+        child_program.end(process, 0.2)
         assert process.wait(MOST_S) == -signal.SIGKILL
 
 
