@@ -199,15 +199,15 @@ def one_answer(weighed: Sequence[Hypothesis], symmetries: Sequence[Symmetry]) ->
     It has their probability, and a covariance that holds them: the second moment of all about it.
     """
     best, others = weighed[0], []
-    own = best.probability
-    total, covariance = own, best.covariance
+    total, covariance = best.probability, best.covariance
     for one in weighed[1:]:
-        if angle_between(one.pose, best.pose, symmetries) > RIVAL_RAD:
+        there = nearest_alike(one.pose, best.pose, symmetries)
+        if there.angle_to(best.pose) > RIVAL_RAD:
             others.append(one)
             continue
         total += one.probability
         if covariance is not None and total > 0.0:
-            apart = nearest_alike(one.pose, best.pose, symmetries).delta_from(best.pose)
+            apart = there.delta_from(best.pose)
             spread = np.outer(apart, apart) + (0.0 if one.covariance is None else one.covariance)
             covariance = covariance + one.probability / total * (spread - covariance)
     return [replace(best, probability=total, covariance=covariance), *others]
