@@ -195,6 +195,7 @@ def draw() -> Draw:
         camera: Camera,
         rng: np.random.Generator | None = None,
         noise_grey: float = 3.0,
+        bright_grey: float = 140.0,
     ) -> np.ndarray:
         assert camera.fx == camera.fy
         assert not camera.is_distorted
@@ -202,7 +203,7 @@ def draw() -> Draw:
         window = Window(4 * camera.width, 4 * camera.height, 4 * camera.fx, cx, cy)
         fine = NumbaRenderer(mesh).draw(pose, window)
         cover = cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-        frame = 12.0 + cv2.GaussianBlur(cover, (0, 0), 0.7) * (140.0 / 255.0)
+        frame = 12.0 + cv2.GaussianBlur(cover, (0, 0), 0.7) * (bright_grey / 255.0)
         if rng is not None:
             frame = frame + rng.normal(0.0, noise_grey, frame.shape)
         return np.clip(np.rint(frame), 0, 255).astype(np.uint8)

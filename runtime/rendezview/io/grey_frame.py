@@ -14,6 +14,9 @@ from rendezview.geometry.camera import Camera
 
 Picture = npt.NDArray[np.uint8]
 
+# Grey level from which a pixel is at least so bright. Source: by construction, of 8 bits
+WHITE_GREY = 254
+
 
 def check_frame(image: npt.ArrayLike, camera: Camera) -> Picture:
     """The frame as 8-bit grey levels (height, width), if it is one of the camera's.

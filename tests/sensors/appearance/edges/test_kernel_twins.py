@@ -12,7 +12,6 @@ from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.appearance.edges.alignment import normal_equations
 from rendezview.sensors.appearance.edges.grey import (
     measure_edges,
-    read_profile,
     strongest_edge,
     unfitted_weight,
 )
@@ -38,6 +37,7 @@ from rendezview.sensors.appearance.edges.profile import (
     view_at_pose,
 )
 from rendezview.sensors.appearance.edges.profile_fit import fit_profile
+from rendezview.sensors.appearance.edges.profile_levels import read_profile
 from rendezview.sensors.appearance.model.contours import (
     NO_POINT,
     OUTLINE,

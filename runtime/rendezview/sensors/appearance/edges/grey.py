@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from rendezview.geometry.pose import Array
-from rendezview.io.grey_frame import Picture
+from rendezview.io.grey_frame import WHITE_GREY, Picture
 from rendezview.sensors.appearance.edges.predicted import (
     CROWDED,
     FOUND,
@@ -34,7 +34,12 @@ from rendezview.sensors.appearance.edges.profile import (
     profile_scratch,
     view_at_pose,
 )
-from rendezview.sensors.appearance.edges.profile_fit import fit_profile
+from rendezview.sensors.appearance.edges.profile_fit import (
+    Flags,
+    fit_clipped_profile,
+    fit_profile,
+)
+from rendezview.sensors.appearance.edges.profile_levels import mark_clipped, read_profile
 from rendezview.sensors.appearance.model.contours import OUTLINE, POINT_UNIT, RUN_UNIT
 from rendezview.sensors.appearance.model.view_tables import (
     Lens,
@@ -44,9 +49,7 @@ from rendezview.sensors.appearance.model.view_tables import (
 )
 
 LONGEST_PX = 40  # px; longest search to either side. Source: by construction, of the stages
-_BORDER_PX = 2.0  # px; the lines read stay inside the image by this. Source: by construction
 _MARGIN_PX = 2  # px; read beyond the reach and the slope. Source: by construction
-_LINES_APART_PX = 1.5  # px. Source: by hand, seeds of docs/notes/refinement.md
 # Of a pixel's noise, after bilinear reading. Source: by hand, seeds of docs/notes/refinement.md
 _BILINEAR_NOISE = 0.75
 
@@ -77,6 +80,10 @@ _HALF_WEIGHT_PX2 = 0.08**2
 _STRAINED = 0.5
 # Of an edge whose profile does not fit. Source: by hand, seeds of docs/notes/refinement.md
 _UNFITTED_WEIGHT = 0.1
+# σ of the blur: the steepest slope before a white surface lies outside of its edge by about that.
+# Source: normal distribution, a surface of 1 to 6 times white, log-even: 0.7
+_WHITE_SIGMAS = 0.7
+_BESIDE_PX = 2  # px; the surface beside an edge is read there. Source: by construction, as its blur
 
 
 class EdgeLimits(NamedTuple):
@@ -134,6 +141,7 @@ def measure_edges(
     at_pose = view_at_pose(eye, views.radius_m, rotation, centre, sun, shade)
     scratch, fitted = profile_scratch(), np.empty(2)
     profile, total = np.empty(2 * LONGEST_PX + 32), point_count(kind)
+    clipped = np.zeros(len(profile), dtype=np.bool_)
     out[:, WEIGHT], out[:, STATE] = 0.0, OUTSIDE
     predict_edges(point, tangent, total, stride, lens, unit_m, rotation, centre, out)
     for j in range(0, total, stride):
@@ -151,15 +159,16 @@ def measure_edges(
         row[STATE] = state
         if state != FOUND:
             continue
-        steps = 0
+        steps, white = 0, False
         if fit:
+            white = mark_clipped(image, edge, back, at, count, lines, profile, clipped)
             steps = expected_profile(
                 px, py, pz, tangent[j], edge, outline, strip[j], start[j], body_px, at_pose, scratch
             )
         free = min(inner, outer) if outline else inner
         place, weight = _place_edge(
-            profile, count, back, at, steepness, steps, outline, free, fit, limits, smooth_px,
-            views.blur_px, views.shape_error * body_px, scratch, fitted,
+            profile, clipped, white, count, back, at, steepness, steps, outline, free, fit, limits,
+            smooth_px, views.blur_px, views.shape_error * body_px, scratch, fitted,
         )  # fmt: skip
         row[RESIDUAL], row[WEIGHT] = place, weight * np.exp(-0.5 * (place / spread_px) ** 2)
     return total
@@ -200,14 +209,15 @@ def _search_edge(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _place_edge(
-    profile: Array, count: int, back: int, at: float, steepness: float, steps: int, outline: bool,
-    free_px: float, fit: bool, limits: EdgeLimits, smooth_px: int, blur_px: float, shape_px: float,
-    scratch: ProfileScratch, fitted: Array,
+    profile: Array, clipped: Flags, white: bool, count: int, back: int, at: float, steepness: float,
+    steps: int, outline: bool, free_px: float, fit: bool, limits: EdgeLimits, smooth_px: int,
+    blur_px: float, shape_px: float, scratch: ProfileScratch, fitted: Array,
 ) -> Two:  # fmt: skip
     """Place of an edge, pixels outwards, and its weight.
 
     Args:
         profile, count, back, at, steepness: of ``_search_edge``.
+        clipped, white: of ``mark_clipped``.
         steps: of the profile that the model expects, in ``scratch``; with 0 the steepest slope
             is the place.
         free_px: to the next edge.
@@ -217,51 +227,33 @@ def _place_edge(
     if steps > 0:
         held = limits.dark and outline
         background = limits.sky if held else profile[count - 1 - smooth_px - _MARGIN_PX]
-        if fit_profile(
-            profile, count, back, at, scratch.depths, scratch.levels, steps, background, held,
-            blur_px, limits.profile_noise, fitted,
-        ):  # fmt: skip
+        if white:
+            fits = fit_clipped_profile(
+                profile, clipped, count, back, at, scratch.depths, scratch.levels, steps,
+                background, held, blur_px, limits.profile_noise, fitted,
+            )  # fmt: skip
+        else:
+            fits = fit_profile(
+                profile, count, back, at, scratch.depths, scratch.levels, steps, background, held,
+                blur_px, limits.profile_noise, fitted,
+            )  # fmt: skip
+        if fits:
             # Where the craft may differ from its mesh, all edges are uncertain by as much.
             half_px2 = _HALF_WEIGHT_PX2 + (_STRAINED * shape_px) ** 2
             return fitted[0], half_px2 / (half_px2 + fitted[1])
+    at = off_white(profile, count, back, at, blur_px)
     return at, unfitted_weight(steepness, free_px, outline, fit)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
-def read_profile(
-    image: Picture, u: float, v: float, nx: float, ny: float, back: int, ahead: int, lines: int,
-    profile: Array,
-) -> bool:  # fmt: skip
-    """Grey levels from ``back`` pixels inside an edge to ``ahead`` outside, bilinear.
-
-    The mean of parallel lines; False where they leave the image. ``profile`` gets the levels.
-    """
-    height, width = image.shape
-    u0, v0 = u - back * nx, v - back * ny
-    u1, v1 = u + ahead * nx, v + ahead * ny
-    if not (
-        min(u0, u1) >= _BORDER_PX
-        and min(v0, v1) >= _BORDER_PX
-        and max(u0, u1) < width - 1.0 - _BORDER_PX
-        and max(v0, v1) < height - 1.0 - _BORDER_PX
-    ):
-        return False
-    count = back + ahead + 1
-    for i in range(count):
-        profile[i] = 0.0
-    share = 1.0 / lines
-    for line in range(lines):
-        shift = _LINES_APART_PX * (line - 0.5 * (lines - 1))
-        a, b = u0 - shift * ny, v0 + shift * nx
-        for i in range(count):
-            column, row = int(a), int(b)
-            fa, fb = a - column, b - row
-            upper = image[row, column] * (1.0 - fa) + image[row, column + 1] * fa
-            lower = image[row + 1, column] * (1.0 - fa) + image[row + 1, column + 1] * fa
-            profile[i] += share * (upper + fb * (lower - upper))
-            a += nx
-            b += ny
-    return True
+def off_white(profile: Array, count: int, back: int, at: float, blur_px: float) -> float:
+    """Place of an edge whose steepest slope is ``at``: that of a white surface lies outside it."""
+    here = int(np.rint(at)) + back
+    inside = profile[max(here - _BESIDE_PX, 0)] >= WHITE_GREY
+    outside = profile[min(here + _BESIDE_PX, count - 1)] >= WHITE_GREY
+    if inside == outside:
+        return at
+    return at - _WHITE_SIGMAS * blur_px if inside else at + _WHITE_SIGMAS * blur_px
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)

@@ -14,8 +14,18 @@ import numpy as np
 
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import about_origin
+from rendezview.io.grey_frame import WHITE_GREY, Picture
 from rendezview.sensors.appearance.edges.grey import points_of_slopes
-from rendezview.sensors.appearance.edges.predicted import FOUND, RESIDUAL, STATE, WEIGHT
+from rendezview.sensors.appearance.edges.predicted import (
+    FOUND,
+    NX,
+    NY,
+    RESIDUAL,
+    STATE,
+    WEIGHT,
+    U,
+    V,
+)
 
 # Components of a symmetric strain, in the order of all arrays. Source: by construction
 STRAINS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -31,6 +41,7 @@ _OTHER_WAYS = 1.6
 # the range. Source: by construction, rounding
 _UNSEEN = 1e-9
 _LEAST_RMS_PX = 0.3  # px; no frame's edges fit better. Source: by construction
+_INSIDE_PX = 2.0  # px; inside an edge by this, its blur has ended. Source: by construction
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +53,7 @@ class MeasuredEdges:
     residual_px: Array  # (N,) along the edge's normal, outwards
     weight: Array  # (N,) with Tukey's
     pose_slopes: Array  # (N, 6) of the predicted edge: px per rad and m, left perturbation
+    inside_px: Array  # (N, 2) of the picture, just inside the edge: column, row
 
     @classmethod
     def of(cls, edges: Array, cut_px: float, rotation: Array, centre_m: Array) -> MeasuredEdges:
@@ -49,7 +61,8 @@ class MeasuredEdges:
         rows = edges[(edges[:, STATE] == FOUND) & (np.abs(edges[:, RESIDUAL]) < cut_px)]
         residual, slopes = rows[:, RESIDUAL].copy(), rows[:, :6].copy()
         weight = rows[:, WEIGHT] * (1.0 - (residual / cut_px) ** 2) ** 2
-        return cls(rotation.copy(), centre_m.copy(), residual, weight, slopes)
+        inside = rows[:, [U, V]] + (residual - _INSIDE_PX)[:, None] * rows[:, [NX, NY]]
+        return cls(rotation.copy(), centre_m.copy(), residual, weight, slopes, inside)
 
     @cached_property
     def places_m(self) -> Array:
@@ -88,6 +101,24 @@ class MeasuredEdges:
             arm: (3,) from the target's origin to the view centre, camera axes.
         """
         return about_origin(sandwich(self.pose_slopes, self.weight, loose), arm)
+
+    def beside_white(self, image: Picture) -> Array:
+        """(N,) 1 for the edges of surfaces that are white in the frame, else 0."""
+        last = np.array(image.shape[::-1]) - 1
+        column, row = np.clip(np.rint(self.inside_px), 0, last).astype(int).T
+        return np.asarray(image[row, column] >= WHITE_GREY, dtype=float)
+
+    def off_together(self, loose: Array, arm: Array, off_px: Array) -> Array:
+        """(6, 6) of the pose of the target's origin where edges are off together.
+
+        Args:
+            loose, arm: as of ``covariance``.
+            off_px: (N,) one σ of each, outwards.
+        """
+        weighted = self.pose_slopes * self.weight[:, None]
+        information = self.pose_slopes.T @ weighted + np.diag(loose)
+        move = np.linalg.solve(information, weighted.T @ off_px)
+        return about_origin(np.outer(move, move), arm)
 
     def strained(self, loose: Array, arm: Array, strain: Array) -> Array:
         """(6, 6) of the pose of the target's origin where the craft is the model strained.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.normal_table import DENSITY, PER_UNIT, PHI, REACH, normal_cdf
@@ -26,6 +27,13 @@ _LEAST_GAIN = 0.05  # below, no edge is left. Source: by construction, a bound o
 _MOST_VARIANCE_PX2 = 1e3
 _TAIL = 3.5  # σ; beyond, Φ counts as 0 or 1. Source: by construction (2e-4)
 _HELD = 1e9  # information that holds an unknown. Source: by construction
+# Of a surface that is white in the frame: how much brighter it may be. Source: by construction,
+# log-even, as nobody knows
+_GAINS = np.geomspace(1.0, 6.0, 6)
+_NO_FIT = 1e30  # cost of a gain with which nothing fits. Source: by construction, a bound only
+_GAIN_STEPS = 5  # at most, of place and background for each. Source: by construction
+
+Flags = npt.NDArray[np.bool_]
 
 # Upper triangle of the normal equations a00 a01 a02 a03 a11 a12 a13 a22 a23 (a33 is the number of
 # pixels), their right side r0 … r3, and the sum of squares.
@@ -89,6 +97,64 @@ def fit_profile(
         return False
     result[0] = place
     result[1] = (cost / (used - 3) + noise * noise) * variance
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+def fit_clipped_profile(
+    profile: Array, clipped: Flags, count: int, zero: int, start: float, depths: Array,
+    levels: Array, steps: int, background: float, held: bool, sigma: float, noise: float,
+    result: Array,
+) -> bool:  # fmt: skip
+    """``fit_profile`` where a few levels are ``clipped`` at white: those are lower bounds.
+
+    How much brighter the surface is shows only in the flank of the edge, so the place is found for
+    each of some gains, without a tilt; the result is their mean by likelihood (Tobin 1958).
+    """
+    inverse = 1.0 / sigma
+    grey2 = _MODEL_GREY * _MODEL_GREY + noise * noise
+    places, variances, costs = np.empty(_GAINS.size), np.empty(_GAINS.size), np.empty(_GAINS.size)
+    least = _NO_FIT
+    for k in range(_GAINS.size):
+        place, base, cost, variance, used = start, background, 0.0, 0.0, 0
+        for _ in range(_GAIN_STEPS):
+            first = max(0, int(np.ceil(place - _INSIDE_PX)) + zero)
+            last = min(count - 1, int(np.floor(place + _OUTSIDE_PX)) + zero)
+            used = last - first + 1
+            if used < _LEAST_PIXELS:
+                return False
+            a00, a03, a33, r0, r3 = 1e-6, 0.0, _HELD if held else 1e-6, 0.0, 0.0
+            cost = 0.0
+            for i in range(first, last + 1):
+                shape, slope = _shape_at(place - (i - zero), inverse, depths, levels, steps)
+                r, j0 = profile[i] - base - _GAINS[k] * shape, _GAINS[k] * slope * inverse
+                if clipped[i] and r < 0.0:
+                    continue
+                cost += r * r
+                a00 += j0 * j0
+                a03 += j0
+                a33 += 1.0
+                r0 += j0 * r
+                r3 += r
+            variance = 1.0 / (a00 - a03 * a03 / a33)
+            move = variance * (r0 - r3 * a03 / a33)
+            place += min(max(move, -_LONGEST_MOVE_PX), _LONGEST_MOVE_PX)
+            base += (r3 - a03 * move) / a33
+            if abs(move) < _STOP_PX:
+                break
+        far = abs(place - start) > _FURTHEST_PX or variance > _MOST_VARIANCE_PX2
+        places[k], costs[k] = place, _NO_FIT if far else cost
+        variances[k] = (cost / (used - 2) + noise * noise) * variance
+        least = min(least, costs[k])
+    if least == _NO_FIT:
+        return False
+    total, mean, spread = 0.0, 0.0, 0.0
+    for k in range(_GAINS.size):
+        share = np.exp(-0.5 * (costs[k] - least) / grey2)
+        total += share
+        mean += share * places[k]
+        spread += share * variances[k]
+    result[0], result[1] = mean / total, spread / total
     return True
 
 

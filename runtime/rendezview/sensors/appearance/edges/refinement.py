@@ -73,6 +73,9 @@ _FAR_RESIDUAL_PX = 0.2  # px, root mean square. Source: as above; 0.10 to 0.15 w
 # Of the inflation, which is fitted to whole targets of 100 to 220 px: the edges of a near part are
 # longer and err together less. Source: experiment close-in (0.1), client, seeds 2 and 5 (Mitsuba)
 _NEAR_INFLATION = 0.45
+# px; one σ by which the edges of white surfaces are off alike, as nobody knows how bright those
+# are. Source: integrity-draw, saturated, hubble and client, seed 7
+_WHITE_PX = 0.25
 _JOINT_ROUNDS = 4  # of alignment and a step of the angles. Source: experiment pose-joints (0.1)
 # Of a start's inlier ratio: an alignment that ends below it has been led away. Source: assess, seed
 # 61, four panels: from a start 0.03° off to 5.8°; frames of docs/notes/rivals.md as before
@@ -342,6 +345,9 @@ class Refiner:
             variance += _STRAIN_OF_RESIDUAL**2 * more_px2 / scale_px**2
             strain = strain + variance * np.eye(6)
         strained = known.strained(none, arm, strain) + self._shared_offset(centre)
+        white = known.beside_white(image)
+        if white.any():
+            strained += known.off_together(none, arm, _WHITE_PX * white)
         if self.model.shape_error > 0.0:
             # As for an exact model: the classifier was fitted to that.
             residual = MeasuredEdges.of(edges, CUT_PX, rotation, centre).residual_rms_px

@@ -22,7 +22,7 @@ from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.geometry.so3 import rotate_back_into
 from rendezview.geometry.zbuffer import draw_from_afar, draw_perspective, empty_buffers
-from rendezview.io.grey_frame import Picture
+from rendezview.io.grey_frame import WHITE_GREY, Picture
 from rendezview.sensors.appearance.edges.lighting import TOLERANCE, light_strengths
 from rendezview.sensors.appearance.judge.gloss import GLOSS_ORDER, add_gloss
 from rendezview.sensors.appearance.judge.shading import LEAST_POINTS
@@ -51,8 +51,6 @@ _BRIGHT_QUANTILE = 0.9  # of the levels where the craft is. Source: by construct
 _CELLS_ACROSS = 20.0
 # Of the two strengths of light: twelve come within 1 % of 200. Source: by construction, of time
 _ROUNDS, _LIGHT_SAMPLES = 12, 2000
-# Grey levels: from there on, a level says that a surface is at least so bright. Source: of 8 bits
-_WHITE_GREY = 254.0
 # The compared pixels reach so far beyond the craft. Source: by construction, three σ of blur
 _AROUND_PX = 3
 # σ: the sky beside the craft, behind it. Source: by construction, a fifth of its radius
@@ -167,7 +165,7 @@ class DrawnEvidence:
         seen = levels[drawn > 0.0]
         bright = float(np.quantile(seen, _BRIGHT_QUANTILE)) if len(seen) else 0.0
         tolerance = TOLERANCE * max(bright, 0.0) + sky.noise_grey
-        white, cell_px = _WHITE_GREY - black, (radius_px / times / _CELLS_ACROSS) ** 2
+        white, cell_px = WHITE_GREY - black, (radius_px / times / _CELLS_ACROSS) ** 2
         nothing, all_of_it = np.zeros_like(levels), np.arange(levels.size)
         cells = _cells_of(len(levels), cell_px)
         whole = slice(None), slice(None)
