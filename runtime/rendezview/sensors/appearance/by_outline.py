@@ -79,8 +79,8 @@ class OutlineRecognition:
         self._region: Region | None = None
         self._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
 
-    def with_camera(self, camera: Camera, region: Region) -> OutlineRecognition:
-        """The same in the part of a frame that a camera sees, where the target is."""
+    def with_camera(self, camera: Camera, region: Region | None) -> OutlineRecognition:
+        """The same in the frames of another camera, or in the part of one where the target is."""
         other = copy(self)
         other.camera, other._region = camera, region
         other._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))

@@ -17,6 +17,8 @@ from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.by_outline import OutlineRecognition, Traced
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
+from rendezview.sensors.appearance.edges.refinement import RefineOptions
+from rendezview.sensors.appearance.hypothesis import Bound
 from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.near import Near
 from rendezview.sensors.appearance.judge.rivals import RIVAL_RAD, Rivals
@@ -31,6 +33,7 @@ from rendezview.sensors.appearance.observation import (
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
 from rendezview.sensors.appearance.region import Region
+from rendezview.sensors.appearance.scale import Scale
 from rendezview.sensors.appearance.search.close import CloseSearch
 from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
@@ -115,12 +118,27 @@ class PoseFinder:
 
     def looking_at(self, region: Region) -> PoseFinder:
         """The same in a part of the camera's frames: nothing else is looked at."""
-        other, camera = copy(self), region.seen_by(self.camera)
-        other.camera, other.region = camera, region
-        may_be = partial(region.shows, self.model, camera)
+        other = self._with_camera(region.seen_by(self.camera), region)
+        other.region = region
+        return other
+
+    def seeing(self, scale: Scale) -> PoseFinder:
+        """The same in frames that are as blurred, which are looked at in a smaller size."""
+        camera = self.camera.binned(scale.times)
+        return self._with_camera(camera, None, RefineOptions(blur_px=scale.blur_px))
+
+    def _with_camera(
+        self, camera: Camera, region: Region | None, options: RefineOptions | None = None
+    ) -> PoseFinder:
+        """The same in the frames of another camera; in a region of them, if one is given."""
+        other = copy(self)
+        other.camera = camera
+        bounds: tuple[Bound, ...] = ()
+        if region is not None:
+            bounds = (partial(region.shows, self.model, camera),)
         other.outline = self.outline.with_camera(camera, region)
         if self.search is not None:
-            other.search = self.search.with_camera(camera, may_be)
+            other.search = self.search.with_camera(camera, *bounds, options=options)
         if self._rivals is not None:
             other._rivals = self._rivals.with_camera(camera)
         if self.close is not None:
@@ -128,8 +146,8 @@ class PoseFinder:
         if self.sketch is not None and other.search is not None:
             views = other.search.refiner.views
             other.sketch = self.sketch.with_tables(self.model, views, camera)
-            other.sketch.bounds = (*self.sketch.bounds, may_be)
-            other.sketch.box = region.box_in_part
+            other.sketch.bounds = (*self.sketch.bounds, *bounds)
+            other.sketch.box = None if region is None else region.box_in_part
         return other
 
     def judged(self, seen: AppearanceObservation) -> AppearanceObservation:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import nearest_alike
-from rendezview.io.grey_frame import check_frame
+from rendezview.io.grey_frame import Picture, check_frame
 from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
 from rendezview.sensors.appearance.integrity.evidence import Second
@@ -24,7 +24,9 @@ from rendezview.sensors.appearance.observation import AppearanceObservation, Sta
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
 from rendezview.sensors.appearance.pose_finder import PoseFinder, Request
-from rendezview.sensors.appearance.region import Region
+from rendezview.sensors.appearance.region import Region, with_outline
+from rendezview.sensors.appearance.scale import LEAST_PX, WHOLE, Scale
+from rendezview.sensors.appearance.search.levels import radius_px
 from rendezview.sensors.appearance.search.search import PoseSearch
 from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
@@ -77,6 +79,7 @@ class Recognizer:
         # The same target with its joints at other angles: a sketch shows one of them only.
         others = (finder(one, sketch=False) for one in model.configurations)
         self._finders = (self._finder, *others)
+        self._seen_at: dict[Scale, tuple[PoseFinder, ...]] = {WHOLE: self._finders}
         self._lock = threading.Lock()
 
     @property
@@ -158,21 +161,55 @@ class Recognizer:
         frame, near = check_frame(image, self.camera), check_prior(prior)
         if prior_error_rad is not None and not prior_error_rad > 0.0:
             raise ValueError(f"prior_error_rad must be positive: {prior_error_rad}")
-        finders, region = self._finders, None
+        region = None
         if roi is not None:
             region = roi if isinstance(roi, Region) else Region.of(roi, self.camera)
+        thorough = thorough and (region is None or region.is_open)
+        request = Request(frame, near, prior_error_rad, sun_camera, enough_inliers, thorough)
+        scale = self._scale(frame if region is None else region.cut(frame))
+        with self._lock:
+            seen = self._seen(request, scale, region, angles_rad)
+            if scale.times > 1 and seen.pose is not None and self._too_small(seen.pose, scale):
+                seen = self._seen(request, WHOLE, region, angles_rad)
+        return seen if time_s is None else replace(seen, time_s=time_s)
+
+    def _seen(
+        self, request: Request, scale: Scale, region: Region | None,
+        angles_rad: npt.ArrayLike | None,
+    ) -> AppearanceObservation:  # fmt: skip
+        """What is observed in a frame of some scale, or in a region of it."""
+        finders, frame = self._seeing(scale), scale.shrunk(request.frame)
+        if region is not None:
+            region = region.shrunk(scale.times)
             frame = region.cut(frame)
             finders = tuple(finder.looking_at(region) for finder in finders)
-        with self._lock:
-            thorough = thorough and (region is None or region.is_open)
-            request = Request(frame, near, prior_error_rad, sun_camera, enough_inliers, thorough)
-            if self.model.joints and self.search is not None:
-                seen = self._of_configurations(finders, request, angles_rad)
-            else:
-                seen = finders[0].find(request)
+        request = request._replace(frame=frame)
+        if self.model.joints and self.search is not None:
+            seen = self._of_configurations(finders, request, angles_rad)
+        else:
+            seen = finders[0].find(request)
         if region is not None:
             seen = region.in_frame(seen)
-        return seen if time_s is None else replace(seen, time_s=time_s)
+        if scale.times > 1:
+            seen = with_outline(seen, lambda body: body.enlarged(scale.times))
+        return seen
+
+    def _too_small(self, pose: Pose, scale: Scale) -> bool:
+        """Whether the target at a pose is too small in that scale to be told from others."""
+        range_m = float(np.linalg.norm(pose.apply(self.model.centre_m)))
+        return radius_px(self.camera, self.model.target_radius_m, range_m) < LEAST_PX * scale.times
+
+    def _scale(self, frame: Picture) -> Scale:
+        """In which size a frame is looked at: whole beside a picture of its background."""
+        if self.search is None or self.outline.silhouette_options.background is not None:
+            return WHOLE
+        return Scale.of(frame)
+
+    def _seeing(self, scale: Scale) -> tuple[PoseFinder, ...]:
+        """What looks at frames in that size."""
+        if scale not in self._seen_at:
+            self._seen_at[scale] = tuple(finder.seeing(scale) for finder in self._finders)
+        return self._seen_at[scale]
 
     def _of_configurations(
         self, finders: tuple[PoseFinder, ...], request: Request, angles_rad: npt.ArrayLike | None
@@ -225,7 +262,9 @@ class Recognizer:
             pose: camera_from_target of the frame, refined.
             sun_camera: (3,) towards the Sun, camera frame, if it is known.
         """
-        frame, search = check_frame(image, self.camera), self.search
+        frame = check_frame(image, self.camera)
+        scale = self._scale(frame)
+        search, frame = self._seeing(scale)[0].search, scale.shrunk(frame)
         if search is None or self.model.joints:
             return 1.0
         with self._lock:
@@ -236,11 +275,13 @@ class Recognizer:
 
         It takes a seventh of a second. ``None``: there is no sketch, or no pose on it.
         """
-        if self.sketch is None:
-            return None
         frame = check_frame(image, self.camera)
+        scale = self._scale(frame)
+        sketch, frame = self._seeing(scale)[0].sketch, scale.shrunk(frame)
+        if sketch is None:
+            return None
         with self._lock:
-            choice = self.sketch.anywhere(frame, Sky.of(frame))
+            choice = sketch.anywhere(frame, Sky.of(frame))
         if choice is None:
             return None
         other = nearest_alike(choice.best.pose, pose, self.model.symmetries)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,13 +12,14 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.boxes import fault_of, overlap
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.io.grey_frame import Picture
+from rendezview.io.grey_frame import Picture, shrunk
 from rendezview.sensors.appearance.edges.contour_at import target_box
 from rendezview.sensors.appearance.edges.network import Box
 from rendezview.sensors.appearance.judge.near import RANGE_ERROR
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.reading import LateReading, OutlineReading
+from rendezview.sensors.appearance.outline.silhouette import Silhouette
 
 # Of the longer side of a box: what is looked at around it. A detector's box that is 20 % too small
 # and 20 % aside still leaves the whole target, and some sky. Source: by construction
@@ -135,16 +137,23 @@ class Region:
 
     def in_frame(self, seen: AppearanceObservation) -> AppearanceObservation:
         """What was observed in the part, its outline in the pixels of the frame."""
+        return with_outline(seen, lambda body: body.moved(*self.part[:2]))
 
-        def moved(reading: OutlineReading) -> OutlineReading:
-            if reading.silhouette is None:
-                return reading
-            return replace(reading, silhouette=reading.silhouette.moved(*self.part[:2]))
-
-        if isinstance(seen.outline, LateReading):
-            late = seen.outline
-            return replace(seen, outline=LateReading(lambda: moved(late())))
-        return replace(seen, outline=moved(seen.outline))
+    def shrunk(self, times: int) -> Region:
+        """The same in a frame that is ``times`` smaller."""
+        if times == 1:
+            return self
+        left, top, right, bottom = self.part
+        first, size = (left // times, top // times), (right // times, bottom // times)
+        box, mask, place = self.box_px, self.mask, self.place_px
+        if mask is not None:
+            beside = ((top % times, 0), (left % times, 0))
+            mask = np.where(shrunk(np.pad(mask, beside), times) > 127, 255, 0).astype(np.uint8)
+        if box is not None:
+            box = (box + 0.5) / times - 0.5
+        if place is not None:
+            place = (place + 0.5) / times - 0.5
+        return Region((*first, *size), box, mask, place, self.range_m)
 
     def shows(self, model: ViewModel, camera: Camera, pose: Pose) -> bool:
         """Whether the target at a pose, in the part that a camera sees, is where it should be."""
@@ -166,3 +175,19 @@ class Region:
         x, y = self.place_px
         inside = box[0] - beside <= x <= box[2] + beside
         return bool(inside and box[1] - beside <= y <= box[3] + beside)
+
+
+def with_outline(
+    seen: AppearanceObservation, moved: Callable[[Silhouette], Silhouette]
+) -> AppearanceObservation:
+    """The observation with its silhouette, if it has one, in the pixels of another picture."""
+
+    def there(reading: OutlineReading) -> OutlineReading:
+        if reading.silhouette is None:
+            return reading
+        return replace(reading, silhouette=moved(reading.silhouette))
+
+    if isinstance(seen.outline, LateReading):
+        late = seen.outline
+        return replace(seen, outline=LateReading(lambda: there(late())))
+    return replace(seen, outline=there(seen.outline))

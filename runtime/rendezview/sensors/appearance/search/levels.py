@@ -16,6 +16,7 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture, shrunk
+from rendezview.sensors.appearance.edges.refinement import RefineOptions
 from rendezview.sensors.appearance.judge.found import Found
 from rendezview.sensors.appearance.judge.level import Level
 from rendezview.sensors.appearance.model.view_model import ViewModel
@@ -44,10 +45,10 @@ class Levels:
         self.whole = Level.of(model, camera)
         self._levels = {1: self.whole}
 
-    def with_camera(self, camera: Camera) -> Levels:
-        """Those of another camera."""
+    def with_camera(self, camera: Camera, options: RefineOptions | None = None) -> Levels:
+        """Those of another camera; ``options`` of refinement: None for the own."""
         other = copy(self)
-        other.whole = self.whole.with_camera(camera)
+        other.whole = self.whole.with_camera(camera, options)
         other._levels = {1: other.whole}
         return other
 
@@ -112,8 +113,12 @@ def times_smaller(
     camera: Camera, radius_m: float, range_m: float, most_px: float = LARGEST_RADIUS_PX
 ) -> int:
     """By how many times a picture is shrunk for a target's radius of ``most_px`` at most."""
-    radius_px = max(camera.fx, camera.fy) * radius_m / max(range_m, radius_m)
-    return min(_MOST_TIMES, max(1, math.ceil(radius_px / most_px)))
+    return min(_MOST_TIMES, max(1, math.ceil(radius_px(camera, radius_m, range_m) / most_px)))
+
+
+def radius_px(camera: Camera, radius_m: float, range_m: float) -> float:
+    """Radius of a target's picture, px."""
+    return max(camera.fx, camera.fy) * radius_m / max(range_m, radius_m)
 
 
 def shrunk_sky(image: Picture, sky: Sky) -> Sky:
@@ -122,7 +127,12 @@ def shrunk_sky(image: Picture, sky: Sky) -> Sky:
     return Sky(small.level_grey, small.noise_grey, sky.dark, sky.sun_camera)
 
 
+def edge_blur(optics_px: float) -> float:
+    """The blur of an edge as it is read, one σ, from that of the picture."""
+    return math.sqrt(optics_px**2 + _READING_PX2)
+
+
 def shrunk_blur(blur_px: float, times: int) -> float:
     """The blur of an edge, one σ, in the pixels of a shrunk picture; as read in both."""
     optics_px2 = max(blur_px**2 - _READING_PX2, 0.0)
-    return math.sqrt(optics_px2 / times**2 + _READING_PX2)
+    return edge_blur(math.sqrt(optics_px2) / times)

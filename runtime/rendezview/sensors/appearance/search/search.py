@@ -17,7 +17,7 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.refinement import Refiner
+from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
 from rendezview.sensors.appearance.hypothesis import Bound, Hypothesis
 from rendezview.sensors.appearance.judge.candidates import CLOSE_RAD, Candidates
 from rendezview.sensors.appearance.judge.found import Found, share_of
@@ -87,10 +87,15 @@ class PoseSearch:
         self._forest_scores = model.forest_scores()  # None: the model has no forest
         self._half_turns = half_turns(model)
 
-    def with_camera(self, camera: Camera, *bounds: Bound) -> PoseSearch:
-        """The same search in the frames of another camera, and within more bounds."""
+    def with_camera(
+        self, camera: Camera, *bounds: Bound, options: RefineOptions | None = None
+    ) -> PoseSearch:
+        """The same search in the frames of another camera, and within more bounds.
+
+        ``options`` of refinement: None for the own.
+        """
         other = copy(self)
-        other.levels = self.levels.with_camera(camera)
+        other.levels = self.levels.with_camera(camera, options)
         other.bounds = (*self.bounds, *bounds)
         return other
 
