@@ -41,4 +41,4 @@ class Scale(NamedTuple):
         return shrunk(frame, self.times)
 
 
-WHOLE = Scale(1, RefineOptions.blur_px)
+WHOLE = Scale(1, RefineOptions.blur_px)  # of sharp frames. Source: by construction
