@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 from pydantic import (
     AliasChoices,
+    BeforeValidator,
     ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
@@ -23,6 +24,13 @@ from pydantic import (
 
 from rendezview.estimation.protection import LEAST_RISK, MOST_RISK
 
+
+def _as_tuple(given: Any) -> Any:
+    """A list as a tuple: after a validator of the whole content, strict mode takes no list."""
+    return tuple(given) if isinstance(given, list) else given
+
+
+_Numbers = Annotated[tuple[float, ...], BeforeValidator(_as_tuple)]
 _FORBID = ConfigDict(extra="forbid")  # in files: an unknown key is an error
 
 
@@ -64,16 +72,16 @@ class MotionOptions:
     angular: float = 2e-4
     # m/s² √s of each model: coasting, braking, a jerk. Source: plain simulation: one of them
     # alone is 5 to 20 % worse
-    accelerations: tuple[float, ...] = (5e-4, 2e-3, 3e-2)
+    accelerations: _Numbers = (5e-4, 2e-3, 3e-2)
     # m/s², σ of the lasting acceleration of each. Source: chaser's braking, 1–20 mm/s²
-    lasting_accelerations: tuple[float, ...] = (1e-3, 1e-2, 1e-2)
+    lasting_accelerations: _Numbers = (1e-3, 1e-2, 1e-2)
     acceleration_s: float = 30.0  # s, its correlation. Source: plain simulation, uncritical
     # s, mean stay in each. Source: plain simulation, uncritical
-    stays_s: tuple[float, ...] = (60.0, 40.0, 5.0)
+    stays_s: _Numbers = (60.0, 40.0, 5.0)
     # rad, σ of each jitter; the first is only the first guess, it is learnt. Source: `simulate`
     # has 5 mrad; without the second a swing of 0.3° at 0.15 Hz restarts the filter
-    jitters: tuple[float, ...] = (6e-3, 7e-3)
-    jitters_s: tuple[float, ...] = (0.4, 2.0)  # s, their correlation. Source: as the jitters
+    jitters: _Numbers = (6e-3, 7e-3)
+    jitters_s: _Numbers = (0.4, 2.0)  # s, their correlation. Source: as the jitters
     # s, mean stay in each. Source: plain situations; without an end, spins are 1.4 times as often
     # beyond their level
     jitter_stay_s: float = 300.0

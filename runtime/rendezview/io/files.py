@@ -175,7 +175,7 @@ def read_toml(path: StrPath, what: str) -> dict[str, Any]:
     Raises:
         RendezviewError: as `read_text`, or not TOML.
     """
-    faults = (tomllib.TOMLDecodeError, RecursionError)
+    faults = (ValueError, RecursionError)  # a ValueError, too: a number of over 4300 digits
     with explained(f"{path}: not valid TOML (", "): correct the file", faults):
         return tomllib.loads(read_text(path, f"{what} (TOML)"))
 
@@ -235,11 +235,13 @@ def read_json(path: StrPath, what: str) -> Any:
 def checked(adapter: TypeAdapter[Checked], data: Any, where: str) -> Checked:
     """``data`` as the type of a pydantic adapter; ``where`` starts the message.
 
+    A number is a number: none is read from a string, true or false.
+
     Raises:
         RendezviewError: names the first wrong keys (at most three) and the fault of each.
     """
-    try:
-        return adapter.validate_python(data)
+    try:  # as JSON, where a list can be a tuple and a string a path, in strict mode, too
+        return adapter.validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         raise RendezviewError(f"{where}: {describe(error)}") from error
 
