@@ -131,6 +131,11 @@ def test_estimates_can_be_asked_for_between_measurements(run, logs: Path):
     assert sum(state["measurement"] is None for state in states) > 150
 
 
+def test_an_interval_of_too_many_estimates_is_refused(run, logs: Path):
+    for every_s in ("1e-9", "1e-300"):  # with the latter no time would pass
+        fuse(run, logs, "--every-s", every_s, names=("track",)).says("--every-s", "1,000,000")
+
+
 def test_names_and_mounts_are_those_given(run, logs: Path):
     (logs / "mount.json").write_text(
         json.dumps({"quat_wxyz": [1.0, 0.0, 0.0, 0.0], "translation_m": [0.5, 0.0, 0.0]})
@@ -225,3 +230,11 @@ def test_options_of_an_older_version_are_said_to_be_ignored(run, logs):
     said = " ".join(ran.err.split())
     assert "linear of earlier versions are ignored" in said
     assert "gate of earlier versions are ignored" in said
+
+
+def test_options_of_a_sensor_without_a_log_are_said_to_be_ignored(run, logs):
+    options = logs / "options.json"
+    options.write_text('{"sensors": {"trakc": {"inflation": 2.0}}}')
+    ran = run("fuse", logs / "track.jsonl", "--options", options, "-o", logs / "state.jsonl")
+    assert ran.code == 0, ran.err
+    assert "sensors.trakc is ignored: no log has this name (track)" in " ".join(ran.err.split())

@@ -56,6 +56,21 @@ def _without(content: Any, keys: tuple[str, ...]) -> Any:
     return {key: value for key, value in content.items() if key not in found}
 
 
+def _check_sizes(options: Any) -> None:
+    """Refuse numbers whose squares the filter cannot use; the rest is checked by name."""
+    for name in (f.name for f in fields(options)):
+        value = getattr(options, name)
+        for one in value if isinstance(value, tuple | list) else (value,):
+            if isinstance(one, float) and not (
+                one in (0.0, math.inf) or math.isnan(one) or _LEAST <= abs(one) <= _MOST
+            ):
+                key = _KEYS.get(name, name)
+                raise ValueError(f"{key} must be 0 or {_LEAST:g} … {_MOST:g}, not {one:g}")
+
+
+_LEAST, _MOST = 1e-12, 1e9  # Source: a chosen limit
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionOptions:
     """How the craft may move: several models of each, weighed by their likelihood.
@@ -98,6 +113,7 @@ class MotionOptions:
         return _without(content, ("linear", "along", "pointing", "slews"))
 
     def __post_init__(self) -> None:
+        _check_sizes(self)
         for name in (f.name for f in fields(self)):
             value = getattr(self, name)
             for one in value if isinstance(value, tuple | list) else (value,):
@@ -157,6 +173,7 @@ class SensorOptions:
         return _without(content, (*old, "floor_rad", "floor_range"))
 
     def __post_init__(self) -> None:
+        _check_sizes(self)
         if not (0.0 < self.inflation < math.inf and 0.0 <= self.bias_share < 1.0):
             raise ValueError(
                 f"inflation must be positive and lasting from 0 to below 1: "
@@ -213,6 +230,7 @@ class FusionOptions:
         return _without(content, ("recent_s",))
 
     def __post_init__(self) -> None:
+        _check_sizes(self)
         if not LEAST_RISK <= self.risk <= MOST_RISK:
             raise ValueError(f"risk must be from {LEAST_RISK:g} to {MOST_RISK:g}, not {self.risk}")
         if not 0.0 <= self.ring_other_edge < 1.0:
