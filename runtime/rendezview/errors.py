@@ -1,11 +1,21 @@
 """The one base class of errors that a user can fix."""
 
 import contextlib
+import re
 from collections.abc import Iterator
+
+# Numbers and words that no message needs whole. Source: two float64; a file name and its colon
+_LONG = re.compile(r"\d{41,}|[^\s/]{257,}")
 
 
 class RendezviewError(Exception):
-    """An error that a user can fix; its message names the fault, its place and the remedy."""
+    """An error that a user can fix; its message names the fault, its place and the remedy.
+
+    A value of hundreds of characters that the message quotes is shortened.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(_LONG.sub(lambda m: f"{m[0][:20]}… ({len(m[0])} characters)", message))
 
 
 def without_cache(error: RuntimeError) -> RendezviewError | None:

@@ -131,6 +131,11 @@ def test_estimates_can_be_asked_for_between_measurements(run, logs: Path):
     assert sum(state["measurement"] is None for state in states) > 150
 
 
+def test_an_interval_of_too_many_estimates_is_refused(run, logs: Path):
+    for every_s in ("1e-9", "1e-300"):  # with the latter no time would pass
+        fuse(run, logs, "--every-s", every_s, names=("track",)).says("--every-s", "1,000,000")
+
+
 def test_names_and_mounts_are_those_given(run, logs: Path):
     (logs / "mount.json").write_text(
         json.dumps({"quat_wxyz": [1.0, 0.0, 0.0, 0.0], "translation_m": [0.5, 0.0, 0.0]})
@@ -178,6 +183,18 @@ def test_what_cannot_be_joined_is_told_in_one_line(run, logs: Path):
         ({"range_m": 2.0, "time_s": 0.0}, "sigma_m"),
         ({"ellipses": [], "poses": [{"centre_m": [0, 0, 9], "axis": [0, 0, 1]}], "time_s": 0.0},
          "covariance"),
+        ({"range_m": 2.0, "sigma_m": "0.1", "time_s": 0.0}, "sigma_m: input should be"),
+        ({"range_m": True, "sigma_m": 0.1, "time_s": 0.0}, "range_m: input should be"),
+        ({"range_m": 2.0, "sigma_m": 0.1, "time_s": 1e308}, "time_s must be within"),
+        ({"range_m": 2.0, "sigma_m": 1e-12, "time_s": 0.0}, "variances must be"),
+        ({"range_m": 2.0, "sigma_m": 0.1, "time_s": 0.0, "direction": [0, 0, -1e308]}, "direction"),
+        ({"rate_rad_s": [0, "1", 0], "sigma_rad_s": 1e-3, "time_s": 0.0}, "rate_rad_s.1"),
+        ({"velocity_change_m_s": [1e10, 0, 0], "sigma_m_s": 0.1, "time_s": 0.0}, "within 100000"),
+        ({"pose": {"quat_wxyz": [1, 0, 0, 0], "translation_m": [0, 0, "9"]},
+          "covariance": np.eye(6).tolist(), "time_s": 0.0}, "pose.translation_m.2"),
+        ({"pose": {"quat_wxyz": [1, 0, 0, 0], "translation_m": [0, 0, 9]},
+          "covariance": np.triu(np.full((6, 6), 0.1) + np.eye(6)).tolist(), "time_s": 0.0},
+         "symmetric"),
     ],
 )  # fmt: skip
 def test_a_wrong_line_is_named(run, logs: Path, line, word):
@@ -185,6 +202,24 @@ def test_a_wrong_line_is_named(run, logs: Path, line, word):
     ran = run("fuse", logs / "wrong.jsonl", "--target", logs / "box.toml", "-o",
               logs / "state.jsonl")  # fmt: skip
     ran.says("record 1", word)
+
+
+def test_a_line_that_is_there_twice_is_named(run, logs: Path):
+    for name in ("track", "ring", "laser"):
+        path = logs / f"{name}.jsonl"
+        lines = path.read_text().splitlines()
+        path.write_text("\n".join([*lines[:9], lines[1], *lines[9:]]) + "\n")
+        fuse(run, logs, names=(name,)).says(path.name, "record 10", "after record 2")
+
+
+def test_two_beams_may_read_at_one_time(run, logs: Path):
+    path = logs / "laser.jsonl"
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    both = [{**line, "origin_m": [x, 0.0, 0.0]} for line in lines for x in (-0.1, 0.1)]
+    path.write_text("".join(f"{json.dumps(line)}\n" for line in both))
+    ran = fuse(run, logs, names=("track", "laser"))
+    assert ran.code == 0, ran
+    assert "laser: 160 of 160 taken" in ran.err
 
 
 def test_options_of_an_older_version_are_said_to_be_ignored(run, logs):
@@ -195,3 +230,11 @@ def test_options_of_an_older_version_are_said_to_be_ignored(run, logs):
     said = " ".join(ran.err.split())
     assert "linear of earlier versions are ignored" in said
     assert "gate of earlier versions are ignored" in said
+
+
+def test_options_of_a_sensor_without_a_log_are_said_to_be_ignored(run, logs):
+    options = logs / "options.json"
+    options.write_text('{"sensors": {"trakc": {"inflation": 2.0}}}')
+    ran = run("fuse", logs / "track.jsonl", "--options", options, "-o", logs / "state.jsonl")
+    assert ran.code == 0, ran.err
+    assert "sensors.trakc is ignored: no log has this name (track)" in " ".join(ran.err.split())

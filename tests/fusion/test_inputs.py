@@ -122,3 +122,31 @@ def test_a_sensor_that_is_late_by_a_constant_is_put_right():
     ]
     assert off[0] < 0.5 * off[1]
     assert off[0] < 0.03
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ThrustMeasurement(10.2, "known", np.array([5.0, 0.0, 0.0]), 0.02),
+        RateMeasurement(10.2, "known", np.array([0.0, 3.0, 0.0]), 1e-3),
+    ],
+)
+def test_an_input_that_is_wrong_once_is_within_the_level_and_gone_with_the_next_pose(wrong):
+    """Without a doubt of it, two sensors contradicted a state that stayed lost for 30 s."""
+    world, fusion = World(4), Fusion()
+    for k in range(21):
+        fusion.add(world.pose(0.5 * k))
+    fusion.add(wrong)
+    off = world.error(fusion.state_at(10.4).pose, world.truth(10.4))
+    levels = fusion.state_at(10.4).protection
+    assert np.linalg.norm(off[3:]) > 0.5  # or nothing is tested
+    assert np.linalg.norm(off[3:]) <= levels.position_m
+    assert np.linalg.norm(off[:3]) <= levels.attitude_rad
+    for k in range(21, 25):
+        fusion.add(world.pose(0.5 * k))
+        estimate = fusion.state_at(0.5 * k)
+        off = world.error(estimate.pose, world.truth(0.5 * k))
+        assert np.all(np.abs(off) < 5.0 * np.sqrt(np.diag(estimate.covariance)[:6]))
+        assert np.linalg.norm(off[3:]) < 0.3
+        assert estimate.protection.alarm
+    assert fusion.starts == 1

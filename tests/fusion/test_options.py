@@ -60,6 +60,8 @@ def test_an_old_key_of_a_named_sensor_is_ignored_and_the_rest_is_taken(tmp_path)
         ({"accelerations": (1e-3,)}, "one entry for each"),
         ({"stays_s": (60.0, 40.0, 0.0)}, "must be positive"),
         ({"jitters": (), "jitters_s": ()}, "1 to 4"),
+        ({"angular": 1e308}, "angular must be 0 or 1e-12 … 1e[+]09, not 1e[+]308"),
+        ({"jitters": (1e-3, 1e300)}, "jitters must be 0 or"),
     ],
 )
 def test_wrong_motion_options_are_named(wrong, words):
@@ -74,6 +76,8 @@ def test_wrong_motion_options_are_named(wrong, words):
         ({"bias_share": 1.0}, "lasting"),
         ({"bias_s": 0.0}, "lasting_s"),
         ({"outliers": 0.6}, "outliers"),
+        ({"inflation": 1e308}, "inflation must be 0 or"),
+        ({"bias_s": 1e-308}, "lasting_s must be 0 or"),
     ],
 )
 def test_wrong_sensor_options_are_named(wrong, words):

@@ -6,11 +6,13 @@ import subprocess
 import sys
 
 import pytest
+from pydantic import TypeAdapter
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import (
     atomic_write,
     atomic_write_text,
+    checked,
     make_folder,
     read_json,
     read_text,
@@ -165,12 +167,34 @@ def test_bad_json_is_named(tmp_path, content, message):
         read_json(path, "a thing")
 
 
-@pytest.mark.parametrize("content", ["a = [1, 2", "a = " + "[" * 200_000])
+@pytest.mark.parametrize("content", ["a = [1, 2", "a = " + "[" * 200_000, "a = " + "1" * 6000])
 def test_bad_toml_is_named(tmp_path, content):
     path = tmp_path / "a.toml"
     path.write_text(content)
     with pytest.raises(RendezviewError, match=r"a\.toml: not valid TOML"):
         read_toml(path, "a thing")
+
+
+def test_a_message_shortens_the_values_that_it_quotes():
+    said = str(RendezviewError(f"/here/{'a' * 255}: not {'9' * 400}, nor {'x' * 999}"))
+    assert said == (
+        f"/here/{'a' * 255}: not {'9' * 20}… (400 characters), nor {'x' * 20}… (999 characters)"
+    )
+
+
+def test_a_number_is_read_from_a_number_only_and_a_tuple_from_a_list():
+    numbers = TypeAdapter(tuple[float, ...])
+    assert checked(numbers, [1, 2.5], "here") == (1.0, 2.5)
+    for wrong in ("12.5", True, None):
+        with pytest.raises(RendezviewError, match=r"here: 1: input should be a valid number"):
+            checked(numbers, [1, wrong], "here")
+
+
+def test_a_whole_number_may_be_written_with_a_point():
+    assert checked(TypeAdapter(dict[str, int]), {"a": 3.0, "b": 2}, "here") == {"a": 3, "b": 2}
+    for wrong in (3.5, 1e300, "3"):
+        with pytest.raises(RendezviewError, match="here: a:"):
+            checked(TypeAdapter(dict[str, int]), {"a": wrong}, "here")
 
 
 def test_reading_names_what_is_missing_a_folder_or_too_long(tmp_path):

@@ -12,9 +12,10 @@ from rendezview.cli.export import export
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.io.pose_log import read_pose
 from rendezview.io.results import JsonLinesWriter
 from rendezview.io.sequences.frame import Frame, Sequence
-from rendezview.io.trajectories import tum_text
+from rendezview.io.trajectories import poses_of_log, tum_text
 from rendezview_ground.evaluate.tum import results_of_tum
 
 
@@ -83,3 +84,32 @@ def test_a_tum_file_of_a_peer_gives_the_poses_of_the_frames_of_its_times(tmp_pat
     (tmp_path / "bad.tum").write_text("1 2 3\n")
     with pytest.raises(RendezviewError, match="line 1: not `time x y z"):
         results_of_tum(tmp_path / "bad.tum", sequence)
+
+
+@pytest.mark.parametrize(
+    ("content", "key"),
+    [
+        ('{"quat_wxyz": ["1", 0, 0, 0]}', "quat_wxyz.0"),
+        ('{"quat_wxyz": [true, 0, 0, 0]}', "quat_wxyz.0"),
+        ('{"quat_wxyz": [0, 0, 0, 0]}', "quat_wxyz: must be a rotation"),
+        ('{"quat_wxyz": [1e308, 1e308, 0, 0]}', "quat_wxyz: must be a rotation"),
+        ('{"quat_wxyz": [1, 0, 0, 0], "translation_m": [0, 0, "5"]}', "translation_m.2"),
+        ('{"quat": [1, 0, 0, 0]}', "quat_wxyz: missing"),
+        ("[1, 0, 0, 0]", "an object"),
+    ],
+)
+def test_a_pose_in_a_file_has_numbers_and_no_strings(tmp_path, content, key):
+    path = tmp_path / "prior.json"
+    path.write_text(content)
+    with pytest.raises(RendezviewError, match=f"prior.json: no pose: .*{key}"):
+        read_pose(path, "a prior pose", [0.0, 0.0, 9.0])
+    path.write_text('{"quat_wxyz": [2, 0, 0, 0]}')
+    assert read_pose(path, "a prior pose", [0.0, 0.0, 9.0]).translation_m.tolist() == [0, 0, 9]
+
+
+def test_a_log_of_poses_has_numbers_and_no_strings(tmp_path):
+    path = tmp_path / "log.jsonl"
+    log_of(path, [0.5])
+    path.write_text(path.read_text().replace('"time_s": 0.5', '"time_s": "0.5"'))
+    with pytest.raises(RendezviewError, match=r"record 1: .*time_s: input should be a valid"):
+        poses_of_log(path)

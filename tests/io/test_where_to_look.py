@@ -64,7 +64,10 @@ def test_each_box_of_the_object_is_an_instance_unless_a_better_one_covers_it(tmp
         ([{"image_id": 1, "bbox": [-1e4, 2, 2e4, 5]}], "more than 4 times as large"),
         ([{"image_id": 1, "bbox": [1, 2, 3]}], "bbox"),
         ([{"bbox": [1, 2, 3, 4]}], "image_id"),
-        ({"boxes": []}, "list"),
+        ([line(1, "12.5")], r"0.bbox.0: input should be a valid number"),
+        ([line(1, True)], r"0.bbox.0: input should be a valid number"),
+        ([line("1", 2)], r"0.image_id: input should be a valid integer"),
+        ({"boxes": []}, "valid array"),
     ],
 )
 def test_a_file_that_tells_no_box_is_refused(tmp_path, lines, fault):

@@ -31,6 +31,8 @@ from rendezview.sensors.beam import BeamMesh, BeamSurface
 from rendezview.sensors.observation import Status
 from rendezview.sensors.run import Line, Summary, run
 
+_MOST_TICKS = 1_000_000  # of --every-s. Source: a chosen limit, a few GB
+
 
 def fuse(
     logs: Annotated[
@@ -84,11 +86,17 @@ def fuse(
         raise RendezviewError(f"{output}: the state must not overwrite a log")
     ring = find_target(target).docking_ring if target else None
     context = LogContext(ring, _surfaces(surfaces, model), _mounts(mount or [], names))
-    fusion = Fusion(_options(options) if options else FusionOptions())
+    fusion = Fusion(_options(options, names) if options else FusionOptions())
     read = [read_log(path, name, context) for name, path in named]
     measurements = merged(read)
     if not measurements:
         raise RendezviewError("no line of these logs has a measurement: there is nothing to join")
+    lasts_s = measurements[-1].time_s - measurements[0].time_s
+    if every_s is not None and lasts_s > _MOST_TICKS * every_s:
+        raise RendezviewError(
+            f"--every-s {every_s:g} gives more than {_MOST_TICKS:,} estimates in the {lasts_s:g} s "
+            "of the logs: give a longer one, or correct their times"
+        )
 
     def lines() -> Iterator[Line]:
         tick_s = measurements[0].time_s
@@ -105,13 +113,16 @@ def fuse(
     _say_outcome(fusion, summary)
 
 
-def _options(path: Path) -> FusionOptions:
-    """Options of a file; says which old keys it ignores, which Python would hide."""
+def _options(path: Path, names: list[str]) -> FusionOptions:
+    """Options of a file; says which of its keys are without a use here."""
     with warnings.catch_warnings(record=True) as ignored:
         warnings.simplefilter("always", DeprecationWarning)
         read = read_options(path)
     for warning in ignored:
         say(f"{path}: {warning.message}")
+    for name in read.sensors:
+        if name not in names:
+            say(f"{path}: sensors.{name} is ignored: no log has this name ({', '.join(names)})")
     return read
 
 

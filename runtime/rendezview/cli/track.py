@@ -27,8 +27,8 @@ from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.cli.where import At, Box, Boxes, Instances, Mask, given_regions
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
-from rendezview.io.files import check_place, read_json
-from rendezview.io.pose_log import poses_by_frame
+from rendezview.io.files import check_place
+from rendezview.io.pose_log import poses_by_frame, read_pose
 from rendezview.io.sequences import Frame, Sequence
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.io.sequences.live import is_live, live_frames
@@ -274,10 +274,9 @@ def _prior(text: str | None, sequence: Sequence, model: ViewModel) -> Pose | Non
     ahead = [0.0, 0.0, 2.0 * model.sphere_radius_m]
     try:
         if Path(text).is_file():
-            content = read_json(Path(text), "a prior pose")
-            return Pose.from_quat_wxyz(content["quat_wxyz"], content.get("translation_m", ahead))
+            return read_pose(Path(text), "a prior pose", ahead)
         return Pose.from_quat_wxyz([float(part) for part in text.split(",")], ahead)
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, OSError):  # too long a name
         raise RendezviewError(
             f"--prior {text!r}: give 'scene', a quaternion 'w,x,y,z', a JSON file with "
             "quat_wxyz and, if you like, translation_m, or a log of poses (.jsonl)"

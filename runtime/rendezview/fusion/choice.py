@@ -33,6 +33,7 @@ from rendezview.fusion.rivals import (
 )
 from rendezview.fusion.state import FilterState, begin, sensor_options
 from rendezview.fusion.trust import Trust, Verdict, after_reading, outlier_log
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import (
     Measurement,
@@ -47,6 +48,8 @@ _CAP, _WIN = 12.0, 6.0
 _FORGETS = 0.9  # of a sensor's earlier ratio at each reading. Source: by construction
 # s without a reading that agrees, after which a new start has no lower prior. Source: fusion-faults
 _CONTEST_S = 20.0
+# σ² of a known input beside the forecast, from where it may be wrong. Source: by construction, 5 σ
+_SURPRISES = 25.0
 _WIDER = 4.0  # of the variance of rates that another filter has left. Source: twice the σ
 
 
@@ -165,7 +168,10 @@ def _told(
     before: Snapshot, main: Hypothesis, known: RateMeasurement | ThrustMeasurement,
     options: FusionOptions,
 ) -> tuple[Snapshot, Verdict]:  # fmt: skip
-    """After an input that is known: the camera's rotation, or a thrust. All hypotheses take it."""
+    """After an input that is known: the camera's rotation, or a thrust.
+
+    All hypotheses take it, but that which doubts its source. One is added where it surprises.
+    """
 
     def with_it(hypothesis: Hypothesis) -> Hypothesis:
         if isinstance(known, RateMeasurement):
@@ -175,10 +181,25 @@ def _told(
 
     name, time_s = known.sensor, known.time_s
     trust = after_reading(main.trusts.get(name) or Trust(name), time_s, True, 1.0, 0)
-    main = with_it(main._replace(trusts={**main.trusts, name: trust}))
-    rivals = tuple(r._replace(hypothesis=with_it(r.hypothesis)) for r in before.rivals)
-    after = before._replace(main=main, rivals=rivals)
+    main = main._replace(trusts={**main.trusts, name: trust})
+    without, main = moved(main, time_s, options), with_it(main)
+    rivals = [
+        r if r.doubts == name else r._replace(hypothesis=with_it(r.hypothesis))
+        for r in before.rivals
+    ]
+    if _surprise(main.state, without.state) > _SURPRISES:  # it keeps a state that has fitted
+        rivals = with_doubt(
+            rivals, Rival(Kind.DOUBT, without, PRIOR, time_s, fitting=2, doubts=name)
+        )
+    after = before._replace(main=main, rivals=tuple(rivals))
     return after, Verdict(name, time_s, True, None)
+
+
+def _surprise(state: FilterState, without: FilterState) -> float:
+    """Squared distance, σ², of a state from that without an input: attitude and velocity."""
+    off = [so3.between(without.rotation, state.rotation), state.velocity - without.velocity]
+    variances = without.weights @ np.diagonal(without.covariances, axis1=1, axis2=2)
+    return float((np.square(off) / variances[[[0, 1, 2], [9, 10, 11]]]).sum())
 
 
 def _start(

@@ -8,7 +8,6 @@ no echo) is no error: the sensor reported that it saw nothing.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,11 +18,22 @@ from pydantic import TypeAdapter
 
 from rendezview.errors import RendezviewError, explained
 from rendezview.fusion.fusion import Estimate, Fusion
+from rendezview.fusion.log_lines import (
+    LogLine,
+    PoseLine,
+    RangeLine,
+    RateLine,
+    RingLine,
+    SurfaceKeys,
+    ThrustLine,
+    check_size,
+)
 from rendezview.fusion.options import FusionOptions
 from rendezview.fusion.trust import Verdict
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import StrPath, checked, read_json
-from rendezview.io.results import read_json_lines
+from rendezview.io.pose_log import read_pose
+from rendezview.io.results import json_line, read_json_lines
 from rendezview.io.target import DockingRing
 from rendezview.sensors.beam import BeamMesh, BeamSurface
 from rendezview.sensors.measurement import (
@@ -65,19 +75,28 @@ def read_log(path: StrPath, sensor: str, context: LogContext) -> SensorLog:
     """The measurements of a sensor's log, each with its time and covariance.
 
     Raises:
-        RendezviewError: missing, of no known kind, a line (named) is wrong, or what the kind
-            needs (the target's ring, a surface) is not known.
+        RendezviewError: missing, of no known kind, a line (named) is wrong or there twice, or what
+            the kind needs (the target's ring, a surface) is not known.
     """
     records = read_json_lines(path)
     if not records:
         raise RendezviewError(f"{path}: holds no lines: name another log")
     kind = kind_of(records[0], str(path))
     _check_known(kind, str(path), context)
-    measurements = []
+    measurements, first = list[Measurement](), dict[tuple[float, str], int]()
     for number, record in enumerate(records, start=1):
-        measurement = read_record(record, kind, sensor, context, f"{path}: record {number}")
-        if measurement is not None:
-            measurements.append(measurement)
+        where = f"{path}: record {number}"
+        measurement = read_record(record, kind, sensor, context, where)
+        if measurement is None:
+            continue
+        # Several beams and thrusters may act at once, not several of the target's poses.
+        reading = measurement.time_s, json_line(record) if kind in ("range", "thrust") else ""
+        if (other := first.setdefault(reading, number)) != number:
+            raise RendezviewError(
+                f"{where}: a second reading at time_s {measurement.time_s:g}, after record "
+                f"{other}: give each line once, and each target its own log"
+            )
+        measurements.append(measurement)
     measurements.sort(key=lambda m: m.time_s)
     return SensorLog(sensor, kind, measurements, len(records) - len(measurements))
 
@@ -88,7 +107,7 @@ def kind_of(record: Mapping[str, Any], where: str) -> str:
     Raises:
         RendezviewError: of no known kind.
     """
-    for key, (kind, _) in _KINDS.items():
+    for key, (kind, *_) in _KINDS.items():
         if key in record:
             return kind
     raise RendezviewError(
@@ -108,19 +127,22 @@ def read_record(
         where: place of the line, for error messages.
 
     Raises:
-        RendezviewError: the line is wrong, or data that the kind needs are missing.
+        RendezviewError: the line is wrong (its key is named), its numbers are too large or too
+            small for the filter, or data that the kind needs are missing.
     """
     _check_known(kind, where, context)
-    reader = next(r for k, r in _KINDS.values() if k == kind)
-    try:
-        measurement = reader(record, sensor, context)
+    lines, reader = next((lines, reader) for k, lines, reader in _KINDS.values() if k == kind)
+    line = checked(lines, record, f"{where}: no line of a {kind} log")
+    wrong = f"{where}: no line of a {kind} log ("
+    faults = (ValueError, ArithmeticError)
+    with np.errstate(all="ignore"), explained(wrong, "): correct or remove it", faults):
+        measurement: Measurement | None = reader(line, sensor, context)
         mount = context.mounts.get(sensor)
-        return measurement if measurement is None or mount is None else measurement.in_camera(mount)
-    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
-        said = f"no key {error}" if isinstance(error, KeyError) else str(error)
-        raise RendezviewError(
-            f"{where}: no line of a {kind} log ({said[:300]}): correct or remove it"
-        ) from error
+        if measurement is not None and mount is not None:
+            measurement = measurement.in_camera(mount)
+    if measurement is not None:
+        check_size(measurement, where)
+    return measurement
 
 
 def merged(logs: list[SensorLog]) -> list[Measurement]:
@@ -143,11 +165,11 @@ def read_surfaces(path: StrPath) -> tuple[BeamSurface, ...]:
     Raises:
         RendezviewError: missing, no list of such, or a wrong value.
     """
-    content = read_json(path, "surfaces")
-    with explained(f"{path}: no surfaces: ", faults=(ValueError, TypeError)):
-        if not isinstance(content, list) or not content:
+    lines = checked(_SURFACES, read_json(path, "surfaces"), f"{path}: no surfaces")
+    with np.errstate(all="ignore"), explained(f"{path}: no surfaces: "):
+        if not lines:
             raise ValueError("a list of surfaces is needed")
-        return tuple(BeamSurface(**one) for one in content)
+        return tuple(BeamSurface(**line.model_dump(exclude_none=True)) for line in lines)
 
 
 def read_mount(path: StrPath) -> Pose:
@@ -156,9 +178,7 @@ def read_mount(path: StrPath) -> Pose:
     Raises:
         RendezviewError: missing, or no pose.
     """
-    needs = f"{path}: needs quat_wxyz and translation_m of sensor_from_camera: "
-    with explained(needs, faults=(ValueError, KeyError, TypeError)):
-        return _pose(read_json(path, "a sensor's place"))
+    return read_pose(path, "a sensor's place")
 
 
 def _check_known(kind: str, where: str, context: LogContext) -> None:
@@ -174,75 +194,74 @@ def _check_known(kind: str, where: str, context: LogContext) -> None:
         )
 
 
-def _time(record: Mapping[str, Any]) -> Any:
-    return record.get("time_s")  # the measurement checks it
+def _time(line: LogLine) -> Any:
+    return line.time_s  # the measurement checks it
 
 
-def _pose(content: Any) -> Pose:
-    return Pose.from_quat_wxyz(content["quat_wxyz"], content["translation_m"])
+def _sigma(sigma: float | None, key: str) -> float:
+    if sigma is None:
+        raise ValueError(f"{key}: missing, add it")
+    return sigma
 
 
-def _pose_of(record: Mapping[str, Any], sensor: str, _: LogContext) -> Measurement | None:
+def _pose_of(line: PoseLine, sensor: str, _: LogContext) -> Measurement | None:
     # A roll that may be half a turn off is no pose, and a pose with an alarm must not be used.
-    if record["pose"] is None or record.get("covariance") is None or record.get("roll_ambiguous"):
+    if line.pose is None or line.covariance is None or line.roll_ambiguous:
         return None
-    if record.get("protection", {}).get("alarm"):
+    if line.protection is not None and line.protection.alarm:
         return None
-    covariance = np.array(record["covariance"], dtype=np.float64)
-    common = record.get("common_covariance")
-    return PoseMeasurement(_time(record), sensor, _pose(record["pose"]), covariance, common)
+    covariance, common = np.array(line.covariance), line.common_covariance
+    shared = None if common is None else np.array(common)
+    return PoseMeasurement(_time(line), sensor, line.pose.pose, covariance, shared)
 
 
-def _ring_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Measurement | None:
+def _ring_of(line: RingLine, sensor: str, context: LogContext) -> Measurement | None:
     assert context.ring is not None
-    circles = ((c["centre_m"], c["axis"], c["covariance"]) for c in record["poses"])
-    candidates = ring_candidates(circles)
+    known = (c for c in line.poses if c.covariance is not None)
+    candidates = ring_candidates(
+        (c.centre_m, c.axis, np.array(c.covariance, dtype=np.float64)) for c in known
+    )
     if not candidates:
         return None
-    return RingMeasurement(_time(record), sensor, candidates, context.ring)
+    return RingMeasurement(_time(line), sensor, candidates, context.ring)
 
 
-def _range_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Measurement | None:
-    distance = record["range_m"]
-    if distance is None:
+def _range_of(line: RangeLine, sensor: str, context: LogContext) -> Measurement | None:
+    if line.range_m is None:
         return None
     surfaces = context.surfaces
     if not surfaces:
         assert context.ring is not None
         surfaces = (BeamSurface(context.ring.centre_m, context.ring.axis, _RELIEF_M),)
-    sigma_m = float(record["sigma_m"])
-    origin = np.array(record.get("origin_m", [0.0, 0.0, 0.0]), dtype=np.float64)
-    direction = np.array(record.get("direction", [0.0, 0.0, 1.0]), dtype=np.float64)
-    if not (isinstance(distance, int | float) and math.isfinite(distance)):
-        raise ValueError(f"range_m must be a number or null, not {distance!r}")
     return RangeMeasurement(
-        _time(record), sensor, float(distance), sigma_m, surfaces, origin, direction
-    )
+        _time(line), sensor, line.range_m, _sigma(line.sigma_m, "sigma_m"), surfaces,
+        np.array(line.origin_m), np.array(line.direction),
+    )  # fmt: skip
 
 
-def _rate_of(record: Mapping[str, Any], sensor: str, _: LogContext) -> Measurement | None:
-    if record["rate_rad_s"] is None:
+def _rate_of(line: RateLine, sensor: str, _: LogContext) -> Measurement | None:
+    if line.rate_rad_s is None:
         return None
-    return RateMeasurement(_time(record), sensor, record["rate_rad_s"], record["sigma_rad_s"])
+    sigma = _sigma(line.sigma_rad_s, "sigma_rad_s")
+    return RateMeasurement(_time(line), sensor, np.array(line.rate_rad_s), sigma)
 
 
-def _thrust_of(record: Mapping[str, Any], sensor: str, _: LogContext) -> Measurement | None:
-    change = record["velocity_change_m_s"]
-    if change is None:
+def _thrust_of(line: ThrustLine, sensor: str, _: LogContext) -> Measurement | None:
+    if line.velocity_change_m_s is None:
         return None
-    return ThrustMeasurement(_time(record), sensor, change, record["sigma_m_s"])
+    change, sigma = np.array(line.velocity_change_m_s), _sigma(line.sigma_m_s, "sigma_m_s")
+    return ThrustMeasurement(_time(line), sensor, change, sigma)
 
 
-Reader = Callable[[Mapping[str, Any], str, LogContext], Measurement | None]
-
-# Kind and reader by the key that identifies a log; the first match counts.
-_KINDS: dict[str, tuple[str, Reader]] = {
-    "rate_rad_s": ("rate", _rate_of),
-    "velocity_change_m_s": ("thrust", _thrust_of),
-    "range_m": ("range", _range_of),
-    "ellipses": ("ring", _ring_of),
-    "pose": ("pose", _pose_of),
+# Kind, keys and reader by the key that identifies a log; the first match counts.
+_KINDS: dict[str, tuple[str, TypeAdapter[Any], Callable[..., Measurement | None]]] = {
+    "rate_rad_s": ("rate", TypeAdapter(RateLine), _rate_of),
+    "velocity_change_m_s": ("thrust", TypeAdapter(ThrustLine), _thrust_of),
+    "range_m": ("range", TypeAdapter(RangeLine), _range_of),
+    "ellipses": ("ring", TypeAdapter(RingLine), _ring_of),
+    "pose": ("pose", TypeAdapter(PoseLine), _pose_of),
 }
+_SURFACES = TypeAdapter(list[SurfaceKeys])
 
 
 def sensor_name(text: str) -> tuple[str, Path]:

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 from pydantic import (
     AliasChoices,
+    BeforeValidator,
     ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
@@ -23,6 +24,13 @@ from pydantic import (
 
 from rendezview.estimation.protection import LEAST_RISK, MOST_RISK
 
+
+def _as_tuple(given: Any) -> Any:
+    """A list as a tuple: after a validator of the whole content, strict mode takes no list."""
+    return tuple(given) if isinstance(given, list) else given
+
+
+_Numbers = Annotated[tuple[float, ...], BeforeValidator(_as_tuple)]
 _FORBID = ConfigDict(extra="forbid")  # in files: an unknown key is an error
 
 
@@ -48,6 +56,21 @@ def _without(content: Any, keys: tuple[str, ...]) -> Any:
     return {key: value for key, value in content.items() if key not in found}
 
 
+def _check_sizes(options: Any) -> None:
+    """Refuse numbers whose squares the filter cannot use; the rest is checked by name."""
+    for name in (f.name for f in fields(options)):
+        value = getattr(options, name)
+        for one in value if isinstance(value, tuple | list) else (value,):
+            if isinstance(one, float) and not (
+                one in (0.0, math.inf) or math.isnan(one) or _LEAST <= abs(one) <= _MOST
+            ):
+                key = _KEYS.get(name, name)
+                raise ValueError(f"{key} must be 0 or {_LEAST:g} … {_MOST:g}, not {one:g}")
+
+
+_LEAST, _MOST = 1e-12, 1e9  # Source: a chosen limit
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionOptions:
     """How the craft may move: several models of each, weighed by their likelihood.
@@ -64,16 +87,16 @@ class MotionOptions:
     angular: float = 2e-4
     # m/s² √s of each model: coasting, braking, a jerk. Source: plain simulation: one of them
     # alone is 5 to 20 % worse
-    accelerations: tuple[float, ...] = (5e-4, 2e-3, 3e-2)
+    accelerations: _Numbers = (5e-4, 2e-3, 3e-2)
     # m/s², σ of the lasting acceleration of each. Source: chaser's braking, 1–20 mm/s²
-    lasting_accelerations: tuple[float, ...] = (1e-3, 1e-2, 1e-2)
+    lasting_accelerations: _Numbers = (1e-3, 1e-2, 1e-2)
     acceleration_s: float = 30.0  # s, its correlation. Source: plain simulation, uncritical
     # s, mean stay in each. Source: plain simulation, uncritical
-    stays_s: tuple[float, ...] = (60.0, 40.0, 5.0)
+    stays_s: _Numbers = (60.0, 40.0, 5.0)
     # rad, σ of each jitter; the first is only the first guess, it is learnt. Source: `simulate`
     # has 5 mrad; without the second a swing of 0.3° at 0.15 Hz restarts the filter
-    jitters: tuple[float, ...] = (6e-3, 7e-3)
-    jitters_s: tuple[float, ...] = (0.4, 2.0)  # s, their correlation. Source: as the jitters
+    jitters: _Numbers = (6e-3, 7e-3)
+    jitters_s: _Numbers = (0.4, 2.0)  # s, their correlation. Source: as the jitters
     # s, mean stay in each. Source: plain situations; without an end, spins are 1.4 times as often
     # beyond their level
     jitter_stay_s: float = 300.0
@@ -90,6 +113,7 @@ class MotionOptions:
         return _without(content, ("linear", "along", "pointing", "slews"))
 
     def __post_init__(self) -> None:
+        _check_sizes(self)
         for name in (f.name for f in fields(self)):
             value = getattr(self, name)
             for one in value if isinstance(value, tuple | list) else (value,):
@@ -149,6 +173,7 @@ class SensorOptions:
         return _without(content, (*old, "floor_rad", "floor_range"))
 
     def __post_init__(self) -> None:
+        _check_sizes(self)
         if not (0.0 < self.inflation < math.inf and 0.0 <= self.bias_share < 1.0):
             raise ValueError(
                 f"inflation must be positive and lasting from 0 to below 1: "
@@ -205,6 +230,7 @@ class FusionOptions:
         return _without(content, ("recent_s",))
 
     def __post_init__(self) -> None:
+        _check_sizes(self)
         if not LEAST_RISK <= self.risk <= MOST_RISK:
             raise ValueError(f"risk must be from {LEAST_RISK:g} to {MOST_RISK:g}, not {self.risk}")
         if not 0.0 <= self.ring_other_edge < 1.0:

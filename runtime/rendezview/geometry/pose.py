@@ -41,7 +41,9 @@ class Pose:
         if not _all_finite(rotation, translation_m):
             raise ValueError("a pose must be finite")
         if not _is_rotation(rotation, 1e-6):
-            raise ValueError(f"rotation is not orthonormal with determinant +1: {rotation}")
+            raise ValueError(
+                f"rotation is not orthonormal with determinant +1: {rotation.tolist()}"
+            )
         rotation.setflags(write=False)
         translation_m.setflags(write=False)
         object.__setattr__(self, "rotation", rotation)

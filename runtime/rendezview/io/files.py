@@ -175,7 +175,7 @@ def read_toml(path: StrPath, what: str) -> dict[str, Any]:
     Raises:
         RendezviewError: as `read_text`, or not TOML.
     """
-    faults = (tomllib.TOMLDecodeError, RecursionError)
+    faults = (ValueError, RecursionError)  # a ValueError, too: a number of over 4300 digits
     with explained(f"{path}: not valid TOML (", "): correct the file", faults):
         return tomllib.loads(read_text(path, f"{what} (TOML)"))
 
@@ -232,14 +232,31 @@ def read_json(path: StrPath, what: str) -> Any:
     return parse_json(read_text(path, what), str(path))
 
 
+_EXACT = 2.0**53  # below, a float that is whole is an integer. Source: of 64 bits
+
+
+def _whole(data: Any) -> Any:
+    """Content of a file with floats that are whole numbers as integers."""
+    if isinstance(data, float) and data.is_integer() and abs(data) < _EXACT:
+        return int(data)
+    if isinstance(data, list | tuple):
+        return [_whole(one) for one in data]
+    if isinstance(data, dict):
+        return {key: _whole(one) for key, one in data.items()}
+    return data
+
+
 def checked(adapter: TypeAdapter[Checked], data: Any, where: str) -> Checked:
     """``data`` as the type of a pydantic adapter; ``where`` starts the message.
+
+    A number is a number: none is read from a string, true or false. 3.0 is a whole one, as in JSON
+    Schema.
 
     Raises:
         RendezviewError: names the first wrong keys (at most three) and the fault of each.
     """
-    try:
-        return adapter.validate_python(data)
+    try:  # as JSON, where a list can be a tuple and a string a path, in strict mode, too
+        return adapter.validate_json(json.dumps(_whole(data), default=str), strict=True)
     except ValidationError as error:
         raise RendezviewError(f"{where}: {describe(error)}") from error
 

@@ -1,20 +1,65 @@
-"""Poses with their covariances by frame, from a log of ``track`` or ``fuse``."""
+"""Poses in files: one of its own, and with covariances by frame a log of ``track`` or ``fuse``."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter, field_validator
 
 from rendezview.errors import RendezviewError, explained
 from rendezview.geometry.pose import Array, Pose
-from rendezview.io.files import StrPath
+from rendezview.io.files import StrPath, checked, read_json
 from rendezview.io.results import read_json_lines
 from rendezview.io.sequences.frame import Frame
 
 Known = TypeVar("Known")
 _SAME_TIME_S = 1e-6  # s; Source: the times of one frame in two files differ by rounding only
+
+
+class PoseKeys(BaseModel):
+    """A pose, as files have it."""
+
+    quat_wxyz: Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
+    translation_m: Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
+
+    @field_validator("quat_wxyz")
+    @classmethod
+    def _turns(cls, quat: list[float]) -> list[float]:
+        if not 1e-100 < math.hypot(*quat) < 1e100:  # beyond, its square is zero or infinite
+            raise ValueError(f"must be a rotation, not {quat}")
+        return quat
+
+    @property
+    def pose(self) -> Pose:
+        """As the package has it."""
+        return Pose.from_quat_wxyz(self.quat_wxyz, self.translation_m)
+
+
+class _Line(BaseModel):
+    """Keys that all logs of poses have in common, where they are there."""
+
+    im_id: int | None = None
+    time_s: FiniteFloat | None = None
+    pose: PoseKeys | None = None
+    covariance: list[list[float | None]] | None = None
+
+
+_POSE, _LINE = TypeAdapter(PoseKeys), TypeAdapter(_Line)
+
+
+def read_pose(path: StrPath, what: str, translation_m: Sequence[float] | None = None) -> Pose:
+    """The pose of a JSON file: ``quat_wxyz`` and ``translation_m``, the latter with a default.
+
+    Raises:
+        RendezviewError: missing, or no pose.
+    """
+    content = read_json(path, what)
+    if translation_m is not None and isinstance(content, dict):
+        content = {"translation_m": translation_m} | content
+    return checked(_POSE, content, f"{path}: no pose").pose
 
 
 def read_poses(
@@ -35,6 +80,7 @@ def read_poses(
     found = []
     for number, line in enumerate(read_json_lines(path), start=1):
         where = f"{path}: record {number}: no line of a log of poses ("
+        checked(_LINE, line, where.removesuffix(" ("))
         with explained(where, f"): give that of {of}", (KeyError, TypeError, ValueError)):
             found.append(of_line(line))
     return found

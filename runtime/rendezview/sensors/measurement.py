@@ -20,6 +20,8 @@ from rendezview.sensors.beam import BeamMesh, BeamSurface
 
 # Source: by construction
 _ROUNDING = 1e-9  # of the largest variance: the rounding of a covariance written to a file
+# Of σ σ: the largest difference of a covariance from its transpose, the rounding to three digits.
+_ASYMMETRY = 1e-3  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,10 +45,8 @@ class PoseMeasurement:
         object.__setattr__(self, "time_s", _checked_time(self.time_s, self.sensor))
         object.__setattr__(self, "covariance", _checked_covariance(self.covariance, self.sensor))
         if self.common is not None:
-            common = np.array(self.common, dtype=np.float64)
-            if common.shape != (6, 6) or not np.isfinite(common).all():
-                raise ValueError(f"{self.sensor}: common must be (6, 6) and finite")
-            object.__setattr__(self, "common", 0.5 * (common + common.T))
+            common = _semidefinite(self.common, 6, f"{self.sensor}: the common covariance")
+            object.__setattr__(self, "common", common)
 
     def in_camera(self, sensor_from_camera: Pose) -> PoseMeasurement:
         """The measurement in the camera frame, from that of its sensor."""
@@ -71,12 +71,10 @@ class RingCandidate:
             raise ValueError(f"centre_m must be three finite numbers, not {self.centre_m}")
         if axis.shape != (3,) or not abs(float(np.linalg.norm(axis)) - 1.0) < 1e-3:
             raise ValueError(f"axis must be a unit vector (3,), not {self.axis}")
-        covariance = np.array(self.covariance, dtype=np.float64)
-        if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
-            raise ValueError("the covariance of a ring must be (6, 6) and finite")
+        covariance = _semidefinite(self.covariance, 6, "the covariance of a ring")
         object.__setattr__(self, "centre_m", centre)
         object.__setattr__(self, "axis", axis / np.linalg.norm(axis))
-        object.__setattr__(self, "covariance", 0.5 * (covariance + covariance.T))
+        object.__setattr__(self, "covariance", covariance)
 
     @classmethod
     def of_tangent(
@@ -105,11 +103,7 @@ def ring_candidates(
         matrix = np.array(covariance, dtype=np.float64)  # None becomes NaN
         if not np.isfinite(matrix).all():
             continue
-        if matrix.shape != (5, 5):
-            raise ValueError("covariance must be (5, 5)")
-        spread = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
-        if not spread[0] > -_ROUNDING * spread[-1]:
-            raise ValueError("covariance has a negative variance")
+        matrix = _semidefinite(matrix, 5, "covariance")
         normal = np.array(axis, dtype=np.float64)
         found.append(RingCandidate.of_tangent(centre, normal, matrix, tangents(normal)))
     return tuple(found[:2])
@@ -291,17 +285,38 @@ def _checked_covariance(covariance: npt.ArrayLike, sensor: str) -> Array:
     """A covariance as an array, made exactly symmetric.
 
     Raises:
-        ValueError: another shape, not finite, or not positive definite.
+        ValueError: another shape, not finite, not symmetric, or not positive definite.
     """
-    matrix = np.array(covariance, dtype=np.float64)
-    if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
-        raise ValueError(f"{sensor}: the covariance must be (6, 6) and finite")
-    matrix = 0.5 * (matrix + matrix.T)
+    matrix = _symmetric(covariance, 6, f"{sensor}: the covariance")
     try:
         np.linalg.cholesky(matrix)
     except np.linalg.LinAlgError:
         raise ValueError(f"{sensor}: the covariance is not positive definite") from None
     return matrix
+
+
+def _semidefinite(covariance: npt.ArrayLike, size: int, what: str) -> Array:
+    """A covariance that may leave directions out; ValueError: as below, or a negative variance."""
+    matrix = _symmetric(covariance, size, what)
+    spread = np.linalg.eigvalsh(matrix)
+    if not spread[0] >= -_ROUNDING * spread[-1]:
+        raise ValueError(f"{what} has a negative variance")
+    return matrix
+
+
+def _symmetric(covariance: npt.ArrayLike, size: int, what: str) -> Array:
+    """A covariance made exactly symmetric.
+
+    Raises:
+        ValueError: another shape, not finite, or not symmetric.
+    """
+    matrix = np.array(covariance, dtype=np.float64)
+    if matrix.shape != (size, size) or not np.isfinite(matrix).all():
+        raise ValueError(f"{what} must be ({size}, {size}) and finite")
+    sigmas = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
+    if (np.abs(matrix - matrix.T) > _ASYMMETRY * np.outer(sigmas, sigmas)).any():
+        raise ValueError(f"{what} is not symmetric: a half of it, or another matrix")
+    return np.asarray(0.5 * (matrix + matrix.T))
 
 
 def turned(covariance: Array, rotation: Array) -> Array:

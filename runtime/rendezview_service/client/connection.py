@@ -65,6 +65,7 @@ class Client:
         """A client; it connects with the first request.
 
         Args:
+            timeout_s: a request ends with an error when the service is silent for so long.
             certificate: PEM file of the authority to trust, if the system does not trust the
                 service's certificate (``https``).
             reconnect_s: for how long a service that was reached before is tried again, when it

@@ -90,6 +90,14 @@ async def close_session(request: Request, session: Opened) -> None:
     await service_of(request).close(session, "closed by a request")
 
 
+def _number(text: str) -> float | str:
+    """The number of a part of a query; other text remains, for the message."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 @router.post(
     "/{name}/frames",
     openapi_extra=body_in_docs(dict.fromkeys(("image/png", "image/jpeg", BYTES), BINARY)),
@@ -101,7 +109,7 @@ async def post_frame(
 ) -> Response:  # fmt: skip
     """Track a frame: PNG, JPEG, or width × height grey bytes."""
     session = session_of(request, name)
-    given = {"time_s": time_s, "roi": None if roi is None else roi.split(",")}
+    given = {"time_s": time_s, "roi": None if roi is None else [*map(_number, roi.split(","))]}
     head = frame_head(given, "the frame")
     pieces = await pieces_of(request, session.frame_bytes)
     if not any(pieces):
@@ -111,8 +119,9 @@ async def post_frame(
 
 
 async def _post_frame(request: Request) -> Response:
-    given: Any = {name: request.query_params.get(name) for name in ("time_s", "roi")}
-    return await post_frame(request, request.path_params["name"], **given)
+    time_s, roi = (request.query_params.get(name) for name in ("time_s", "roi"))
+    given: Any = None if time_s is None else _number(time_s)
+    return await post_frame(request, request.path_params["name"], given, roi)
 
 
 # Frames take this plain route. It costs 0.06 ms per frame where FastAPI's costs 0.15 ms (median of

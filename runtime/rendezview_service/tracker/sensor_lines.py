@@ -14,13 +14,7 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 
 from rendezview.errors import RendezviewError
-from rendezview.fusion import (
-    Measurement,
-    PoseMeasurement,
-    RangeMeasurement,
-    RateMeasurement,
-    ThrustMeasurement,
-)
+from rendezview.fusion import Measurement
 from rendezview.fusion.logs import LogContext, read_record
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.files import describe
@@ -32,9 +26,6 @@ from rendezview_service.messages.fusion_messages import (
     Marks,
     SurfaceMessage,
 )
-
-_LEAST, _MOST = 1e-20, 1e12  # m², rad²; variances that the filter can use in 64-bit floats
-_MOST_M = 1e9  # m; places farther away are refused. Source: a chosen limit
 
 Json = dict[str, Any]
 
@@ -91,41 +82,8 @@ def read_line(record: Json, kind: str, sensor: str, context: LogContext, where: 
     Raises:
         RendezviewError: it cannot be read, or its numbers are too large or too small.
     """
-    with np.errstate(all="ignore"):  # numbers that overflow are refused below
-        measurement = read_record(record, kind, sensor, context, where)
-    if measurement is not None:
-        check_size(measurement, where)
+    measurement = read_record(record, kind, sensor, context, where)
     return SensorLine(kind, record, measurement, _marks(sensor, record, context, where))
-
-
-def check_size(measurement: Measurement, where: str) -> None:
-    """Check that the filter can use the numbers of a measurement.
-
-    Raises:
-        RendezviewError: a place beyond 10⁹ m, or a variance that no sensor has.
-    """
-    if isinstance(measurement, PoseMeasurement):
-        places = [measurement.pose.translation_m]
-        variances = np.diagonal(measurement.covariance)
-    elif isinstance(measurement, RangeMeasurement):
-        places = [np.array([measurement.range_m]), measurement.origin_m]
-        variances = np.square([min(measurement.sigma_m, _MOST)])
-    elif isinstance(measurement, RateMeasurement):
-        places = [measurement.rate_rad_s]
-        variances = np.square([min(measurement.sigma_rad_s, _MOST)])
-    elif isinstance(measurement, ThrustMeasurement):
-        places = [measurement.velocity_change_m_s]
-        variances = np.square([min(measurement.sigma_m_s, _MOST)])
-    else:
-        places = [c.centre_m for c in measurement.candidates]
-        variances = np.concatenate([np.diagonal(c.covariance)[:3] for c in measurement.candidates])
-    if any(np.abs(place).max() > _MOST_M for place in places):
-        raise RendezviewError(f"{where}: places must be within {_MOST_M:g} m")
-    if not (variances.min() >= _LEAST and variances.max() <= _MOST):
-        raise RendezviewError(
-            f"{where}: variances must be {_LEAST:g} … {_MOST:g}, in rad² and m², not "
-            f"{variances.min():.3g} … {variances.max():.3g}"
-        )
 
 
 def _marks(sensor: str, record: Json, context: LogContext, where: str) -> Json | None:

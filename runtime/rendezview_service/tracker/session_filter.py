@@ -16,17 +16,17 @@ import numpy as np
 from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, FusionOptions, Measurement, Verdict
 from rendezview.fusion.fusion import Estimate
+from rendezview.fusion.log_lines import check_size
 from rendezview.fusion.logs import kind_of
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.results import json_value
 from rendezview.sensors.beam import BeamMesh
 from rendezview.sensors.observation import Observation, Status
 from rendezview_service.messages.fusion_messages import MOST_REMEMBERED, FusionRequest
-from rendezview_service.messages.message_parts import CAMERA, MOST_TIME_S
+from rendezview_service.messages.message_parts import CAMERA
 from rendezview_service.tracker.sensor_lines import (
     Json,
     SensorLine,
-    check_size,
     context_of,
     pose_of_fused,
     read_line,
@@ -298,8 +298,6 @@ class SessionFilter:
     def _check_clock(
         self, measurement: Measurement, frame_s: float, waited_s: float, where: str
     ) -> None:
-        if abs(measurement.time_s) > MOST_TIME_S:
-            raise RendezviewError(f"{where}: time_s must be within ±{MOST_TIME_S:g}")
         now_s = max(self._newest_s, frame_s)
         apart_s = measurement.time_s - now_s
         if math.isfinite(now_s) and not -MOST_CLOCK_GAP_S <= apart_s <= MOST_CLOCK_GAP_S + waited_s:

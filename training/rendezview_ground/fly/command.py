@@ -74,7 +74,10 @@ def fly(
     seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
     live: Annotated[
         str | None,
-        typer.Option(help="Address of a service that tracks its frames, as http://127.0.0.1:8360."),
+        typer.Option(
+            help="Address of a service that tracks its frames, as http://127.0.0.1:8360; silent "
+            "for 30 s, it is an error."
+        ),
     ] = None,
     token: Annotated[
         str | None, typer.Option(envvar="RENDEZVIEW_TOKEN", help="Of that service.")
