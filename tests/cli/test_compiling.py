@@ -23,7 +23,6 @@ from experiments.startup.recorded import recorded
 from rendezview.cli import compiling
 from rendezview.cli import warm as warm_command
 from rendezview.cli.main import main
-from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance.model.view_tables import ViewTables
 
@@ -151,7 +150,6 @@ def test_processes_that_save_versions_of_one_loop_at_once_lose_none(tmp_path, sm
 def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch):
     said: list[str] = []
     monkeypatch.setattr(compiling, "say", said.append)
-    monkeypatch.setattr(compiling, "_SAY_EVERY_S", float("inf"))
     entries = [e | {"seconds": 1.0} for e in compiling.load_loops("track")[-5:]]
     started = []
 
@@ -181,27 +179,24 @@ def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch)
     assert len(said) == 2
 
 
-def test_where_there_is_no_bar_lines_count_the_loops_and_say_how_long_it_takes(
-    monkeypatch, tmp_path
-):
+def test_loops_are_counted_with_the_time_that_is_left(monkeypatch):
     """By this machine's own speed, of all processes together."""
-    said: list[str] = []
-    monkeypatch.setattr(compiling, "say", said.append)
-    monkeypatch.setattr(compiling, "_SAY_EVERY_S", 0.0)
+    told: list[tuple[str, int, int, float]] = []
     monkeypatch.setattr(compiling, "_START_S", 0.5)
     monkeypatch.setattr(compiling, "_EACH_S", 0.0)
     now = iter([100.0, *(100.0 + 8.0 * k for k in range(1, 9))])
     monkeypatch.setattr(time, "perf_counter", lambda: next(now))
     loops = [{"seconds": 4.0}, {"seconds": 1.0}, {"seconds": 3.0}]
-    with ProgressBar() as bar:
-        counter = compiling._Counter(loops, 2, bar)
-        counter(1.0)
-        program = "print(3.0)\nprint(4.0)"
-        with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
-            counter.follow(process)
-    assert said[0] == "  1 of 3 loops, about 28 s more"  # 8 s for start and loop, two of nine
-    assert said[1] == "  2 of 3 loops, about 13 s more"
-    assert said[2] == "  3 of 3 loops, about 0 s more"
+    counter = compiling._Counter(loops, 2, lambda *step: told.append(step))
+    counter(1.0)
+    program = "print(3.0)\nprint(4.0)"
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
+        counter.follow(process)
+    assert told == [
+        ("compile", 1, 3, pytest.approx(28.0)),  # 8 s for start and loop, two of nine
+        ("compile", 2, 3, pytest.approx(12.8)),
+        ("compile", 3, 3, 0.0),
+    ]
 
 
 def test_a_loop_of_several_groups_is_compiled_once(monkeypatch):

@@ -46,7 +46,6 @@ COMMANDS = {
 }
 GROUPS = tuple(dict.fromkeys(group for groups in COMMANDS.values() for group in groups))
 _MOST_PROCESSES = 6  # with more, each mostly imports. Source: experiment compiled-loops
-_SAY_EVERY_S = 10.0  # s, where there is no bar. Source: a chosen limit
 _ahead = threading.Event()  # set while this process compiles loops ahead
 # Source: experiment compiled-loops, twice the start of a process
 _LEAST_S = 4.0  # s; what takes less to compile is compiled where it is called
@@ -141,27 +140,22 @@ def load_ahead(*groups: str) -> None:
 
 
 class _Counter:
-    """Counts the loops that several processes have compiled, and says so now and then."""
+    """Counts the loops that several processes have compiled, and the seconds that are left."""
 
     def __init__(self, loops: Sequence[dict[str, Any]], processes: int, bar: ProgressBar) -> None:
         self._total, self._bar, self._lock = len(loops), bar, threading.Lock()
         # Seconds of the machine of the list: of the start of the processes, and of all.
         self._done, self._spent = 0, processes * _START_S
         self._seconds = self._spent + _seconds(loops) + self._total * _EACH_S
-        self._start = self._said = time.perf_counter()
+        self._start = time.perf_counter()
 
     def __call__(self, seconds: float) -> None:
         """One more loop is compiled, which takes so long on the machine of the list."""
         with self._lock:
             self._done, self._spent = self._done + 1, self._spent + seconds + _EACH_S
-            self._bar("compile", self._done, self._total)
-            now = time.perf_counter()
-            if self._bar.is_shown or now - self._said < _SAY_EVERY_S:
-                return
-            self._said = now
             rest = max(self._seconds - self._spent, 0.0)
-            left = (now - self._start) * rest / self._spent
-            say(f"  {self._done} of {self._total} loops, about {left:.0f} s more")
+            left_s = (time.perf_counter() - self._start) * rest / self._spent
+            self._bar("compile", self._done, self._total, left_s)
 
     def follow(self, worker: subprocess.Popen[bytes]) -> None:
         """Count what a process compiles, until it ends."""

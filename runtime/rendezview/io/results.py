@@ -20,7 +20,7 @@ import numpy as np
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose, nearest_rotation
-from rendezview.io.file_lock import opened_alone
+from rendezview.io.file_lock import give_name, opened_alone
 from rendezview.io.files import StrPath, atomic_write_text, parse_json, read_text, write_error
 
 HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
@@ -159,7 +159,7 @@ class JsonLinesWriter:
         if self.path.exists() and not self.path.is_file():
             raise RendezviewError(f"{self.path}: is no regular file: give the name of a file")
         try:
-            self._file: BinaryIO = opened_alone(self.partial_path)
+            self._file: BinaryIO = opened_alone(self.partial_path, self.path)
         except OSError as error:
             raise write_error(self.path, error) from error
         self._written = False
@@ -189,8 +189,7 @@ class JsonLinesWriter:
         try:
             self._file.flush()
             os.fsync(self._file.fileno())
-            self._file.close()
-            os.replace(self.partial_path, self.path)
+            give_name(self._file, self.partial_path, self.path)
         except OSError as error:
             with contextlib.suppress(OSError):
                 self._file.close()

@@ -6,14 +6,15 @@ import contextlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Self
+from typing import BinaryIO, Self
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.io.files import check_place
+from rendezview.io.file_lock import give_name, opened_alone
+from rendezview.io.files import check_place, write_error
 from rendezview.io.sequences.quiet import quiet_opencv
 
 Picture = npt.NDArray[np.uint8]
@@ -74,6 +75,7 @@ class VideoWriter:
         check_place(path, "the video")
         self._path, self._rate_hz, self._suffix = path, rate_hz, suffix
         self._part = path.with_name(f".{path.stem}.partial{suffix}")
+        self._locked: BinaryIO | None = None
         self._writer: cv2.VideoWriter | None = None
         self._frames: list[Picture] = []
         self._size = (0, 0)
@@ -89,8 +91,14 @@ class VideoWriter:
         """The next frame, (H, W, 3) blue, green, red.
 
         Raises:
-            RendezviewError: no encoder, no space, or too many frames for a GIF.
+            RendezviewError: no encoder, no space, another run writes it, or too many frames for a
+                GIF.
         """
+        if self._locked is None:
+            try:
+                self._locked = opened_alone(self._part, self._path)
+            except OSError as error:
+                raise write_error(self._path, error) from error
         if self._size == (0, 0):
             self._size = picture.shape[1], picture.shape[0]
             if self._suffix == _GIF and self._size[0] > _GIF_WIDTH_PX:
@@ -112,6 +120,7 @@ class VideoWriter:
                     str(self._part), cv2.CAP_ANY, code, self._rate_hz, self._size
                 )
             if not self._writer.isOpened():
+                self._part.unlink(missing_ok=True)
                 raise RendezviewError(
                     f"{self._path}: this OpenCV cannot encode {self._suffix}: write an .avi or .gif"
                 )
@@ -140,6 +149,18 @@ class VideoWriter:
         Raises:
             RendezviewError: the file is not complete.
         """
+        try:
+            self._finish()
+            if self._locked is not None:
+                give_name(self._locked, self._part, self._path)
+        except OSError as error:
+            raise write_error(self._path, error) from error
+        finally:
+            if self._locked is not None:
+                self._locked.close()
+                self._locked = None
+
+    def _finish(self) -> None:
         if self._frames:
             animation = cv2.Animation()
             animation.frames = self._frames
@@ -152,5 +173,3 @@ class VideoWriter:
             self._writer = None
             if not self._ends():
                 raise self._unwritten()
-        if self._part.exists():
-            os.replace(self._part, self._path)

@@ -176,13 +176,13 @@ def assess(
     """
     options = options or AssessmentOptions()
     check_place(path, "the answers")
-    shards = Shards(path.with_name(path.name + ".partial"), _inputs(model, mesh, camera, options))
     parts = [(p,) for p in shares(options.frames, FRAMES_PER_SHARD)]
     shared = (model, mesh, camera, options)
-    done = shards.run("frames", _look_at, shared, parts, executor, progress)
-    lines = [str(line) for shard in done for line in shard["lines"]]
-    atomic_write_text(path, "".join(line + "\n" for line in lines))
-    shards.remove()
+    with Shards(path, _inputs(model, mesh, camera, options)) as shards:
+        done = shards.run("frames", _look_at, shared, parts, executor, progress)
+        lines = [str(line) for shard in done for line in shard["lines"]]
+        atomic_write_text(path, "".join(line + "\n" for line in lines))
+        shards.remove()
     records = [json.loads(line) for line in lines]
     answers = {
         look: Answers.of([record for record in records if record["look"] == look]) for look in LOOKS

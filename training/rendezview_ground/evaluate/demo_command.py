@@ -20,6 +20,7 @@ from rendezview.cli.progress import ProgressBar
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
+from rendezview.io.file_lock import FolderLock
 from rendezview.io.files import make_folder
 from rendezview.io.sequences import Sequence, open_sequence
 from rendezview.io.target import DockingRing
@@ -89,7 +90,11 @@ def demo(
     make_folder(output)
     model_path = output / f"{target.name}.rvm"
     compile_ahead("train")
-    with compile_beside("track", "hard", "demo") as compiled, ProgressBar() as progress:
+    with (
+        FolderLock(output),
+        compile_beside("track", "hard", "demo") as compiled,
+        ProgressBar() as progress,
+    ):
         console.print(f"1. Training {target.name} on {len(mesh.faces)} triangles …")
         trained = train(
             mesh,

@@ -86,12 +86,12 @@ def campaign(
         "model": None if setup.model is None else setup.model.provenance,
         "runs": [seed, runs, *faults, every],
     }
-    shards = Shards(path.with_name(path.name + ".partial"), inputs)
     parts = [(range(seed + p.start, seed + p.stop),) for p in shares(runs, RUNS_PER_SHARD)]
-    done = shards.run("flights", _fly, (setup, faults, every), parts, executor, progress)
-    lines = [str(line) for shard in done for line in shard["lines"]]
-    atomic_write_text(path, "".join(line + "\n" for line in lines))
-    shards.remove()
+    with Shards(path, inputs) as shards:
+        done = shards.run("flights", _fly, (setup, faults, every), parts, executor, progress)
+        lines = [str(line) for shard in done for line in shard["lines"]]
+        atomic_write_text(path, "".join(line + "\n" for line in lines))
+        shards.remove()
     return [json.loads(line) for line in lines]
 
 

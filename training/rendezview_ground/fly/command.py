@@ -14,6 +14,7 @@ from rich.console import Console
 
 from rendezview.cli.progress import ProgressBar
 from rendezview.io.bundled import find_target
+from rendezview.io.file_lock import FolderLock
 from rendezview.io.files import make_folder
 from rendezview.io.results import read_json_lines
 from rendezview.io.video_file import VideoWriter
@@ -104,7 +105,7 @@ def fly(
     others = None if beside is None else read_json_lines(beside)
     make_folder(output)
     views = None
-    with ProgressBar() as progress:
+    with FolderLock(output), ProgressBar() as progress:
         if frames is Frames.RENDERED and live is None:
             path = model or output / f"{found.name}.rvm"
             if not path.exists() and model is None:

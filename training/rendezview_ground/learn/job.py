@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import importlib.util
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -111,10 +112,7 @@ def train(
     sphere = [*geometry.centre_m.tolist(), geometry.target_radius_m]
     key = inputs | {"code": _code_sha256(), "sphere": sphere}
     key |= {"port": None if port is None else port.record()}
-    shards = Shards(path.with_name(path.name + ".partial"), key)
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)  # the jobs are the parallelism
-    try:
+    with Shards(path, key) as shards, _one_opencv_thread():  # the jobs are the parallelism
         stages = TrainingStages(
             shards, drawn, faces_beside(drawn), renderer, surfaces, geometry, options, executor,
             progress,
@@ -126,14 +124,21 @@ def train(
             reflectors=reflectors,
             near=stages.near(mesh, port, camera),
         )
-        trained = dataclasses.replace(trained, model=model, drawn_triangles=len(drawn.faces))
+        model.save(path)
+        shards.remove()
+    # As others read it: compiled loops have another version for arrays that may be written.
+    model = ViewModel.load(path)
+    return dataclasses.replace(trained, model=model, drawn_triangles=len(drawn.faces))
+
+
+@contextlib.contextmanager
+def _one_opencv_thread() -> Iterator[None]:
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
     finally:
         cv2.setNumThreads(threads)
-    trained.model.save(path)
-    # As others read it: compiled loops have another version for arrays that may be written.
-    trained = dataclasses.replace(trained, model=ViewModel.load(path))
-    shards.remove()
-    return trained
 
 
 def _train(

@@ -10,6 +10,7 @@ from typing import Any
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.joint import Joint
+from rendezview.io.file_lock import FolderLock
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview_ground.learn.job import Trained, kept_model, provenance, train
 from rendezview_ground.learn.jobs.stages import Progress
@@ -57,25 +58,27 @@ def train_configurations(
     folder = path.with_name(path.name + ".sheets")
     if not path.parent.is_dir():
         raise RendezviewError(f"{path}: give a file name in an existing folder for the model")
-    folder.mkdir(exist_ok=True)
     configurations, first = [], None
-    for k, own in enumerate(angles):
-        configuration = posed(mesh, joints, own)
-        file = folder / f"{k:02d}.rvm"
+    with FolderLock(folder, path):  # until the model is written
+        for k, own in enumerate(angles):
+            configuration = posed(mesh, joints, own)
+            file = folder / f"{k:02d}.rvm"
 
-        def tell(stage: str, done: int, of: int, number: int = k + 1) -> None:
-            if progress is not None:
-                progress(f"{stage} {number}/{len(angles)}", done, of)
+            def tell(stage: str, done: int, of: int, number: int = k + 1) -> None:
+                if progress is not None:
+                    progress(f"{stage} {number}/{len(angles)}", done, of)
 
-        made = provenance(configuration, options or TrainingOptions(), camera)
-        kept = kept_model(file, made, stated)
-        if kept is None:
-            trained = train(configuration, file, bounding_sphere=sphere, progress=tell, **arguments)
-            first, kept = first or trained, trained.model
-        configurations.append(kept)
-    model = model_of_configurations(configurations, joints, angles)
-    model.save(path)
-    shutil.rmtree(folder, ignore_errors=True)
+            made = provenance(configuration, options or TrainingOptions(), camera)
+            kept = kept_model(file, made, stated)
+            if kept is None:
+                trained = train(
+                    configuration, file, bounding_sphere=sphere, progress=tell, **arguments
+                )
+                first, kept = first or trained, trained.model
+            configurations.append(kept)
+        model = model_of_configurations(configurations, joints, angles)
+        model.save(path)
+        shutil.rmtree(folder, ignore_errors=True)
     if first is None:
         geometry = view_geometry(mesh, options or TrainingOptions(), camera, sphere)
         return Trained(model, None, geometry)

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera, LensModel
 from rendezview.geometry.pose import Pose
+from rendezview.io.file_lock import FolderLock
 from rendezview.io.files import StrPath, atomic_write_text, make_folder
 from rendezview.io.sequences.images import write_png
 
@@ -36,7 +37,8 @@ class BopSceneWriter:
         overwrite: remove a scene that is already there.
 
     Raises:
-        RendezviewError: the folder already has a scene, or cannot be written.
+        RendezviewError: the folder already has a scene, another run writes one there, or it cannot
+            be written.
         ValueError: ``scene_id`` is negative or contradicts the folder's name.
     """
 
@@ -59,14 +61,19 @@ class BopSceneWriter:
         self._truth: dict[str, list[dict[str, Any]]] = {}
         self._written: list[Path] = []
         self._closed = False
-        if _holds_scene(self.folder):
-            if not overwrite:
-                raise RendezviewError(
-                    f"{self.folder}: already has a scene: choose another folder, or "
-                    f"overwrite it (--overwrite)"
-                )
-            _remove_scene(self.folder)
-        make_folder(self.folder / "gray")
+        self._lock = FolderLock(self.folder)
+        try:
+            if _holds_scene(self.folder):
+                if not overwrite:
+                    raise RendezviewError(
+                        f"{self.folder}: already has a scene: choose another folder, or "
+                        f"overwrite it (--overwrite)"
+                    )
+                _remove_scene(self.folder)
+            make_folder(self.folder / "gray")
+        except BaseException:
+            self._lock.release()
+            raise
 
     def add(
         self,
@@ -159,6 +166,7 @@ class BopSceneWriter:
             self.abort()
             raise
         self._closed = True
+        self._lock.release()
 
     def abort(self) -> None:
         """Remove the written files; nothing more can be added."""
@@ -171,6 +179,7 @@ class BopSceneWriter:
         for folder in ("gray", "mask_visib", "."):
             with contextlib.suppress(OSError):  # not empty: it has files of the user
                 (self.folder / folder).rmdir()
+        self._lock.release()
 
     def __enter__(self) -> Self:
         return self

@@ -11,6 +11,7 @@ import numpy as np
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.io.file_lock import FolderLock
 from rendezview.io.results import JsonLinesWriter
 from rendezview.io.target import Target
 from rendezview.sensors.beacons import LitDark, ReflectorPattern, ReflectorSensor, patterns_of
@@ -104,9 +105,14 @@ def simulate_reflectors(
             light=painted, again=dark, progress=report,
         )  # fmt: skip
 
-    picture("lit", dark=False)
-    picture("dark", dark=True)
-    with JsonLinesWriter(folder / "integration.jsonl") as writer:
+    with FolderLock(folder):  # both are of one run
+        picture("lit", dark=False)
+        picture("dark", dark=True)
+        _write_exposures(folder / "integration.jsonl", poses, gains)
+
+
+def _write_exposures(path: Path, poses: Sequence[TimedPose], gains: Sequence[float]) -> None:
+    with JsonLinesWriter(path) as writer:
         for k, ((time_s, _), gain) in enumerate(zip(poses, gains, strict=True)):
             writer.write({"im_id": k, "time_s": time_s, "exposure": gain / gains[0]})
 

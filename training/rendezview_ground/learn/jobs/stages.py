@@ -10,13 +10,15 @@ import shutil
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
+from rendezview.io.file_lock import FolderLock
 from rendezview.io.files import atomic_write
+from rendezview.io.results import partial
 from rendezview_ground.learn.jobs.shard_executor import ShardExecutor, Shared
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -45,20 +47,37 @@ def together(parts: Sequence[Arrays], join: Join = np.concatenate) -> Arrays:
 
 
 class Shards:
-    """A folder of finished shards beside the output, valid for one set of inputs."""
+    """A folder of finished shards beside the output, valid for one set of inputs.
 
-    def __init__(self, folder: Path, inputs: dict[str, Any]) -> None:
+    Use it as a context manager: meanwhile no other run computes this output.
+
+    Args:
+        output: the file that the shards are for.
+        inputs: what decides the shards.
+
+    Raises:
+        RendezviewError: another run computes it, or the folder cannot be written.
+    """
+
+    def __init__(self, output: Path, inputs: dict[str, Any]) -> None:
         key = json.dumps(inputs, sort_keys=True)
-        self._folder = folder / hashlib.sha256(key.encode()).hexdigest()[:16]
-        self._parent = folder
+        self._parent = partial(output)
+        self._folder = self._parent / hashlib.sha256(key.encode()).hexdigest()[:16]
+        self._lock = FolderLock(self._parent, output)
         try:
-            if folder.exists():
-                for other in folder.iterdir():
-                    if other != self._folder:
-                        shutil.rmtree(other)
-            self._folder.mkdir(parents=True, exist_ok=True)
+            for other in self._parent.iterdir():
+                if other != self._folder:
+                    shutil.rmtree(other)
+            self._folder.mkdir(exist_ok=True)
         except OSError as error:
-            raise RendezviewError(f"{folder}: {error.strerror or error}") from None
+            self._lock.release()
+            raise RendezviewError(f"{self._parent}: {error.strerror or error}") from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
 
     def run(
         self,
