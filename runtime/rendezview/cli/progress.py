@@ -26,8 +26,9 @@ from rendezview.sensors.run import Summary
 
 # s; in a log a line follows the line before after so long. Source: a chosen limit
 _EVERY_S = 30.0
-_END_S = 10.0  # s; the same at the end of a stage, so that short stages say nothing
-_MINUTES_S = 120.0  # s; from here on a time is in minutes
+# s; the same at the end of a stage, so that short stages say nothing. Source: a chosen limit
+_END_S = 10.0
+_MINUTES_S = 120.0  # s; from here on a time is in minutes. Source: a chosen limit
 
 
 def outcome_words(outcomes: Counter[Status], good: Status) -> str:
