@@ -194,6 +194,13 @@ class Recognizer:
             seen = with_outline(seen, lambda body: body.enlarged(scale.times))
         return seen
 
+    def _looking_at(self, frame: Picture, pose: Pose) -> tuple[PoseFinder, Picture]:
+        """What sees the target at a pose, and the frame in the size that ``recognize`` takes."""
+        scale = self._scale(frame)
+        if scale.times > 1 and self._too_small(pose, scale):
+            scale = WHOLE
+        return self._seeing(scale)[0], scale.shrunk(frame)
+
     def _too_small(self, pose: Pose, scale: Scale) -> bool:
         """Whether the target at a pose is too small in that scale to be told from others."""
         range_m = float(np.linalg.norm(pose.apply(self.model.centre_m)))
@@ -263,11 +270,12 @@ class Recognizer:
             sun_camera: (3,) towards the Sun, camera frame, if it is known.
         """
         frame = check_frame(image, self.camera)
-        scale = self._scale(frame)
-        search, frame = self._seeing(scale)[0].search, scale.shrunk(frame)
-        if search is None or self.model.joints:
+        if self.search is None or self.model.joints:
             return 1.0
         with self._lock:
+            finder, frame = self._looking_at(frame, pose)
+            search = finder.search
+            assert search is not None
             return search.posterior(frame, Sky.of(frame, sun_camera), pose)
 
     def second_estimate(self, image: npt.ArrayLike, pose: Pose) -> Second | None:
@@ -275,13 +283,13 @@ class Recognizer:
 
         It takes a seventh of a second. ``None``: there is no sketch, or no pose on it.
         """
-        frame = check_frame(image, self.camera)
-        scale = self._scale(frame)
-        sketch, frame = self._seeing(scale)[0].sketch, scale.shrunk(frame)
-        if sketch is None:
+        if self.sketch is None:
             return None
+        frame = check_frame(image, self.camera)
         with self._lock:
-            choice = sketch.anywhere(frame, Sky.of(frame))
+            finder, frame = self._looking_at(frame, pose)
+            assert finder.sketch is not None
+            choice = finder.sketch.anywhere(frame, Sky.of(frame))
         if choice is None:
             return None
         other = nearest_alike(choice.best.pose, pose, self.model.symmetries)

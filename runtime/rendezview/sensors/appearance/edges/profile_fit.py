@@ -73,9 +73,7 @@ def fit_profile(
         height = max(height, abs(levels[k]))
     variance, used, cost = 0.0, 0, 0.0
     for step in range(_STEPS):
-        first = max(0, int(np.ceil(place - _INSIDE_PX)) + zero)
-        last = min(count - 1, int(np.floor(place + _OUTSIDE_PX)) + zero)
-        used = last - first + 1
+        first, last, used = _window(place, zero, count)
         if used < _LEAST_PIXELS:
             return False
         sums = _sums(
@@ -118,9 +116,7 @@ def fit_clipped_profile(
     for k in range(_GAINS.size):
         place, base, cost, variance, used = start, background, 0.0, 0.0, 0
         for _ in range(_GAIN_STEPS):
-            first = max(0, int(np.ceil(place - _INSIDE_PX)) + zero)
-            last = min(count - 1, int(np.floor(place + _OUTSIDE_PX)) + zero)
-            used = last - first + 1
+            first, last, used = _window(place, zero, count)
             if used < _LEAST_PIXELS:
                 return False
             a00, a03, a33, r0, r3 = 1e-6, 0.0, _HELD if held else 1e-6, 0.0, 0.0
@@ -156,6 +152,14 @@ def fit_clipped_profile(
         spread += share * variances[k]
     result[0], result[1] = mean / total, spread / total
     return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
+def _window(place: float, zero: int, count: int) -> tuple[int, int, int]:
+    """First and last pixel of a profile beside an edge, and how many those are."""
+    first = max(0, int(np.ceil(place - _INSIDE_PX)) + zero)
+    last = min(count - 1, int(np.floor(place + _OUTSIDE_PX)) + zero)
+    return first, last, last - first + 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
